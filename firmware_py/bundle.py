@@ -1,0 +1,123 @@
+"""The bundle: one directory that holds all that the robot needs to predict.
+
+::
+
+    manifest.json     what this is, with units, ranges, hashes of every other file
+    predictor.onnx    features -> tip_m, in_range, half_width_m
+    lagged.onnx       lagged regressor of DI (the fallback estimator)
+    observer.fmu      plant observer of DI (added by `python -m fmu build --unit observer`)
+    plant.json        the plant that the observer was built from
+    study.json        the paper's tables on these trials
+    golden.npz        ticks that the robot replays before it moves
+    MODEL_CARD.md     for people
+
+`models.export` and `fmu.build` write it; the robot reads it and refuses what does not match.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+SCHEMA: Final = 1
+MANIFEST: Final = "manifest.json"
+
+
+class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A feature or output of the predictor: name, unit and the range seen in training."""
+
+    name: str
+    unit: str
+    minimum: float
+    maximum: float
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`manifest.json`; see `read_manifest`.
+
+    Attributes
+    ----------
+    features, outputs : tuple of Quantity
+        In the order of the graph's input columns and output rows.
+    estimator : str
+        Where DI comes from on the robot: "observer", "lagged" or "none".
+    degree : int
+        Of the polynomial, chosen by cross-validation on the training trials.
+    metrics : dict
+        Held-out figures by name, SI units in the names.
+    coefficients : dict
+        Monomial (like "angle_1_rad^2 di") to its coefficient per output: readable, not used.
+    files : dict
+        File name to SHA-256.
+    """
+
+    schema: int = SCHEMA
+    dof: int
+    period_s: float
+    degree: int
+    estimator: str
+    features: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    lag_ticks: tuple[int, ...]
+    training_data_sha256: str
+    plant_sha256: str
+    libraries: dict[str, str]
+    metrics: dict[str, float]
+    coefficients: dict[str, tuple[float, ...]]
+    files: dict[str, str]
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read_manifest(directory: Path | str) -> Manifest:
+    """Read `manifest.json` and verify the hash of every file that it names.
+
+    Raises
+    ------
+    InputError
+        If the directory or a file is missing, damaged, of another schema or does not match.
+    """
+    directory = Path(directory)
+    path = directory / MANIFEST
+    try:
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+    except FileNotFoundError:
+        raise InputError(
+            path, "is missing", "make a bundle with 'python -m models train'"
+        ) from None
+    except msgspec.DecodeError as error:  # also what is valid JSON of another form
+        raise InputError(path, str(error), "train the bundle again with this version") from None
+    if manifest.schema != SCHEMA:
+        raise InputError(
+            path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
+        )
+    for name, expected in manifest.files.items():
+        file = directory / name
+        if not file.is_file():
+            raise InputError(file, "is missing", "copy the whole bundle directory")
+        if sha256_of(file) != expected:
+            raise InputError(
+                file, "does not match the hash in manifest.json", "copy or train the bundle again"
+            )
+    return manifest
+
+
+def write_manifest(directory: Path, manifest: Manifest) -> None:
+    """Replace `manifest.json` atomically, hashing every other file of the directory anew."""
+    files = {
+        p.name: sha256_of(p)
+        for p in sorted(directory.iterdir())
+        if p.is_file() and p.name != MANIFEST and not p.name.startswith(".")
+    }
+    manifest = msgspec.structs.replace(manifest, files=files)
+    scratch = directory / f".{MANIFEST}"
+    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
+    scratch.replace(directory / MANIFEST)

@@ -1,0 +1,112 @@
+"""How every command of the project talks: sub-commands, exit codes, progress, JSON.
+
+A command is a module with three names::
+
+    EXAMPLE: str                                   # one line shown under --help
+    def configure(parser: ArgumentParser) -> None  # its arguments
+    def run(args: Namespace) -> int                # does the work, returns the exit code
+
+It is imported only when it is called, so `--help` of a room costs nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from firmware_py.errors import InputError, SafetyTrip
+
+DONE, NEGATIVE, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
+
+
+class Command(NamedTuple):
+    """One row of a room's command table."""
+
+    name: str
+    module: str
+    summary: str
+
+
+def dispatch(
+    prog: str, description: str, commands: Sequence[Command], argv: Sequence[str] | None
+) -> int:
+    """Run the sub-command that `argv` names.
+
+    Returns
+    -------
+    int
+        0 done, 1 ran and the verdict is negative, 2 bad input, 3 inconclusive.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    chosen = next((c for c in commands if arguments and c.name == arguments[0]), None)
+    parser = argparse.ArgumentParser(prog=prog, description=description)
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    module = None
+    for command in commands:
+        if command is not chosen:
+            subparsers.add_parser(command.name, help=command.summary, add_help=False)
+            continue
+        module = importlib.import_module(command.module)
+        sub = subparsers.add_parser(
+            command.name,
+            help=command.summary,
+            description=module.__doc__,
+            epilog=f"example:\n  {module.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.configure(sub)
+        sub.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
+    try:
+        args = parser.parse_args(arguments)
+        return int(module.run(args)) if module else BAD_INPUT
+    except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
+        return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
+    except InputError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except SafetyTrip as error:
+        print(f"{prog}: stopped: {error}", file=sys.stderr)
+        return NEGATIVE
+    except KeyboardInterrupt:
+        print(f"{prog}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return DONE
+
+
+def emit(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
+    """Print the result on stdout: `data` for machines under --json, else `text` for people."""
+    print(json.dumps(data, indent=1, sort_keys=True) if args.json else text)
+
+
+class Progress:
+    """Progress of long work, one line on stderr.
+
+    Parameters
+    ----------
+    label : str
+        What is being done.
+    total : int
+        Number of steps.
+    """
+
+    def __init__(self, label: str, total: int) -> None:
+        self.label, self.total, self.done = label, total, 0
+        self._start_s, self._tty = time.monotonic(), sys.stderr.isatty()
+        self._shown_s = 0.0
+
+    def step(self, detail: str = "") -> None:
+        """Count one finished step and show it (at most once a second where stderr is a file)."""
+        self.done += 1
+        now_s, last = time.monotonic(), self.done >= self.total
+        if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):
+            return
+        self._shown_s = now_s
+        line = f"{self.label} {self.done}/{self.total} {now_s - self._start_s:5.1f} s {detail}"
+        end = "\n" if last or not self._tty else "\r"
+        print(line.ljust(79) if self._tty else line.rstrip(), end=end, file=sys.stderr, flush=True)

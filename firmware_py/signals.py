@@ -1,0 +1,134 @@
+"""The one table of signals: every name, unit and description that crosses a room's wall.
+
+From it are derived the tick record, the recorder's schema, the CSV header of a trial and the
+variables of the FMI units. A name ends in its SI unit; `{j}` stands for the joint, 1 or 2.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, NamedTuple
+
+import numpy as np
+
+PERIOD_S: Final = 0.017
+"""Nominal control period: 256 steps of 17 ms make one cycle (paper, section IV-A)."""
+
+UNIT_OF_SUFFIX: Final = {
+    "s": "s", "ns": "ns", "rad": "rad", "rad_s": "rad/s", "rad_s2": "rad/s2", "m": "m",
+    "m_s": "m/s", "kg": "kg", "a": "A", "v": "V", "n": "N", "nm": "N.m", "pa": "Pa",
+    "degc": "degC", "hz": "Hz", "w": "W",
+}  # fmt: skip
+"""Unit suffixes that a column or variable may carry, and how FMI writes the unit."""
+
+_SUFFIX = re.compile("_(" + "|".join(sorted(UNIT_OF_SUFFIX, key=len, reverse=True)) + ")$")
+
+
+class Signal(NamedTuple):
+    """One physical quantity: its name, its unit ("1" for none) and what it means."""
+
+    name: str
+    unit: str
+    description: str
+
+
+def unit_of(name: str) -> str | None:
+    """Return the unit that a name's suffix declares, or None where it declares none."""
+    match = _SUFFIX.search(name)
+    return UNIT_OF_SUFFIX[match.group(1)] if match else None
+
+
+_JOINT = (
+    Signal("goal_{j}_rad", "rad", "goal angle of joint {j} sent to the servo"),
+    Signal("angle_{j}_rad", "rad", "angle of joint {j} as the servo measures it"),
+    Signal("current_{j}_a", "A", "motor current of joint {j}, positive pushes the angle positive"),
+)
+_TIP = tuple(Signal(f"tip_{axis}_m", "m", f"end effector, world frame, {axis}") for axis in "xyz")
+_PREDICTED = tuple(
+    Signal(f"predicted_tip_{axis}_m", "m", f"end effector by the polynomial predictor, {axis}")
+    for axis in "xyz"
+)
+_HALF_WIDTH = tuple(
+    Signal(f"half_width_{axis}_m", "m", f"half width of the 95 % prediction interval, {axis}")
+    for axis in "xyz"
+)
+_MARKERS = tuple(
+    Signal(f"m{i:02d}_{axis}_m", "m", f"marker {i}, world frame, {axis}")
+    for i in range(1, 17)
+    for axis in "xyz"
+)
+TIME = Signal("time_s", "s", "time since the start of the run")
+PAYLOAD = Signal("payload_kg", "kg", "mass of the payload at the tip")
+DI = Signal("di", "1", "Deformation Index (paper, equation 1)")
+IN_RANGE = Signal("in_range", "1", "1 where the predictor's inputs lie inside its training range")
+
+_STAGES = ("wake", "read", "estimate", "predict", "command", "check", "log")
+STAGES: Final = _STAGES
+"""Stages of a tick in the order in which they run."""
+
+
+def joint_signals(dof: int) -> tuple[Signal, ...]:
+    """Goal, angle and current of each joint, in the trial's column order."""
+    return tuple(
+        Signal(*(field.format(j=j) for field in signal))
+        for j in range(1, dof + 1)
+        for signal in _JOINT
+    )
+
+
+def trial_signals(dof: int) -> tuple[Signal, ...]:
+    """Columns of a trial of the link, in order (DESIGN, section 3)."""
+    return (TIME, *joint_signals(dof), *_TIP, *_MARKERS)
+
+
+def feature_names(dof: int) -> tuple[str, ...]:
+    """Inputs of the predictor, in order: angles, currents, DI (paper, equations 2 and 3)."""
+    joints = range(1, dof + 1)
+    return (*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints), DI.name)
+
+
+def tip_names(prefix: str = "") -> tuple[str, str, str]:
+    """Names of the end effector's coordinates, `predicted_` or nothing in front."""
+    return (f"{prefix}tip_x_m", f"{prefix}tip_y_m", f"{prefix}tip_z_m")
+
+
+def tick_signals(dof: int) -> tuple[Signal, ...]:
+    """Every column of the tick record, in order."""
+    stages = tuple(
+        Signal(f"{stage}_ns", "ns", f"time spent in the stage '{stage}' of the tick")
+        for stage in _STAGES
+    )
+    return (
+        Signal("tick", "1", "number of the control period since the start, skipped ones counted"),
+        TIME,
+        Signal("deadline_ns", "ns", "absolute deadline of the tick on the monotonic clock"),
+        *joint_signals(dof),
+        PAYLOAD,
+        DI,
+        *_PREDICTED,
+        *_HALF_WIDTH,
+        IN_RANGE,
+        Signal("state", "1", "state of the safety supervisor (firmware_py.safety.State)"),
+        Signal("bus_status", "1", "result of the bus transfer (firmware_py.bus.BusStatus)"),
+        Signal("stale_ticks", "1", "age of the measured data in ticks, 0 is fresh"),
+        Signal("alert", "1", "hardware error bits of the servos, or-ed"),
+        *stages,
+        Signal("busy_ns", "ns", "whole tick from wake-up to the end of the log stage"),
+        Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the wire"),
+        Signal("lateness_ns", "ns", "wake-up behind the deadline"),
+        Signal("preempted_ns", "ns", "run-queue delay of the loop's thread during the period"),
+        Signal("missed", "1", "deadlines missed since the previous tick"),
+    )
+
+
+_INTEGERS = {"tick", "state", "bus_status", "stale_ticks", "alert", "missed", "in_range"}
+
+
+def tick_dtype(dof: int) -> np.dtype[np.void]:
+    """Packed record of one tick; integers are 64-bit, everything else is a double."""
+    return np.dtype(
+        [
+            (s.name, np.int64 if s.unit == "ns" or s.name in _INTEGERS else np.float64)
+            for s in tick_signals(dof)
+        ]
+    )

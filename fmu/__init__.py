@@ -1,0 +1,1 @@
+"""FMI export: plant and predictor as co-simulation units."""

@@ -1,0 +1,1 @@
+"""Software and hardware in the loop: emulated servo, wire, timing verdict, report."""

@@ -1,0 +1,1 @@
+"""Offline: trials, the virtual laboratory, the plant, learning, export."""

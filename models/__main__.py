@@ -1,0 +1,25 @@
+"""Offline commands: from trials to plant and bundle."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from firmware_py.console import Command, dispatch
+
+COMMANDS = (
+    Command("simulate", "models.commands.simulate", "run the virtual laboratory, write trials"),
+    Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
+    Command("identify", "models.commands.identify", "fit the plant to trials"),
+    Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
+    Command("train", "models.commands.train", "train the predictors, write a bundle"),
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `python -m models`."""
+    return dispatch("python -m models", __doc__ or "", COMMANDS, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,49 @@
+"""Rigid kinematics of the base joint: where a straight link would be.
+
+World frame right-handed, z up. Joint 1 turns about y (positive: tip towards +x), joint 2 about
+-x and is carried by joint 1 (positive: tip towards +y) (DESIGN, section 2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def base_rotation(angle_rad: Array) -> Array:
+    """Rotation of the base plate.
+
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (n, dof)
+        Joint angles in rad; with one column joint 2 stands at zero.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        R = R_y(angle_1) R_x(-angle_2): columns are the plate's axes in the world frame.
+    """
+    q1 = angle_rad[:, 0]
+    q2 = angle_rad[:, 1] if angle_rad.shape[1] > 1 else np.zeros_like(q1)
+    c1, s1, c2, s2 = np.cos(q1), np.sin(q1), np.cos(q2), np.sin(q2)
+    zero = np.zeros_like(q1)
+    rows = [
+        [c1, -s1 * s2, s1 * c2],
+        [zero, c2, s2],
+        [-s1, -c1 * s2, c1 * c2],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def base_corners_m(angle_rad: Array, base_offset_m: float, width_m: float) -> Array:
+    """Corners of the base plate in the order of a marker row, shape (n, 4, 3)."""
+    half = 0.5 * width_m
+    body = np.array([[sx * half, sy * half, base_offset_m] for sy in (1, -1) for sx in (1, -1)])
+    return np.einsum("nij,cj->nci", base_rotation(angle_rad), body)
+
+
+def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
+    """Tip of a link that does not bend, shape (n, 3): the yardstick of every prediction."""
+    return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)

@@ -1,0 +1,1 @@
+"""The plant: the reduced, symbolic model that we identify, export and run."""

@@ -1,0 +1,150 @@
+"""A sampled model as CasADi functions: the one form that every consumer steps.
+
+The study, the identification, the FMI units and the emulated servo all see a `StepModel` and
+nothing of the physics behind it. One step of length h from t to t + h is::
+
+    x = begin(x, u, p, h)            # take the input samples (u holds over the step)
+    for each of n = ceil(h / max_substep_s) sub-steps of dt = h / n:
+        x = flow(x, u, p, dt)        # one integration step
+    x = finish(x, u, p, h)           # discrete updates at the end of the step
+    y = output(x, u, p)
+
+A model without discrete parts has identities for `begin` and `finish`. For a unit that is driven
+by measurements (the observer) u is the sample at the END of the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable of a model.
+
+    Attributes
+    ----------
+    name : str
+        With its unit suffix.
+    unit : str
+        FMI spelling, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`).
+    start : float
+        Initial or nominal value.
+    description : str
+        One phrase.
+    minimum, maximum : float
+        Bounds; infinite where there are none.
+    nominal : float
+        Typical magnitude.
+    """
+
+    name: str
+    unit: str
+    start: float = 0.0
+    description: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    nominal: float = 1.0
+
+
+@dataclass(frozen=True)
+class StepModel:
+    """A sampled model; see the module's text for what a step does.
+
+    Attributes
+    ----------
+    name : str
+        C identifier.
+    inputs, parameters, states, outputs : tuple of Variable
+        Their order is the order of u, p, x and y.
+    initial : casadi.Function
+        (u, p) -> x at the start.
+    begin, finish : casadi.Function
+        (x, u, p, h) -> x.
+    flow : casadi.Function
+        (x, u, p, dt) -> x.
+    output : casadi.Function
+        (x, u, p) -> y.
+    max_substep_s : float
+        Longest internal step.
+    """
+
+    name: str
+    inputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    states: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    initial: ca.Function
+    begin: ca.Function
+    flow: ca.Function
+    finish: ca.Function
+    output: ca.Function
+    max_substep_s: float = 1e-3
+
+    def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
+        """Vector p of the start values, with `changes` by name put over them.
+
+        Raises
+        ------
+        KeyError
+            If a name is not a parameter of the model.
+        """
+        names = [v.name for v in self.parameters]
+        values = np.array([v.start for v in self.parameters], dtype=np.float64)
+        for name, value in (changes or {}).items():
+            if name not in names:
+                raise KeyError(name)
+            values[names.index(name)] = value
+        return values
+
+    def substeps(self, step_s: float) -> int:
+        """Number of sub-steps that one step of `step_s` takes."""
+        return max(1, math.ceil(step_s / self.max_substep_s - 1e-9))
+
+    def advance(self, x: Array, u: Array, p: Array, step_s: float) -> Array:
+        """State after one step (interpreted; the reference for every compiled form)."""
+        state = self.begin(x, u, p, step_s)
+        count = self.substeps(step_s)
+        for _ in range(count):
+            state = self.flow(state, u, p, step_s / count)
+        return np.asarray(self.finish(state, u, p, step_s), dtype=np.float64).ravel()
+
+    def simulate(
+        self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
+    ) -> Array:
+        """Outputs at the start and after each step.
+
+        Parameters
+        ----------
+        u : ndarray, shape (n, len(inputs))
+            Inputs; row k drives step k.
+        step_s : float
+            Length of a step in s.
+        p, x : ndarray, optional
+            Parameters and initial state; by default the start values.
+
+        Returns
+        -------
+        ndarray, shape (n + 1, len(outputs))
+            Row k is the output at k * step_s.
+        """
+        p = self.parameter_values() if p is None else p
+        x = np.asarray(self.initial(u[0], p)).ravel() if x is None else x
+        rows = [np.asarray(self.output(x, u[0], p)).ravel()]
+        for row in u:
+            x = self.advance(x, row, p, step_s)
+            rows.append(np.asarray(self.output(x, row, p)).ravel())
+        return np.array(rows)
+
+
+def names(variables: Sequence[Variable]) -> list[str]:
+    """Names of the variables, in order."""
+    return [v.name for v in variables]
