@@ -41,7 +41,7 @@ def base_corners_m(angle_rad: Array, base_offset_m: float, width_m: float) -> Ar
     """Corners of the base plate in the order of a marker row, shape (n, 4, 3)."""
     half = 0.5 * width_m
     body = np.array([[sx * half, sy * half, base_offset_m] for sy in (1, -1) for sx in (1, -1)])
-    return np.einsum("nij,cj->nci", base_rotation(angle_rad), body)
+    return np.asarray(np.einsum("nij,cj->nci", base_rotation(angle_rad), body))
 
 
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
