@@ -7,177 +7,41 @@ after that sample. The time step is uniform. An empty cell is an occluded marker
 from __future__ import annotations
 
 import csv
-import hashlib
+import re
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
-from firmware_py.signals import Signal, trial_signals, unit_of
+from firmware_py.signals import Signal, tick_signals, trial_signals, unit_of
+from models.trial import SCHEMA, Array, Trial, TrialMeta, TrialSet
 
-Array = NDArray[np.float64]
-SCHEMA: Final = 1
+__all__ = [
+    "Trial",
+    "TrialMeta",
+    "TrialSet",
+    "check_meta",
+    "read_trial",
+    "read_trials",
+    "write_trial",
+]
+
 STEP_TOLERANCE: Final = 1e-3
 """Largest deviation of a time step from the mean, as a share of it, that counts as uniform."""
 
-
-class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial (the TOML file); every dimensional key carries its unit."""
-
-    schema: int = SCHEMA
-    dof: int
-    payload_kg: float
-    pressure_pa: float
-    trial: int
-    motion: str
-    source: str
-    period_s: float
-    amplitude_rad: float
-    phase_2_rad: float = 0.0
-    base_offset_m: float
-    link_length_m: float
-    link_width_m: float
-    rest_samples: int
-    notes: str = ""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One run: its conditions and its samples.
-
-    Attributes
-    ----------
-    name : str
-        File name without suffix.
-    meta : TrialMeta
-        Conditions.
-    columns : dict of str to ndarray, shape (n,)
-        Samples by column name, in file order.
-    path : Path
-        CSV file that it was read from (or `NAME.csv` for one not yet written).
-    """
-
-    name: str
-    meta: TrialMeta
-    columns: dict[str, Array]
-    path: Path = field(default=Path(), compare=False)
-
-    def __len__(self) -> int:
-        return len(self.columns["time_s"])
-
-    def stack(self, *names: str) -> Array:
-        """Columns side by side, shape (n, len(names))."""
-        return np.column_stack([self.columns[name] for name in names])
-
-    @property
-    def time_s(self) -> Array:
-        """Sample times, shape (n,)."""
-        return self.columns["time_s"]
-
-    @property
-    def step_s(self) -> float:
-        """Uniform time step."""
-        return float((self.time_s[-1] - self.time_s[0]) / (len(self) - 1))
-
-    def _joints(self, pattern: str) -> Array:
-        return self.stack(*(pattern.format(j=j) for j in range(1, self.meta.dof + 1)))
-
-    @property
-    def goal_rad(self) -> Array:
-        """Goals sent after each sample, shape (n, dof)."""
-        return self._joints("goal_{j}_rad")
-
-    @property
-    def angle_rad(self) -> Array:
-        """Measured joint angles, shape (n, dof)."""
-        return self._joints("angle_{j}_rad")
-
-    @property
-    def current_a(self) -> Array:
-        """Measured motor currents, shape (n, dof)."""
-        return self._joints("current_{j}_a")
-
-    @property
-    def tip_m(self) -> Array:
-        """End effector in the world frame, shape (n, 3)."""
-        return self.stack("tip_x_m", "tip_y_m", "tip_z_m")
-
-    @property
-    def markers_m(self) -> Array:
-        """Markers in the world frame, shape (n, 16, 3); NaN where occluded."""
-        names = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
-        return self.stack(*names).reshape(len(self), 16, 3)
-
-    @property
-    def moving(self) -> slice:
-        """Rows after the rest rows."""
-        return slice(self.meta.rest_samples, None)
-
-    def sha256(self) -> str:
-        """Hash of the samples and conditions, for provenance."""
-        digest = hashlib.sha256(msgspec.json.encode(self.meta))
-        for name, column in self.columns.items():
-            digest.update(name.encode())
-            digest.update(np.ascontiguousarray(column).tobytes())
-        return digest.hexdigest()
-
-
-@dataclass(frozen=True)
-class TrialSet(Sequence[Trial]):
-    """Trials of one directory, ordered by name."""
-
-    trials: tuple[Trial, ...]
-
-    def __len__(self) -> int:
-        return len(self.trials)
-
-    def __getitem__(self, index: Any) -> Any:
-        return self.trials[index]
-
-    def __iter__(self) -> Iterator[Trial]:
-        return iter(self.trials)
-
-    def where(self, keep: Callable[[Trial], bool]) -> TrialSet:
-        """Trials for which `keep` is true."""
-        return TrialSet(tuple(t for t in self.trials if keep(t)))
-
-    def split(self) -> tuple[TrialSet, TrialSet]:
-        """Separate the trials to fit on from the trials to test on.
-
-        To fit on: of each kind of motion at its largest amplitude, the trials with the lowest
-        number. Everything else is held out: repetitions, and smaller amplitudes of the same
-        motion. Where that would hold out nothing there is only one trial of each kind, and the
-        second set is empty.
-        """
-        largest: dict[tuple[int, str], float] = {}
-        lowest: dict[tuple[int, str], int] = {}
-        for t in self:
-            key = (t.meta.dof, t.meta.motion)
-            largest[key] = max(largest.get(key, 0.0), round(t.meta.amplitude_rad, 6))
-        for t in self:
-            key = (t.meta.dof, t.meta.motion)
-            if round(t.meta.amplitude_rad, 6) == largest[key]:
-                lowest[key] = min(lowest.get(key, t.meta.trial), t.meta.trial)
-
-        def fitted(t: Trial) -> bool:
-            key = (t.meta.dof, t.meta.motion)
-            return round(t.meta.amplitude_rad, 6) == largest[key] and t.meta.trial == lowest[key]
-
-        return self.where(fitted), self.where(lambda t: not fitted(t))
-
-    def sha256(self) -> str:
-        """Hash over all trials, for provenance."""
-        digest = hashlib.sha256()
-        for t in self.trials:
-            digest.update(t.name.encode() + t.sha256().encode())
-        return digest.hexdigest()
+_MARKER = re.compile(r"m\d\d_[xyz]_m")
+_META_RANGE: Final[dict[str, tuple[float, float]]] = {
+    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
+    "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
+    "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
+}  # fmt: skip
+_COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
+"""By suffix: the largest magnitude that is plausible, and the unit that a larger one betrays."""
 
 
 def read_trials(directory: Path | str) -> TrialSet:
@@ -214,8 +78,10 @@ def read_trial(path: Path | str) -> Trial:
         finite number where one is required, or the time step is not uniform.
     """
     path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "is missing", "name an existing trial")
     meta = _read_meta(path.with_suffix(".toml"))
-    columns = _read_columns(path, trial_signals(meta.dof))
+    columns = _read_columns(path, trial_signals(meta.dof), {s.name for s in tick_signals(meta.dof)})
     trial = Trial(path.stem, meta, columns, path)
     _check_time(trial)
     if not 0 <= meta.rest_samples < len(trial):
@@ -245,6 +111,27 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     return path
 
 
+def check_meta(document: dict[str, object], where: Path) -> TrialMeta:
+    """Conditions from a decoded TOML table.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown, missing or of the wrong type, or a value is out of range.
+    """
+    try:
+        meta = msgspec.convert(document, TrialMeta)
+    except msgspec.ValidationError as error:
+        raise InputError(where, str(error), "see the trial contract in the README") from None
+    for key, (low, high) in _META_RANGE.items():
+        value = getattr(meta, key)
+        if not low <= value <= high:
+            raise InputError(
+                where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
+            )
+    return meta
+
+
 def _read_meta(path: Path) -> TrialMeta:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -256,51 +143,25 @@ def _read_meta(path: Path) -> TrialMeta:
         raise InputError(
             path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"
         )
-    try:
-        meta = msgspec.convert(document, TrialMeta)
-    except msgspec.ValidationError as error:
-        raise InputError(path, str(error), "see the trial contract in the README") from None
-    limits: tuple[tuple[str, float, float], ...] = (
-        ("dof", 1, 2), ("payload_kg", 0, 100), ("pressure_pa", 0, 1e6), ("period_s", 0, 1e4),
-        ("amplitude_rad", 0, 3.2), ("base_offset_m", 0, 10), ("link_length_m", 1e-3, 100),
-        ("link_width_m", 1e-3, 100),
-    )  # fmt: skip
-    for key, low, high in limits:
-        value = getattr(meta, key)
-        if not low <= value <= high:
-            raise InputError(
-                path, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
-            )
-    return meta
+    return check_meta(document, path)
 
 
-def _read_columns(path: Path, signals: Sequence[Signal]) -> dict[str, Array]:
+def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
+    """Columns by name; `signals` must be there, `known` may be without a unit suffix."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
-    except FileNotFoundError:
-        raise InputError(path, "is missing", "name an existing trial") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
+    while rows and not rows[-1]:  # blank lines at the end are no samples
+        rows.pop()
     if len(rows) < 4:
         raise InputError(path, f"has {max(len(rows) - 1, 0)} rows", "give at least three")
     header, body = rows[0], rows[1:]
     required = [s.name for s in signals]
-    missing = [name for name in required if name not in header]
-    if missing:
-        name = missing[0]
-        raise InputError(path, f"column {name} is missing", _column_remedy(name, header))
-    doubled = [name for name in header if header.count(name) > 1]
-    if doubled:
-        raise InputError(path, f"column {doubled[0]} stands twice", "remove one of the two")
-    for name in header:
-        if name not in required and unit_of(name) is None:
-            raise InputError(
-                path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
-            )
+    _check_header(path, header, required, known)
     samples = np.full((len(body), len(header)), np.nan)
-    may_be_empty = [(name[0] == "m" and name[1:3].isdigit()) or name not in required
-                    for name in header]  # fmt: skip
+    may_be_empty = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
     for i, row in enumerate(body):
         if len(row) != len(header):
             raise InputError(
@@ -319,7 +180,23 @@ def _read_columns(path: Path, signals: Sequence[Signal]) -> dict[str, Array]:
                     path, f"row {i + 2}, column {header[k]}: {cell!r} is not a finite number",
                     "correct the cell (only a marker may be empty, where it was occluded)",
                 )  # fmt: skip
-    return {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
+    for name in required:
+        _check_magnitude(path, name, columns[name])
+    return columns
+
+
+def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
+    for name in required:
+        if name not in header:
+            raise InputError(path, f"column {name} is missing", _column_remedy(name, header))
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(path, f"column {name!r} stands twice", "remove one of the two")
+        if name not in required and name not in known and unit_of(name) is None:
+            raise InputError(
+                path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
+            )
 
 
 def _column_remedy(name: str, header: Sequence[str]) -> str:
@@ -328,6 +205,16 @@ def _column_remedy(name: str, header: Sequence[str]) -> str:
     if alike:
         return f"convert column {alike[0]!r} to the SI unit and call it {name}"
     return "add it, or use 'python -m models import' to map your columns"
+
+
+def _check_magnitude(path: Path, name: str, column: Array) -> None:
+    limit, suspect = _COLUMN_RANGE.get(name.rsplit("_", 1)[1], (np.inf, ""))
+    beyond = np.flatnonzero(np.abs(column) > limit)
+    if len(beyond):
+        raise InputError(
+            path, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not plausible",
+            f"convert it if it is in {suspect}",
+        )  # fmt: skip
 
 
 def _check_time(trial: Trial) -> None:

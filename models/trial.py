@@ -1,0 +1,168 @@
+"""What a trial is: one run of the robot with its conditions and its samples."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+SCHEMA: Final = 1
+
+
+class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Conditions of a trial (the TOML file); every dimensional key carries its unit."""
+
+    schema: int = SCHEMA
+    dof: int
+    payload_kg: float
+    pressure_pa: float
+    trial: int
+    motion: str
+    source: str
+    period_s: float
+    amplitude_rad: float
+    phase_2_rad: float = 0.0
+    base_offset_m: float
+    link_length_m: float
+    link_width_m: float
+    rest_samples: int
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run: its conditions and its samples.
+
+    Attributes
+    ----------
+    name : str
+        File name without suffix.
+    meta : TrialMeta
+        Conditions.
+    columns : dict of str to ndarray, shape (n,)
+        Samples by column name, in file order.
+    path : Path
+        CSV file that it was read from (or `NAME.csv` for one not yet written).
+    """
+
+    name: str
+    meta: TrialMeta
+    columns: dict[str, Array]
+    path: Path = field(default=Path(), compare=False)
+
+    def __len__(self) -> int:
+        return len(self.columns["time_s"])
+
+    def stack(self, *names: str) -> Array:
+        """Columns side by side, shape (n, len(names))."""
+        return np.column_stack([self.columns[name] for name in names])
+
+    @property
+    def time_s(self) -> Array:
+        """Sample times, shape (n,)."""
+        return self.columns["time_s"]
+
+    @property
+    def step_s(self) -> float:
+        """Uniform time step."""
+        return float((self.time_s[-1] - self.time_s[0]) / (len(self) - 1))
+
+    def _joints(self, pattern: str) -> Array:
+        return self.stack(*(pattern.format(j=j) for j in range(1, self.meta.dof + 1)))
+
+    @property
+    def goal_rad(self) -> Array:
+        """Goals sent after each sample, shape (n, dof)."""
+        return self._joints("goal_{j}_rad")
+
+    @property
+    def angle_rad(self) -> Array:
+        """Measured joint angles, shape (n, dof)."""
+        return self._joints("angle_{j}_rad")
+
+    @property
+    def current_a(self) -> Array:
+        """Measured motor currents, shape (n, dof)."""
+        return self._joints("current_{j}_a")
+
+    @property
+    def tip_m(self) -> Array:
+        """End effector in the world frame, shape (n, 3)."""
+        return self.stack("tip_x_m", "tip_y_m", "tip_z_m")
+
+    @property
+    def markers_m(self) -> Array:
+        """Markers in the world frame, shape (n, 16, 3); NaN where occluded."""
+        names = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
+        return self.stack(*names).reshape(len(self), 16, 3)
+
+    @property
+    def moving(self) -> slice:
+        """Rows after the rest rows."""
+        return slice(self.meta.rest_samples, None)
+
+    def sha256(self) -> str:
+        """Hash of the samples and conditions, for provenance."""
+        digest = hashlib.sha256(msgspec.json.encode(self.meta))
+        for name, column in self.columns.items():
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(column).tobytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class TrialSet(Sequence[Trial]):
+    """Trials of one directory, ordered by name."""
+
+    trials: tuple[Trial, ...]
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.trials[index]
+
+    def __iter__(self) -> Iterator[Trial]:
+        return iter(self.trials)
+
+    def where(self, keep: Callable[[Trial], bool]) -> TrialSet:
+        """Trials for which `keep` is true."""
+        return TrialSet(tuple(t for t in self.trials if keep(t)))
+
+    def split(self) -> tuple[TrialSet, TrialSet]:
+        """Separate the trials to fit on from the trials to test on.
+
+        To fit on: of each kind of motion at its largest amplitude, the trials with the lowest
+        number. Everything else is held out: repetitions, and smaller amplitudes of the same
+        motion. Where that would hold out nothing there is only one trial of each kind, and the
+        second set is empty.
+        """
+        largest: dict[tuple[int, str], float] = {}
+        lowest: dict[tuple[int, str], int] = {}
+        for t in self:
+            key = (t.meta.dof, t.meta.motion)
+            largest[key] = max(largest.get(key, 0.0), round(t.meta.amplitude_rad, 6))
+        for t in self:
+            key = (t.meta.dof, t.meta.motion)
+            if round(t.meta.amplitude_rad, 6) == largest[key]:
+                lowest[key] = min(lowest.get(key, t.meta.trial), t.meta.trial)
+
+        def fitted(t: Trial) -> bool:
+            key = (t.meta.dof, t.meta.motion)
+            return round(t.meta.amplitude_rad, 6) == largest[key] and t.meta.trial == lowest[key]
+
+        return self.where(fitted), self.where(lambda t: not fitted(t))
+
+    def sha256(self) -> str:
+        """Hash over all trials, for provenance."""
+        digest = hashlib.sha256()
+        for t in self.trials:
+            digest.update(t.name.encode() + t.sha256().encode())
+        return digest.hexdigest()
