@@ -113,7 +113,7 @@ class Trial:
         digest = hashlib.sha256(msgspec.json.encode(self.meta))
         for name, column in self.columns.items():
             digest.update(name.encode())
-            digest.update(np.ascontiguousarray(column).tobytes())
+            digest.update(np.where(np.isnan(column), np.nan, column).tobytes())  # one kind of NaN
         return digest.hexdigest()
 
 
