@@ -1,0 +1,221 @@
+"""DYNAMIXEL Protocol 2.0, written from the protocol and independent of the SDK.
+
+::
+
+    FF FF FD 00 | id | length (2, little-endian) | instruction | parameters ... | CRC-16 (2)
+
+`length` counts what follows it. The CRC covers everything in front of it, stuffed. Inside a body
+(instruction and parameters) the sequence FF FF FD is followed by one more FD, so that a header
+never occurs there. A status packet is instruction 0x55 with the error byte as first parameter.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
+
+Having no line in common with the SDK it can serve as an oracle for it: the SDK 4.1.0 sends a goal
+of -131073 unstuffed and unstuffs FF FF FD FD .. FF FD FD once too often; this codec does neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+HEADER: Final = b"\xff\xff\xfd\x00"
+MARK: Final = HEADER[:3]
+"""What may not occur inside a body without an FD behind it."""
+BROADCAST: Final = 0xFE
+ALERT: Final = 0x80
+"""Bit of the error byte: the servo's hardware error status is not zero."""
+MAX_LENGTH: Final = 1024
+"""Longest plausible `length` field; a longer one is noise."""
+_OVERHEAD = 7  # header, id, length
+
+
+class Instruction(IntEnum):
+    """What a packet asks for."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    REBOOT = 0x08
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class StatusError(IntEnum):
+    """Error number of a status packet (its lower seven bits)."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+class Packet(NamedTuple):
+    """A packet as received, unstuffed.
+
+    Attributes
+    ----------
+    id : int
+        Servo that it is for, or (status) from.
+    instruction : int
+        See `Instruction`.
+    parameters : bytes
+        In a status packet the first one is the error byte.
+    intact : bool
+        False where the frame was whole but its CRC or stuffing was wrong.
+    """
+
+    id: int
+    instruction: int
+    parameters: bytes
+    intact: bool = True
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x8005 if crc & 0x8000 else 0)
+        table.append(crc & 0xFFFF)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 of polynomial x^16 + x^15 + x^2 + 1, start value 0, most significant bit first."""
+    crc, table = 0, _CRC_TABLE
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """Put an FD behind every FF FF FD."""
+    return body.replace(MARK, MARK + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Inverse of `stuff`.
+
+    Raises
+    ------
+    ValueError
+        If an FF FF FD is not followed by FD: no sender that keeps to the protocol wrote this.
+    """
+    if MARK not in body:
+        return body
+    head, *rest = body.split(MARK)
+    if any(not part.startswith(b"\xfd") for part in rest):
+        raise ValueError("the body holds a header that is not stuffed")
+    return MARK.join([head, *(part[1:] for part in rest)])
+
+
+def encode(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Frame, stuff and sign a packet."""
+    body = stuff(bytes((instruction,)) + parameters)
+    packet = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    return packet + crc16(packet).to_bytes(2, "little")
+
+
+def status(servo_id: int, error: int = 0, parameters: bytes = b"") -> bytes:
+    """Frame a status packet."""
+    return encode(servo_id, Instruction.STATUS, bytes((error,)) + parameters)
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(2, "little") for value in values)
+
+
+def read(servo_id: int, address: int, length: int) -> bytes:
+    """Ask one servo for `length` bytes at `address`."""
+    return encode(servo_id, Instruction.READ, _words(address, length))
+
+
+def write(servo_id: int, address: int, data: bytes) -> bytes:
+    """Write `data` at `address` of one servo."""
+    return encode(servo_id, Instruction.WRITE, _words(address) + data)
+
+
+def sync_read(ids: Iterable[int], address: int, length: int) -> bytes:
+    """Ask several servos for the same registers; each answers with a status packet of its own."""
+    return encode(BROADCAST, Instruction.SYNC_READ, _words(address, length) + bytes(ids))
+
+
+def sync_write(address: int, data: Mapping[int, bytes]) -> bytes:
+    """Write the same registers of several servos; nobody answers."""
+    length = len(next(iter(data.values())))
+    blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
+    return encode(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
+
+
+class Parser:
+    """Finds packets in a stream of bytes and finds its way back after noise.
+
+    A header inside the body of an unfinished packet proves that the packet was cut off: the
+    parser drops it at once instead of waiting for bytes that will not come. After a wrong CRC it
+    searches on behind the false header, so that a whole packet is never lost to a broken one in
+    front of it.
+
+    Attributes
+    ----------
+    skipped : int
+        Bytes thrown away so far because they belonged to no packet.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.skipped = 0
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take in bytes; return the packets that they complete, in order."""
+        buffer = self._buffer
+        buffer += data
+        packets = []
+        while True:
+            start = buffer.find(HEADER)
+            if start < 0:
+                self._drop(max(len(buffer) - 3, 0))  # a header may have begun
+                return packets
+            self._drop(start)
+            if len(buffer) < _OVERHEAD:
+                return packets
+            length = buffer[5] | buffer[6] << 8
+            end = _OVERHEAD + length
+            body_end = min(end - 2, len(buffer))
+            if not 3 <= length <= MAX_LENGTH or buffer[4] in (0xFD, 0xFF):
+                self._drop(1)
+            elif buffer.find(HEADER, _OVERHEAD, body_end) >= 0:
+                self._drop(buffer.find(HEADER, _OVERHEAD))
+            elif len(buffer) < end:
+                return packets
+            else:
+                packet = _decode(bytes(buffer[:end]))
+                packets.append(packet)
+                if packet.intact:
+                    del buffer[:end]
+                else:
+                    self._drop(1)
+
+    def _drop(self, count: int) -> None:
+        self.skipped += count
+        del self._buffer[:count]
+
+
+def _decode(frame: bytes) -> Packet:
+    body, crc = frame[_OVERHEAD:-2], frame[-2] | frame[-1] << 8
+    intact = crc16(frame[:-2]) == crc
+    try:
+        body = unstuff(body)
+    except ValueError:
+        intact = False
+    return Packet(frame[4], body[0], body[1:], intact)
