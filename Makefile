@@ -1,0 +1,121 @@
+# The map of the data flow: each target below is one arrow of the design, in its order.
+#
+#   trials -> plant -> bundle (+ observer unit) -> twin unit -> software in the loop -> report
+
+PYTHON ?= python3
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+BIN := .venv/bin
+READY := .venv/.ready
+SEED ?= 1
+
+# Run one command of ours, show it, and keep it for the report.
+define run
+@mkdir -p build && echo "$(1)" >> build/commands.log && echo "\$$ $(1)"
+@PATH="$(CURDIR)/$(BIN):$$PATH" $(1)
+endef
+
+.PHONY: help setup demo test lint sil bench lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo    the main job end to end; ends by naming the report to open"
+	@echo "make test    lint, types, import contract and tests"
+	@echo "make sil     the loop in software for 10 s, its timing judged"
+	@echo "make bench   ratios against peers, measured side by side"
+	@echo "make lock    renew requirements/ from pyproject.toml"
+	@echo "make clean   remove what was built (keeps .venv)"
+
+# --- set-up -------------------------------------------------------------------------------------
+
+setup: $(READY)
+
+$(READY): requirements/workshop.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "dropstitch needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@if command -v uv >/dev/null; then \
+	  uv venv --quiet --allow-existing --python $(PYTHON) .venv && \
+	  uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements/workshop.txt && \
+	  uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation -e . ; \
+	else \
+	  $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
+	    { echo "Python's venv is incomplete here: apt install python3-venv, then make again"; exit 1; }; \
+	  echo "setting up .venv (1.5 GB, a minute or two)"; \
+	  $(PYTHON) -m venv .venv && \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+	    -r requirements/workshop.txt && \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	    --no-build-isolation -e . ; \
+	fi
+	@touch $@
+
+# --- the main job -------------------------------------------------------------------------------
+
+demo: build/report.html
+	@echo
+	@echo "open $(CURDIR)/build/report.html"
+
+build/trials/.done: | $(READY)
+	$(call run,python -m models simulate --out build/trials --dof 1 2 --seed $(SEED))
+	@touch $@
+
+build/trials_phase90/.done: | $(READY)
+	$(call run,python -m models simulate --out build/trials_phase90 --dof 2 --phase-deg 90 --seed $(SEED))
+	@touch $@
+
+build/unseen_20deg/.done: | $(READY)
+	$(call run,python -m models simulate --out build/unseen_20deg --dof 1 2 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	@touch $@
+
+build/plant.json: build/trials/.done
+	$(call run,python -m models identify build/trials --plant models/plant/nominal.toml --out $@)
+
+# After training the observer unit goes into the bundle, so the bundle is done when it is there.
+build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done
+	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
+	$(call run,python -m fmu build $(@D) --plant build/plant.json --unit observer --out $@)
+
+build/twin_%dof.fmu: build/bundle_%dof/observer.fmu
+	$(call run,python -m fmu build build/bundle_$*dof --plant build/plant.json --out $@)
+
+build/check_twin_%dof.json: build/twin_%dof.fmu
+	$(call run,python -m fmu check $< --json > $@)
+
+build/evaluate_%dof.json: build/plant.json build/unseen_20deg/.done
+	$(call run,python -m models evaluate build/trials --dof $* --plant build/plant.json --json > $@)
+
+build/sil_%dof/timing.json: build/twin_%dof.fmu
+	$(call run,python -m hil sil --bundle build/bundle_$*dof --fmu $< --line virtual --seconds 60 --out $(@D))
+
+REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/evaluate_$(dof)dof.json \
+  build/sil_$(dof)dof/timing.json)
+
+build/report.html: $(REPORT_PARTS)
+	$(call run,python -m hil report --build build --out $@)
+
+# --- checks -------------------------------------------------------------------------------------
+
+test: lint
+	$(BIN)/python -m pytest -n 2
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+sil: build/twin_1dof.fmu
+	$(call run,python -m hil sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out build/sil)
+
+bench: $(READY)
+	$(BIN)/python -m bench.onnx
+
+lock:
+	for extra in record:robot test:workshop; do \
+	  uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes \
+	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" \
+	    --extra $${extra%%:*} --output-file requirements/$${extra##*:}.txt; done
+
+clean:
+	rm -rf build

@@ -1,0 +1,69 @@
+"""The robot image: the wheel in a clean environment, without anything of the workshop."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+WORKSHOP_ONLY = ("sklearn", "casadi", "mujoco", "fmpy", "scipy", "skl2onnx", "models", "fmu", "hil")
+
+
+def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(c) for c in command], capture_output=True, text=True, **options)  # type: ignore[call-overload]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    built = run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", out, cwd=ROOT)
+    assert built.returncode == 0, built.stderr
+    return next(out.glob("dropstitch-*.whl"))
+
+
+@pytest.fixture(scope="module")
+def robot(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin directory of an environment that holds the wheel and its locked dependencies."""
+    home = tmp_path_factory.mktemp("robot") / "venv"
+    lock = ROOT / "requirements" / "robot.txt"
+    if uv := shutil.which("uv"):
+        made = run(uv, "venv", "--python", sys.executable, home)
+        pip: tuple[str | Path, ...] = (uv, "pip", "install", "--python", home / "bin" / "python")
+    else:
+        made = run(sys.executable, "-m", "venv", home)
+        pip = (home / "bin" / "python", "-m", "pip", "install", "--disable-pip-version-check")
+    assert made.returncode == 0, made.stderr
+    for arguments in (("--require-hashes", "-r", lock), ("--no-deps", wheel)):
+        installed = run(*pip, *arguments)
+        assert installed.returncode == 0, installed.stderr
+    return home / "bin"
+
+
+def test_wheel_holds_the_robot_room_only(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        rooms = {name.split("/")[0] for name in archive.namelist()}
+    assert {r for r in rooms if not r.endswith(".dist-info")} == {"firmware_py"}
+
+
+def test_help_shows_every_command(robot: Path, tmp_path: Path) -> None:
+    shown = run(robot / "dropstitch", "--help", cwd=tmp_path)
+    assert shown.returncode == 0
+    for command in ("run", "doctor", "replay", "bench", "install-service"):
+        assert command in shown.stdout
+        assert run(robot / "dropstitch", command, "--help", cwd=tmp_path).returncode == 0
+
+
+def test_nothing_of_the_workshop_is_importable(robot: Path, tmp_path: Path) -> None:
+    probe = f"import importlib.util as u; print([m for m in {WORKSHOP_ONLY!r} if u.find_spec(m)])"
+    found = run(robot / "python", "-c", probe, cwd=tmp_path)
+    assert found.stdout.strip() == "[]", found.stdout + found.stderr
+
+
+def test_golden_ticks_replay(robot: Path, complete_bundle: Path, tmp_path: Path) -> None:
+    replayed = run(robot / "dropstitch", "replay", "--bundle", complete_bundle, cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
