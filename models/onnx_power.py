@@ -1,0 +1,256 @@
+"""scikit-learn to ONNX in the power form: converters of our own for skl2onnx.
+
+A polynomial of degree d in n inputs is an exact sum of d-th powers of linear forms (a Waring
+decomposition), so that
+
+    y = (([1, x] A) ** d) C
+
+needs one Gemm, one to three Mul and one MatMul whatever the number of monomials, where skl2onnx
+itself writes 2 M + 5 nodes for M monomials (FACTS §4). Two models have converters here:
+
+`BarePredictor`     features -> tip_m
+`GuardedPredictor`  features -> tip_m, in_range, half_width_m, in one graph
+
+All graphs are float64, batch 1, opset 13, IR 7, so that onnxruntime from 1.16 on loads them, and
+use only operators that CasADi imports (tested). `in_range` is 1.0 or 0.0; it is 0.0 and the half
+width is NaN where an input is NaN.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from skl2onnx import convert_sklearn, update_registered_converter
+from skl2onnx.common.data_types import DoubleTensorType
+
+from models.predictors import Array, GuardedPredictor, Polynomial
+
+OPSET: Final = 13
+IR_VERSION: Final = 7
+OVERSAMPLING: Final = 1.3
+"""Linear forms per monomial: with some to spare the weights stay small (FACTS §4)."""
+
+
+@dataclass(frozen=True)
+class BarePredictor:
+    """A fitted `polynomial_pipeline` to convert without guard and interval.
+
+    Attributes
+    ----------
+    pipeline : sklearn Pipeline
+        Fitted.
+    output : str
+        Name of the graph's output.
+    """
+
+    pipeline: Any
+    output: str = "tip_m"
+
+
+def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
+    """Write a polynomial as sum of powers of linear forms of the features in SI units.
+
+    Returns
+    -------
+    rows : ndarray, shape (n, forms)
+        Linear parts.
+    bias : ndarray, shape (forms,)
+        Constant parts.
+    weights : ndarray, shape (forms, outputs)
+        y = ((x @ rows + bias) ** degree) @ weights.
+
+    Notes
+    -----
+    With z0 = 1 in front every monomial has degree d, and (w·z)^d = Σ_α m_α w^α z^α with the
+    multinomial coefficients m_α. Comparing coefficients gives m_α Σ_r c_r w_r^α = β_α: M
+    equations for the weights of 1.3 M random unit vectors w_r, solved for the least norm in the
+    Bombieri scaling (rows divided by √m_α), which keeps rounding near 1e-14.
+    """
+    degree = polynomial.degree
+    n = polynomial.exponents.shape[1]
+    exponents = _homogeneous(n, degree)
+    row_of = {tuple(alpha[1:]): i for i, alpha in enumerate(exponents.tolist())}
+    beta = np.zeros((len(exponents), polynomial.coefficients.shape[1]))
+    for alpha, value in zip(polynomial.exponents.tolist(), polynomial.coefficients, strict=True):
+        beta[row_of[tuple(alpha)]] += value
+    forms = math.ceil(OVERSAMPLING * len(exponents))
+    vectors = np.random.default_rng(0).standard_normal((forms, n + 1))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    root = np.sqrt([_multinomial(alpha) for alpha in exponents.tolist()])
+    matrix = root[:, None] * np.prod(vectors[None] ** exponents[:, None, :], axis=2)
+    weights = np.linalg.lstsq(matrix, beta / root[:, None], rcond=None)[0]
+    rows = (vectors[:, 1:] * polynomial.scale).T
+    bias = vectors[:, 0] + vectors[:, 1:] @ polynomial.offset
+    return rows, bias, weights
+
+
+def _homogeneous(n: int, degree: int) -> NDArray[np.int64]:
+    """All exponents of n + 1 variables whose sum is `degree`."""
+
+    def extend(left: int, variables: int) -> list[tuple[int, ...]]:
+        if variables == 1:
+            return [(left,)]
+        return [(k, *rest) for k in range(left + 1) for rest in extend(left - k, variables - 1)]
+
+    return np.array(extend(degree, n + 1), dtype=np.int64)
+
+
+def _multinomial(alpha: Sequence[int]) -> int:
+    return math.factorial(sum(alpha)) // math.prod(math.factorial(k) for k in alpha)
+
+
+class _Graph:
+    """Adds nodes and constants to skl2onnx's container under unique, stable names."""
+
+    def __init__(self, scope: Any, container: Any) -> None:
+        self.scope, self.container = scope, container
+
+    def constant(self, name: str, value: Array) -> str:
+        unique: str = self.scope.get_unique_variable_name(name)
+        shape = list(value.shape)
+        self.container.add_initializer(unique, onnx.TensorProto.DOUBLE, shape, value.ravel())
+        return unique
+
+    def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        name = self.scope.get_unique_operator_name(f"{output}_{op}")
+        self.container.add_node(
+            op, list(inputs), [output], name=name, op_version=OPSET, **attributes
+        )
+        return output
+
+    def temporary(self, op: str, inputs: Sequence[str], stem: str, **attributes: Any) -> str:
+        return self.node(op, inputs, self.scope.get_unique_variable_name(stem), **attributes)
+
+    def polynomial(self, source: str, polynomial: Polynomial, stem: str, output: str) -> str:
+        rows, bias, weights = power_form(polynomial)
+        forms = self.temporary(
+            "Gemm",
+            [source, self.constant(f"{stem}_rows", rows), self.constant(f"{stem}_bias", bias)],
+            f"{stem}_forms",
+        )
+        power = self.power(forms, polynomial.degree, stem)
+        return self.node("MatMul", [power, self.constant(f"{stem}_weights", weights)], output)
+
+    def power(self, base: str, degree: int, stem: str) -> str:
+        """Raise base to the degree by repeated squaring (Pow is slow, and CasADi broadcasts it wrongly)."""
+        result = ""
+        while degree:
+            if degree & 1:
+                result = self.temporary("Mul", [result, base], f"{stem}_power") if result else base
+            degree >>= 1
+            if degree:
+                base = self.temporary("Mul", [base, base], f"{stem}_square")
+        return result
+
+
+def _convert_bare(scope: Any, operator: Any, container: Any) -> None:
+    model: BarePredictor = operator.raw_operator
+    graph = _Graph(scope, container)
+    graph.polynomial(
+        operator.inputs[0].full_name,
+        Polynomial.of(model.pipeline),
+        model.output,
+        operator.outputs[0].full_name,
+    )
+
+
+def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
+    model: GuardedPredictor = operator.raw_operator
+    graph = _Graph(scope, container)
+    source = operator.inputs[0].full_name
+    tip, in_range, half_width = (variable.full_name for variable in operator.outputs)
+
+    low = graph.constant("lower", model.lower[None])
+    high = graph.constant("upper", model.upper[None])
+    clipped = graph.temporary("Max", [source, low], "raised")
+    clipped = graph.temporary("Min", [clipped, high], "clipped")
+    graph.polynomial(clipped, Polynomial.of(model.pipeline), "tip", tip)
+
+    count = len(model.lower)  # matrix product instead of a Reduce operator: FACTS §4
+    same = graph.temporary("Equal", [clipped, source], "same")
+    same = graph.temporary("Cast", [same], "same_number", to=onnx.TensorProto.DOUBLE)
+    ones = graph.constant("ones", np.ones((count, 1)))
+    inside = graph.temporary("MatMul", [same, ones], "inside")
+    every = graph.constant("count", np.full((1, 1), count - 0.5))
+    inside = graph.temporary("Greater", [inside, every], "all_inside")
+    graph.node("Cast", [inside], in_range, to=onnx.TensorProto.DOUBLE)
+
+    leverage = graph.polynomial(
+        source, model.leverage, "leverage", scope.get_unique_variable_name("leverage")
+    )
+    one = graph.constant("one", np.ones((1, 1)))
+    variance = graph.temporary("Add", [leverage, one], "relative_variance")
+    root = graph.temporary("Sqrt", [variance], "relative_width")
+    graph.node("MatMul", [root, graph.constant("quantile", model.quantile[None])], half_width)
+
+
+def _outputs_of(model: Any) -> dict[str, int]:
+    if isinstance(model, BarePredictor):
+        return {model.output: Polynomial.of(model.pipeline).coefficients.shape[1]}
+    axes = len(model.quantile)
+    return {"tip_m": axes, "in_range": 1, "half_width_m": axes}
+
+
+def _parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
+    operator = scope.declare_local_operator(f"Dropstitch{type(model).__name__}", model)
+    operator.inputs.extend(inputs)
+    for name, width in _outputs_of(model).items():
+        operator.outputs.append(scope.declare_local_variable(name, DoubleTensorType([1, width])))
+    return operator.outputs
+
+
+def _keep_shapes(operator: Any) -> None:
+    """Shapes were declared by the parser."""
+
+
+for _model, _convert in ((BarePredictor, _convert_bare), (GuardedPredictor, _convert_guarded)):
+    update_registered_converter(
+        _model, f"Dropstitch{_model.__name__}", _keep_shapes, _convert, parser=_parse
+    )
+
+
+def to_onnx(
+    model: BarePredictor | GuardedPredictor,
+    inputs: int,
+    input_name: str = "features",
+    metadata: Mapping[str, Any] | None = None,
+) -> onnx.ModelProto:
+    """Convert a model to its graph.
+
+    Parameters
+    ----------
+    model : BarePredictor or GuardedPredictor
+        Fitted.
+    inputs : int
+        Number of features.
+    input_name : str
+        Name of the graph's input, float64 [1, inputs].
+    metadata : mapping, optional
+        Written to `metadata_props` as JSON, value by value: onnxruntime shows nothing else of
+        names, units and ranges.
+
+    Returns
+    -------
+    onnx.ModelProto
+        The same bytes for the same model.
+    """
+    graph = convert_sklearn(
+        model,
+        name="dropstitch",
+        initial_types=[(input_name, DoubleTensorType([1, inputs]))],
+        target_opset=OPSET,
+    )
+    graph.ir_version = IR_VERSION
+    del graph.opset_import[:]
+    graph.opset_import.extend([onnx.helper.make_opsetid("", OPSET)])
+    texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (metadata or {}).items()}
+    onnx.helper.set_model_props(graph, texts)
+    onnx.checker.check_model(graph)
+    return graph
