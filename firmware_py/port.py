@@ -1,0 +1,331 @@
+"""The SDK's port and packet handlers, made fit for a deadline.
+
+What is changed and why (FACTS §1, all measured against dynamixel-sdk 4.1.0):
+
+- Reading blocks in the kernel until bytes arrive. As shipped it spins, which burns 13–31 % of a
+  processor and under SCHED_FIFO starves the very worker that would deliver the bytes.
+- The deadline of the caller is the only timeout. As shipped one lost reply costs 34 ms.
+- Time is monotonic, or simulated. As shipped it is the wall clock.
+- `txPacket` sends what stuffing returns. As shipped it is thrown away, so that a payload with
+  FF FF FD leaves as a false header. `removeStuffing` looks at the bytes as received. As shipped
+  it looks at its own output, so that after one stuffed header a second FF FD FD loses a byte.
+
+A port talks through a `Wire`: a serial device (a pseudo-terminal too), a UNIX socket, or whatever
+a test or the emulator passes in.
+"""
+
+from __future__ import annotations
+
+import array
+import fcntl
+import os
+import select
+import socket
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import serial
+from dynamixel_sdk import Protocol2PacketHandler
+from dynamixel_sdk.port_handler import PortHandler
+from dynamixel_sdk.robotis_def import COMM_PORT_BUSY, COMM_SUCCESS, COMM_TX_ERROR, COMM_TX_FAIL
+
+from firmware_py.clock import Clock
+from firmware_py.errors import InputError
+
+BAUD_RATES: Final = (
+    9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
+    2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
+)  # fmt: skip
+"""Rates that the SDK offers."""
+
+_READ_SIZE: Final = 4096
+_MAX_PACKET: Final = 1024
+_HEADER: Final = b"\xff\xff\xfd"
+_LENGTH, _INSTRUCTION = 5, 7
+_TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
+
+
+class Wire(Protocol):
+    """A stream of bytes to and from the servos. A wire that is gone raises OSError."""
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """Return up to `size` bytes as soon as there are any, or none once the deadline passed."""
+        ...
+
+    def write(self, data: bytes) -> int:
+        """Send bytes; return how many were accepted."""
+        ...
+
+    def discard_input(self) -> None:
+        """Drop whatever has been received and not yet read."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
+
+
+class SerialWire:
+    """A serial device or pseudo-terminal.
+
+    Parameters
+    ----------
+    path : str
+        Device, like `/dev/ttyUSB0`.
+    baud : int
+        Bits per second, one of `BAUD_RATES`.
+    clock : Clock
+        What deadlines are measured by.
+
+    Raises
+    ------
+    InputError
+        If the device cannot be opened.
+    """
+
+    def __init__(self, path: str, baud: int, clock: Clock) -> None:
+        try:
+            self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise InputError(path, f"cannot be opened ({error})", _port_remedy(path)) from None
+        self._clock = clock
+        self._fd: int = self._serial.fileno()
+        self.low_latency = self._request_low_latency()
+
+    def _request_low_latency(self) -> bool:
+        """Ask the USB adapter to hand over bytes at once; a pseudo-terminal has no such flag."""
+        settings = array.array("i", [0] * 32)
+        try:
+            fcntl.ioctl(self._fd, _TIOCGSERIAL, settings)
+            settings[4] |= _ASYNC_LOW_LATENCY
+            fcntl.ioctl(self._fd, _TIOCSSERIAL, settings)
+        except OSError:  # ENOTTY on a pseudo-terminal, EPERM without the right
+            return False
+        return True
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """See `Wire.read`."""
+        try:
+            if data := os.read(self._fd, size):
+                return data
+        except BlockingIOError:
+            pass
+        return os.read(self._fd, size) if _wait(self._fd, deadline_ns, self._clock) else b""
+
+    def write(self, data: bytes) -> int:
+        """See `Wire.write`."""
+        return os.write(self._fd, data)
+
+    def discard_input(self) -> None:
+        """See `Wire.discard_input`."""
+        self._serial.reset_input_buffer()
+
+    def close(self) -> None:
+        """See `Wire.close`."""
+        self._serial.close()
+
+
+class SocketWire:
+    """A UNIX stream socket, as the emulator offers one: less jitter than a pseudo-terminal."""
+
+    def __init__(self, path: str, clock: Clock) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.connect(path)
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"unix:{path}", f"cannot be connected to ({error.strerror})",
+                "start the emulator with 'python -m hil emulate --line socket'",
+            ) from None  # fmt: skip
+        self._socket.setblocking(False)
+        self._clock = clock
+        self._fd = self._socket.fileno()
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """See `Wire.read`."""
+        try:
+            return self._received(size)
+        except BlockingIOError:
+            return self._received(size) if _wait(self._fd, deadline_ns, self._clock) else b""
+
+    def _received(self, size: int) -> bytes:
+        data = self._socket.recv(size)
+        if not data:
+            raise ConnectionResetError("the other side has closed the line")
+        return data
+
+    def write(self, data: bytes) -> int:
+        """See `Wire.write`."""
+        return self._socket.send(data)
+
+    def discard_input(self) -> None:
+        """See `Wire.discard_input`."""
+        try:
+            while self._received(_READ_SIZE):
+                pass
+        except BlockingIOError:
+            pass
+
+    def close(self) -> None:
+        """See `Wire.close`."""
+        self._socket.close()
+
+
+def _wait(fd: int, deadline_ns: int, clock: Clock) -> bool:
+    remaining_ns = deadline_ns - clock.now_ns()
+    return remaining_ns > 0 and bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
+
+
+def open_wire(name: str, baud: int, clock: Clock) -> Wire:
+    """Open the wire that a port name stands for: `unix:/path` a socket, else a serial device."""
+    if name.startswith("unix:"):
+        return SocketWire(name.removeprefix("unix:"), clock)
+    return SerialWire(name, baud, clock)
+
+
+def _port_remedy(path: str) -> str:
+    if not Path(path).exists():
+        return "plug in the adapter and name its device (ls /dev/serial/by-id)"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return "add yourself to the group dialout, or run 'dropstitch install-service'"
+    return "close the program that holds it, and use a baud rate that the adapter offers"
+
+
+class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
+    """The SDK's port over a `Wire`, bounded by a deadline.
+
+    Parameters
+    ----------
+    wire : Wire
+        Where the bytes go.
+    clock : Clock
+        What deadlines are measured by.
+    name : str
+        What messages call it.
+    baud : int
+        Bits per second, for information only: the wire is already set.
+
+    Attributes
+    ----------
+    deadline_ns : int
+        Until when a reply is waited for; the caller sets it before each exchange. The SDK's own
+        timeouts have no effect.
+    wait_ns : int
+        Time spent waiting for bytes since the start.
+    """
+
+    def __init__(self, wire: Wire, clock: Clock, name: str = "", baud: int = 1_000_000) -> None:
+        super().__init__(name)
+        self.baudrate = baud
+        self.is_open = True
+        self.deadline_ns = 0
+        self.wait_ns = 0
+        self._wire, self._clock = wire, clock
+        self._received = b""
+
+    def openPort(self) -> bool:
+        """Report that the wire is open, which it is from the start."""
+        return True
+
+    def closePort(self) -> None:
+        """Close the wire."""
+        self._wire.close()
+        self.is_open = False
+
+    def clearPort(self) -> None:
+        """Drop what was received before a new instruction."""
+        self._received = b""
+        self._wire.discard_input()
+
+    def setBaudRate(self, baudrate: int) -> bool:
+        """Refuse: a wire keeps the rate that it was opened with."""
+        return bool(baudrate == self.baudrate)
+
+    def getBytesAvailable(self) -> int:
+        """Return how many bytes have been taken from the wire and not yet been read."""
+        return len(self._received)
+
+    def readPort(self, length: int) -> bytes:
+        """Return up to `length` bytes, waiting for the first one until the deadline."""
+        if not self._received:
+            start_ns = self._clock.now_ns()
+            self._received = self._wire.read(_READ_SIZE, self.deadline_ns)
+            self.wait_ns += self._clock.now_ns() - start_ns
+        data, self._received = self._received[:length], self._received[length:]
+        return data
+
+    def writePort(self, packet: bytes) -> int:
+        """Send a packet."""
+        return self._wire.write(packet)
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Do nothing: `deadline_ns` rules."""
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """Do nothing: `deadline_ns` rules."""
+
+    def isPacketTimeout(self) -> bool:
+        """Return whether the deadline has passed."""
+        return not self._received and self._clock.now_ns() >= self.deadline_ns
+
+    def getCurrentTime(self) -> float:
+        """Return the clock in milliseconds, the SDK's unit."""
+        return self._clock.now_ns() * 1e-6
+
+
+def _crc_table() -> tuple[int, ...]:
+    """CRC-16 of Protocol 2.0: polynomial 0x8005, most significant bit first, start 0."""
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+        table.append(crc)
+    return tuple(table)
+
+
+_CRC_TABLE: Final = _crc_table()
+
+
+class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is untyped
+    """The SDK's Protocol 2.0 with its stuffing put right."""
+
+    def updateCRC(self, crc_accum: int, data_blk_ptr: Any, data_blk_size: int) -> int:
+        """Return the CRC over the first bytes; the SDK builds its table anew on every call."""
+        for byte in data_blk_ptr[:data_blk_size]:
+            crc_accum = (crc_accum << 8 & 0xFFFF) ^ _CRC_TABLE[crc_accum >> 8 ^ byte]
+        return crc_accum
+
+    def addStuffing(self, packet: list[int]) -> list[int]:
+        """Return the packet with FD after every FF FF FD from the instruction on, length put right.
+
+        Header and CRC are left as they are: `txPacket` fills them in.
+        """
+        body = bytes(packet[_INSTRUCTION:-2]).replace(_HEADER, _HEADER + b"\xfd")
+        length = len(body) + 2
+        return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, 0, 0]
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:
+        """Return a received packet without its stuffing, length put right."""
+        body = bytes(packet[_INSTRUCTION:-2]).replace(_HEADER + b"\xfd", _HEADER)
+        length = len(body) + 2
+        return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, *packet[-2:]]
+
+    def txPacket(self, port: DeadlinePort, txpacket: list[int]) -> int:
+        """Send an instruction; `txpacket` itself stays as it was."""
+        if port.is_using:
+            return int(COMM_PORT_BUSY)
+        port.is_using = True
+        packet = self.addStuffing(txpacket)
+        packet[:4] = (*_HEADER, 0)
+        crc = self.updateCRC(0, packet, len(packet) - 2)
+        packet[-2:] = (crc & 0xFF, crc >> 8)
+        if len(packet) > _MAX_PACKET:
+            port.is_using = False
+            return int(COMM_TX_ERROR)
+        port.clearPort()
+        if port.writePort(bytes(packet)) != len(packet):
+            port.is_using = False
+            return int(COMM_TX_FAIL)
+        return int(COMM_SUCCESS)

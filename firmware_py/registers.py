@@ -1,0 +1,396 @@
+"""Control tables as data, and the one place where raw register values become SI units.
+
+The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and
+P models. A servo is therefore told apart by its model number, never by its name. Addresses are
+those of the ROBOTIS e-Manual (FACTS §2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from firmware_py.errors import InputError
+
+
+class Register(Enum):
+    """Registers that this project reads or writes; the value is the e-Manual's name."""
+
+    MODEL_NUMBER = "Model Number"
+    FIRMWARE_VERSION = "Firmware Version"
+    ID = "ID"
+    BAUD_RATE = "Baud Rate"
+    RETURN_DELAY = "Return Delay Time"
+    OPERATING_MODE = "Operating Mode"
+    HOMING_OFFSET = "Homing Offset"
+    CURRENT_LIMIT = "Current Limit"
+    VELOCITY_LIMIT = "Velocity Limit"
+    MAX_POSITION_LIMIT = "Max Position Limit"
+    MIN_POSITION_LIMIT = "Min Position Limit"
+    SHUTDOWN = "Shutdown"
+    TORQUE_ENABLE = "Torque Enable"
+    STATUS_RETURN_LEVEL = "Status Return Level"
+    HARDWARE_ERROR = "Hardware Error Status"
+    VELOCITY_I_GAIN = "Velocity I Gain"
+    VELOCITY_P_GAIN = "Velocity P Gain"
+    POSITION_D_GAIN = "Position D Gain"
+    POSITION_I_GAIN = "Position I Gain"
+    POSITION_P_GAIN = "Position P Gain"
+    BUS_WATCHDOG = "Bus Watchdog"
+    GOAL_CURRENT = "Goal Current"
+    GOAL_VELOCITY = "Goal Velocity"
+    PROFILE_ACCELERATION = "Profile Acceleration"
+    PROFILE_VELOCITY = "Profile Velocity"
+    GOAL_POSITION = "Goal Position"
+    MOVING = "Moving"
+    PRESENT_CURRENT = "Present Current"
+    PRESENT_VELOCITY = "Present Velocity"
+    PRESENT_POSITION = "Present Position"
+    PRESENT_INPUT_VOLTAGE = "Present Input Voltage"
+    PRESENT_TEMPERATURE = "Present Temperature"
+
+
+class Cell(NamedTuple):
+    """Where a register lies and how its bytes are read (little endian, two's complement)."""
+
+    address: int
+    size: int
+    signed: bool = False
+    writable: bool = True
+
+    def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
+        """Return the raw value that starts at `offset` of `data`."""
+        return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
+
+    def encode(self, raw: int) -> bytes:
+        """Return the bytes of a raw value.
+
+        Raises
+        ------
+        ValueError
+            If the value does not fit the register.
+        """
+        try:
+            return raw.to_bytes(self.size, "little", signed=self.signed)
+        except OverflowError:
+            raise ValueError(f"{raw} does not fit a register of {self.size} bytes") from None
+
+
+@dataclass(frozen=True)
+class Block:
+    """One contiguous span of registers that a single read fetches."""
+
+    address: int
+    size: int
+    position_offset: int
+    current_offset: int
+
+
+@dataclass(frozen=True)
+class ControlTable:
+    """Registers of one family of servos.
+
+    Attributes
+    ----------
+    name : str
+        Family, as the e-Manual groups it.
+    cells : mapping of Register to Cell
+        What the family has; a register that is not in it does not exist there.
+    ram_start : int
+        First address of the RAM area; everything below is EEPROM, locked while torque is on.
+    """
+
+    name: str
+    cells: Mapping[Register, Cell]
+    ram_start: int
+
+    def __getitem__(self, register: Register) -> Cell:
+        return self.cells[register]
+
+    def __contains__(self, register: Register) -> bool:
+        return register in self.cells
+
+    @property
+    def feedback(self) -> Block:
+        """The span that holds present position and present current."""
+        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
+        start = min(position.address, current.address)
+        end = max(position.address + position.size, current.address + current.size)
+        return Block(start, end - start, position.address - start, current.address - start)
+
+
+def _table(
+    name: str, ram_start: int, rows: Mapping[Register, Cell | tuple[int, int]]
+) -> ControlTable:
+    return ControlTable(name, {r: Cell(*cell) for r, cell in rows.items()}, ram_start)
+
+
+_SIGNED, _READ_ONLY = True, False
+
+LEGACY_PRO: Final = _table(
+    "legacy PRO",
+    562,
+    {
+        Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
+        Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
+        Register.ID: (7, 1),
+        Register.BAUD_RATE: (8, 1),
+        Register.RETURN_DELAY: (9, 1),
+        Register.OPERATING_MODE: (11, 1),
+        Register.HOMING_OFFSET: Cell(13, 4, _SIGNED),
+        Register.CURRENT_LIMIT: (30, 2),
+        Register.VELOCITY_LIMIT: (32, 4),
+        Register.MAX_POSITION_LIMIT: Cell(36, 4, _SIGNED),
+        Register.MIN_POSITION_LIMIT: Cell(40, 4, _SIGNED),
+        Register.SHUTDOWN: (48, 1),
+        Register.TORQUE_ENABLE: (562, 1),
+        Register.VELOCITY_I_GAIN: (586, 2),
+        Register.VELOCITY_P_GAIN: (588, 2),
+        Register.POSITION_P_GAIN: (594, 2),
+        Register.GOAL_POSITION: Cell(596, 4, _SIGNED),
+        Register.GOAL_VELOCITY: Cell(600, 4, _SIGNED),
+        Register.GOAL_CURRENT: Cell(604, 2, _SIGNED),
+        Register.PROFILE_VELOCITY: Cell(600, 4, _SIGNED),  # the goal velocity limits the profile
+        Register.PROFILE_ACCELERATION: (606, 4),  # called goal acceleration there
+        Register.MOVING: Cell(610, 1, False, _READ_ONLY),
+        Register.PRESENT_POSITION: Cell(611, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_VELOCITY: Cell(615, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_CURRENT: Cell(621, 2, _SIGNED, _READ_ONLY),
+        Register.PRESENT_INPUT_VOLTAGE: Cell(623, 2, False, _READ_ONLY),
+        Register.PRESENT_TEMPERATURE: Cell(625, 1, False, _READ_ONLY),
+        Register.STATUS_RETURN_LEVEL: (891, 1),
+        Register.HARDWARE_ERROR: Cell(892, 1, False, _READ_ONLY),
+    },
+)
+"""H54 and H42 `-R`. It has no bus watchdog and only a proportional position gain."""
+
+PRO_P: Final = _table(
+    "PRO(A) and P",
+    512,
+    {
+        Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
+        Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
+        Register.ID: (7, 1),
+        Register.BAUD_RATE: (8, 1),
+        Register.RETURN_DELAY: (9, 1),
+        Register.OPERATING_MODE: (11, 1),
+        Register.HOMING_OFFSET: Cell(20, 4, _SIGNED),
+        Register.CURRENT_LIMIT: (38, 2),
+        Register.VELOCITY_LIMIT: (44, 4),
+        Register.MAX_POSITION_LIMIT: Cell(48, 4, _SIGNED),
+        Register.MIN_POSITION_LIMIT: Cell(52, 4, _SIGNED),
+        Register.SHUTDOWN: (63, 1),
+        Register.TORQUE_ENABLE: (512, 1),
+        Register.STATUS_RETURN_LEVEL: (516, 1),
+        Register.HARDWARE_ERROR: Cell(518, 1, False, _READ_ONLY),
+        Register.VELOCITY_I_GAIN: (524, 2),
+        Register.VELOCITY_P_GAIN: (526, 2),
+        Register.POSITION_D_GAIN: (528, 2),
+        Register.POSITION_I_GAIN: (530, 2),
+        Register.POSITION_P_GAIN: (532, 2),
+        Register.BUS_WATCHDOG: Cell(546, 1, _SIGNED),
+        Register.GOAL_CURRENT: Cell(550, 2, _SIGNED),
+        Register.GOAL_VELOCITY: Cell(552, 4, _SIGNED),
+        Register.PROFILE_ACCELERATION: (556, 4),
+        Register.PROFILE_VELOCITY: (560, 4),
+        Register.GOAL_POSITION: Cell(564, 4, _SIGNED),
+        Register.MOVING: Cell(570, 1, False, _READ_ONLY),
+        Register.PRESENT_CURRENT: Cell(574, 2, _SIGNED, _READ_ONLY),
+        Register.PRESENT_VELOCITY: Cell(576, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_POSITION: Cell(580, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_INPUT_VOLTAGE: Cell(592, 2, False, _READ_ONLY),
+        Register.PRESENT_TEMPERATURE: Cell(594, 1, False, _READ_ONLY),
+    },
+)
+"""H54 and H42 `-R(A)`, PH54 and PH42."""
+
+X_SERIES: Final = _table(
+    "X",
+    64,
+    {
+        Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
+        Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
+        Register.ID: (7, 1),
+        Register.BAUD_RATE: (8, 1),
+        Register.RETURN_DELAY: (9, 1),
+        Register.OPERATING_MODE: (11, 1),
+        Register.HOMING_OFFSET: Cell(20, 4, _SIGNED),
+        Register.CURRENT_LIMIT: (38, 2),
+        Register.VELOCITY_LIMIT: (44, 4),
+        Register.MAX_POSITION_LIMIT: Cell(48, 4, _SIGNED),
+        Register.MIN_POSITION_LIMIT: Cell(52, 4, _SIGNED),
+        Register.SHUTDOWN: (63, 1),
+        Register.TORQUE_ENABLE: (64, 1),
+        Register.STATUS_RETURN_LEVEL: (68, 1),
+        Register.HARDWARE_ERROR: Cell(70, 1, False, _READ_ONLY),
+        Register.VELOCITY_I_GAIN: (76, 2),
+        Register.VELOCITY_P_GAIN: (78, 2),
+        Register.POSITION_D_GAIN: (80, 2),
+        Register.POSITION_I_GAIN: (82, 2),
+        Register.POSITION_P_GAIN: (84, 2),
+        Register.BUS_WATCHDOG: Cell(98, 1, _SIGNED),
+        Register.GOAL_CURRENT: Cell(102, 2, _SIGNED),
+        Register.GOAL_VELOCITY: Cell(104, 4, _SIGNED),
+        Register.PROFILE_ACCELERATION: (108, 4),
+        Register.PROFILE_VELOCITY: (112, 4),
+        Register.GOAL_POSITION: Cell(116, 4, _SIGNED),
+        Register.MOVING: Cell(122, 1, False, _READ_ONLY),
+        Register.PRESENT_CURRENT: Cell(126, 2, _SIGNED, _READ_ONLY),
+        Register.PRESENT_VELOCITY: Cell(128, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_POSITION: Cell(132, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_INPUT_VOLTAGE: Cell(144, 2, False, _READ_ONLY),
+        Register.PRESENT_TEMPERATURE: Cell(146, 1, False, _READ_ONLY),
+    },
+)
+"""XM430 and its relatives."""
+
+POSITION_MODE: Final = 3
+"""Value of the operating mode register in which the goal is an angle."""
+
+WATCHDOG_UNIT_S: Final = 0.020
+RETURN_DELAY_UNIT_S: Final = 2e-6
+
+HARDWARE_ERRORS: Final = (
+    "input voltage", "motor hall sensor", "overheating", "motor encoder", "electrical shock",
+    "overload",
+)  # fmt: skip
+"""Meaning of the bits of the hardware error register, from bit 0 on."""
+
+
+def describe_hardware_error(bits: int) -> str:
+    """Name the hardware errors that are set, or "none"."""
+    names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
+    return ", ".join(names) if names else "none"
+
+
+def round_half_away(value: float) -> int:
+    """Round to the nearest integer, halves away from zero.
+
+    Symmetric about zero, which Python's own rounding (half to even) is not over pulses: goals of
+    +x and −x give opposite pulses.
+
+    Raises
+    ------
+    ValueError
+        If the value is not finite.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    magnitude = math.floor(abs(value))
+    if abs(value) - magnitude >= 0.5:  # exact, where adding 0.5 first could round up 0.49999…
+        magnitude += 1
+    return -magnitude if value < 0 else magnitude
+
+
+@dataclass(frozen=True)
+class Model:
+    """One servo model: its table and its resolutions.
+
+    Attributes
+    ----------
+    number : int
+        What the model number register holds.
+    name : str
+        Name on the type plate.
+    table : ControlTable
+        Its registers.
+    pulses_per_turn : int
+        Of the output shaft.
+    zero_pulse : int
+        Raw position at zero angle (PRO and P count from −, X from 0 to 4095).
+    current_a_per_lsb, velocity_rad_s_per_lsb : float
+        Resolutions of current and velocity.
+    """
+
+    number: int
+    name: str
+    table: ControlTable
+    pulses_per_turn: int
+    zero_pulse: int
+    current_a_per_lsb: float
+    velocity_rad_s_per_lsb: float
+
+    @property
+    def rad_per_pulse(self) -> float:
+        """Resolution of the position."""
+        return 2.0 * math.pi / self.pulses_per_turn
+
+    def angle_rad(self, raw: int) -> float:
+        """Angle of a raw position."""
+        return (raw - self.zero_pulse) * self.rad_per_pulse
+
+    def position_raw(self, angle_rad: float) -> int:
+        """Raw position nearest to an angle.
+
+        Raises
+        ------
+        ValueError
+            If the angle is not finite or does not fit the register.
+        """
+        raw = self.zero_pulse + round_half_away(angle_rad / self.rad_per_pulse)
+        return _checked(raw, self.table[Register.GOAL_POSITION], "angle", angle_rad, "rad")
+
+    def current_a(self, raw: int) -> float:
+        """Current of a raw value."""
+        return raw * self.current_a_per_lsb
+
+    def current_raw(self, current_a: float) -> int:
+        """Raw value nearest to a current; errors as `position_raw`."""
+        raw = round_half_away(current_a / self.current_a_per_lsb)
+        return _checked(raw, self.table[Register.PRESENT_CURRENT], "current", current_a, "A")
+
+    def velocity_rad_s(self, raw: int) -> float:
+        """Angular velocity of a raw value."""
+        return raw * self.velocity_rad_s_per_lsb
+
+    def velocity_raw(self, velocity_rad_s: float) -> int:
+        """Raw value nearest to an angular velocity; errors as `position_raw`."""
+        raw = round_half_away(velocity_rad_s / self.velocity_rad_s_per_lsb)
+        cell = self.table[Register.PRESENT_VELOCITY]
+        return _checked(raw, cell, "velocity", velocity_rad_s, "rad/s")
+
+
+def _checked(raw: int, cell: Cell, what: str, value: float, unit: str) -> int:
+    limit = 1 << (8 * cell.size - 1)
+    if not -limit <= raw < limit:
+        raise ValueError(f"{what} {value:g} {unit} does not fit a register of {cell.size} bytes")
+    return raw
+
+
+def _rpm(value: float) -> float:
+    return value * 2.0 * math.pi / 60.0
+
+
+_H54_LSB_A, _H42_LSB_A = 33.0 / 2048.0, 8.25 / 2048.0
+
+MODELS: Final[Mapping[int, Model]] = {
+    model.number: model
+    for model in (
+        Model(54024, "H54-200-S500-R", LEGACY_PRO, 501_923, 0, _H54_LSB_A, _rpm(0.00199234)),
+        Model(51200, "H42-20-S300-R", LEGACY_PRO, 303_750, 0, _H42_LSB_A, _rpm(0.00329218)),
+        Model(54025, "H54-200-S500-R(A)", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
+        Model(51201, "H42-20-S300-R(A)", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
+        Model(2020, "PH54-200-S500-R", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
+        Model(2000, "PH42-020-S300-R", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
+        Model(1020, "XM430-W350", X_SERIES, 4096, 2048, 2.69e-3, _rpm(0.229)),
+    )
+}
+"""Every servo model that this project knows, by model number."""
+
+
+def model_named(name: str) -> Model:
+    """Return the model of that name.
+
+    Raises
+    ------
+    InputError
+        If there is none; the remedy lists those that there are.
+    """
+    for model in MODELS.values():
+        if model.name == name:
+            return model
+    known = ", ".join(model.name for model in MODELS.values())
+    raise InputError(f"servo model {name!r}", "is not known", f"use one of {known}")
