@@ -17,12 +17,16 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.estimator import DeformationEstimator, load_estimator
+from firmware_py.golden import GOLDEN, read_golden, verify
+from firmware_py.predictor import OnnxPredictor
 
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
@@ -121,3 +125,46 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
     scratch = directory / f".{MANIFEST}"
     scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
     scratch.replace(directory / MANIFEST)
+
+
+@dataclass(frozen=True)
+class ModelBundle:
+    """A bundle that was verified and is ready to predict.
+
+    Attributes
+    ----------
+    directory : Path
+        Where it was loaded from.
+    manifest : Manifest
+        What it is.
+    estimator : DeformationEstimator
+        The one that the manifest names, reset.
+    predictor : OnnxPredictor
+        `predictor.onnx`.
+    """
+
+    directory: Path
+    manifest: Manifest
+    estimator: DeformationEstimator
+    predictor: OnnxPredictor
+
+    @classmethod
+    def load(cls, directory: Path | str) -> ModelBundle:
+        """Verify every hash, load, and replay the golden ticks.
+
+        Raises
+        ------
+        InputError
+            If a file is missing or damaged, or this machine answers otherwise than the one that
+            made the bundle did.
+        """
+        directory = Path(directory)
+        manifest = read_manifest(directory)
+        for name in ("predictor.onnx", GOLDEN):
+            if name not in manifest.files:
+                raise InputError(directory / MANIFEST, f"names no {name}", "train the bundle again")
+        estimator = load_estimator(manifest.estimator, directory, manifest.dof, manifest.lag_ticks)
+        predictor = OnnxPredictor(directory / "predictor.onnx", manifest.dof)
+        golden = read_golden(directory / GOLDEN, manifest.dof)
+        verify(golden, estimator, predictor, directory / GOLDEN)
+        return cls(directory, manifest, estimator, predictor)

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.errors import InputError
 from firmware_py.predictor import OnnxGraph
 
 Array = NDArray[np.float64]
@@ -110,3 +111,35 @@ class LaggedEstimator:
         self._next = (self._next + 1) % len(history)
         self._graph.run()
         return Estimate(float(self._graph.results[0][0]), math.nan)
+
+
+def load_estimator(
+    name: str, directory: Path, dof: int, lag_ticks: Sequence[int]
+) -> DeformationEstimator:
+    """Load the estimator of a bundle.
+
+    Parameters
+    ----------
+    name : str
+        "observer", "lagged" or "none", as the manifest says.
+    directory : Path
+        The bundle.
+    dof : int
+        Number of joints.
+    lag_ticks : sequence of int
+        As the manifest says.
+
+    Raises
+    ------
+    InputError
+        If the name is not known or the file cannot be used.
+    """
+    if name == "lagged":
+        return LaggedEstimator(directory / "lagged.onnx", lag_ticks, dof)
+    if name == "none":
+        return NoEstimator()
+    raise InputError(
+        directory / "manifest.json",
+        f"estimator is {name!r}, not 'observer', 'lagged' or 'none'",
+        "build the bundle again with this version",
+    )

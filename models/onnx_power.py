@@ -139,7 +139,7 @@ class _Graph:
         return self.node("MatMul", [power, self.constant(f"{stem}_weights", weights)], output)
 
     def power(self, base: str, degree: int, stem: str) -> str:
-        """Raise base to the degree by repeated squaring (Pow is slow, and CasADi broadcasts it wrongly)."""
+        """Square repeatedly: Pow is slow, and CasADi broadcasts it wrongly."""
         result = ""
         while degree:
             if degree & 1:
