@@ -180,7 +180,7 @@ class Parser:
         """Take in bytes; return the packets that they complete, in order."""
         buffer = self._buffer
         buffer += data
-        packets = []
+        packets: list[Packet] = []
         while True:
             start = buffer.find(HEADER)
             if start < 0:

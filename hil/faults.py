@@ -1,0 +1,97 @@
+"""What a wire does to a status packet, decided by a seed.
+
+Rates are shares of the packets that the servos send. At most one fault befalls a packet, so that
+a rate means what it says. (A campaign over all faults of the robot is another command's work.)
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Iterable
+from typing import Final
+
+from firmware_py.errors import InputError
+
+KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise")
+LATE_NS: Final = 12_000_000
+"""Delay of a late packet: behind the deadline of its exchange, well before the next but one."""
+
+
+class FaultPlan:
+    """Faults of the wire, the same for the same seed and the same packets.
+
+    Parameters
+    ----------
+    rates : dict of str to float
+        Share of packets per kind; kinds left out do not occur.
+    seed : int
+        Start of the random sequence.
+
+    Attributes
+    ----------
+    injected : Counter
+        Number of faults so far, by kind.
+    """
+
+    def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
+        self.rates = dict(rates or {})
+        self.injected: Counter[str] = Counter()
+        self._random = random.Random(seed)
+
+    def apply(self, frame: bytes) -> list[tuple[int, bytes]]:
+        """What arrives instead of `frame`: (extra delay in ns, bytes), none where it is lost."""
+        kind = self._draw()
+        if kind is None:
+            return [(0, frame)]
+        self.injected[kind] += 1
+        chance = self._random
+        if kind == "lost":
+            return []
+        if kind == "late":
+            return [(LATE_NS, frame)]
+        if kind == "duplicated":
+            return [(0, frame + frame)]
+        if kind == "truncated":
+            return [(0, frame[: chance.randrange(1, len(frame))])]
+        if kind == "noise":
+            return [(0, chance.randbytes(chance.randint(1, 8)) + frame)]
+        damaged = bytearray(frame)
+        damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
+        return [(0, bytes(damaged))]
+
+    def _draw(self) -> str | None:
+        if not self.rates:
+            return None
+        point = self._random.random()
+        for kind, rate in self.rates.items():
+            if point < rate:
+                return kind
+            point -= rate
+        return None
+
+
+def parse_rates(words: Iterable[str]) -> dict[str, float]:
+    """Read `lost=0.01 late=0.005 …`.
+
+    Raises
+    ------
+    InputError
+        If a kind is unknown, a rate is not a share, or the rates add up to more than one.
+    """
+    rates: dict[str, float] = {}
+    for word in words:
+        kind, _, text = word.partition("=")
+        if kind not in KINDS:
+            raise InputError(f"--faults {word}", "is not known", f"use {', '.join(KINDS)}")
+        try:
+            rates[kind] = float(text)
+        except ValueError:
+            raise InputError(
+                f"--faults {word}", "has no rate", f"write it like {kind}=0.01"
+            ) from None
+        if not 0.0 <= rates[kind] <= 1.0:
+            raise InputError(f"--faults {word}", "is not a share", "give a number from 0 to 1")
+    if sum(rates.values()) > 1.0:
+        raise InputError("--faults", "add up to more than one", "lower the rates")
+    return rates

@@ -1,0 +1,271 @@
+"""One emulated DYNAMIXEL: its registers, their access rights and what they do.
+
+Physics is not here: the servo turns its registers into the goal that the plant gets
+(`goal_rad`), and what the plant answers (`observe`) into registers with the model's resolution.
+Between the two lies the plant's own closed servo loop.
+
+Semantics follow the e-Manual's control tables and its Protocol 2.0. Where it is silent:
+
+- Torque off: the gear holds (502:1, friction above the link's torque), so the goal stays where the
+  angle is and the current reads 0.
+- Only the position modes are there (3 position, 4 extended); another mode is a data range error.
+- Profiles are registers without effect: the loop sends a goal every 17 ms.
+- A reboot takes no time.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from firmware_py.registers import (
+    RETURN_DELAY_UNIT_S,
+    WATCHDOG_UNIT_S,
+    X_SERIES,
+    Cell,
+    Model,
+    Register,
+)
+from hil.packets import ALERT, StatusError
+
+EXTENDED_POSITION_MODE: Final = 4
+MEMORY_BYTES: Final = 1024
+BAUD_OF_CODE: Final = {
+    0: 9600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000,
+}  # fmt: skip
+"""Values of the baud rate register (legacy PRO has 2400 instead of 9600 [recalled])."""
+
+_GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
+_FIRMWARE_VERSION = 46
+_VOLTAGE_RAW, _TEMPERATURE_DEGC = 240, 35
+_CURRENT_LIMIT_RAW = {"legacy PRO": 620, "PRO(A) and P": 10_000, "X": 1193}
+
+_RANGES: Final = {
+    Register.ID: (0, 252),
+    Register.BAUD_RATE: (min(BAUD_OF_CODE), max(BAUD_OF_CODE)),
+    Register.RETURN_DELAY: (0, 254),
+    Register.OPERATING_MODE: (3, EXTENDED_POSITION_MODE),
+    Register.TORQUE_ENABLE: (0, 1),
+    Register.STATUS_RETURN_LEVEL: (0, 2),
+    Register.BUS_WATCHDOG: (0, 127),
+}
+"""Values that a register accepts; any that fits its bytes where it is not listed."""
+
+
+class EmulatedServo:
+    """A servo on the bus.
+
+    Parameters
+    ----------
+    model : Model
+        Which one.
+    servo_id : int
+        Its address on the bus.
+    baud : int
+        Its baud rate, one of `BAUD_OF_CODE`.
+    return_delay_s : float
+        Pause between instruction and status packet (factory setting 500 µs).
+    """
+
+    def __init__(
+        self, model: Model, servo_id: int = 1, baud: int = 1_000_000, return_delay_s: float = 500e-6
+    ) -> None:
+        self.model, self._table = model, model.table
+        self._memory = bytearray(MEMORY_BYTES)
+        self._cell_at = {cell.address: (r, cell) for r, cell in model.table.cells.items()}
+        self._hold_rad = 0.0
+        self._angle_rad = 0.0
+        self._fed_ns = 0
+        code = next(code for code, rate in BAUD_OF_CODE.items() if rate == baud)
+        turn = model.pulses_per_turn
+        low, high = (0, turn - 1) if model.table is X_SERIES else (-turn // 2, turn // 2)
+        for register, raw in {
+            Register.MODEL_NUMBER: model.number,
+            Register.FIRMWARE_VERSION: _FIRMWARE_VERSION,
+            Register.ID: servo_id,
+            Register.BAUD_RATE: code,
+            Register.RETURN_DELAY: round(return_delay_s / RETURN_DELAY_UNIT_S),
+            Register.OPERATING_MODE: 3,
+            Register.CURRENT_LIMIT: _CURRENT_LIMIT_RAW[model.table.name],
+            Register.MAX_POSITION_LIMIT: high,
+            Register.MIN_POSITION_LIMIT: low,
+            Register.SHUTDOWN: 58 if Register.BUS_WATCHDOG not in model.table else 52,
+            Register.PRESENT_INPUT_VOLTAGE: _VOLTAGE_RAW,
+            Register.PRESENT_TEMPERATURE: _TEMPERATURE_DEGC,
+        }.items():
+            self.put(register, raw)
+        self._boot()
+
+    # --- registers as the servo's own firmware sees them ---------------------------------------
+
+    def get(self, register: Register) -> int:
+        """Raw value of a register; 0 for one that the model lacks."""
+        if register not in self._table:
+            return 0
+        cell = self._table[register]
+        return cell.decode(self._memory, cell.address)
+
+    def put(self, register: Register, raw: int) -> None:
+        """Set a register past all access rights; nothing where the model lacks it."""
+        if register in self._table:
+            cell = self._table[register]
+            self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+
+    @property
+    def id(self) -> int:
+        """Address on the bus."""
+        return self.get(Register.ID)
+
+    @property
+    def baud(self) -> int:
+        """Bits per second that it sends with."""
+        return BAUD_OF_CODE[self.get(Register.BAUD_RATE)]
+
+    @property
+    def return_delay_ns(self) -> int:
+        """Pause in front of a status packet."""
+        return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_UNIT_S * 1e9)
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether the motor is driven."""
+        return bool(self.get(Register.TORQUE_ENABLE))
+
+    # --- physics -------------------------------------------------------------------------------
+
+    @property
+    def goal_rad(self) -> float:
+        """Angle that the servo drives to; where it stands when it may not drive."""
+        if not self.torque_on or self.watchdog_tripped:
+            return self._hold_rad
+        raw = self.get(Register.GOAL_POSITION) - self.get(Register.HOMING_OFFSET)
+        return self.model.angle_rad(raw)
+
+    def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
+        """Take over the plant's state into the present registers, quantised and clipped."""
+        model, offset = self.model, self.get(Register.HOMING_OFFSET)
+        self._angle_rad = angle_rad
+        pulses = round((angle_rad) / model.rad_per_pulse) + model.zero_pulse + offset
+        self._put_clipped(Register.PRESENT_POSITION, pulses)
+        self._put_clipped(
+            Register.PRESENT_VELOCITY, round(velocity_rad_s / model.velocity_rad_s_per_lsb)
+        )
+        current = round(current_a / model.current_a_per_lsb) if self.torque_on else 0
+        self._put_clipped(Register.PRESENT_CURRENT, current)
+
+    def _put_clipped(self, register: Register, raw: int) -> None:
+        limit = 1 << (8 * self._table[register].size - 1)
+        self.put(register, max(-limit, min(limit - 1, raw)))
+
+    # --- protection ----------------------------------------------------------------------------
+
+    def fail(self, bits: int) -> None:
+        """Raise hardware errors; those in the shutdown mask switch the torque off for good."""
+        self.put(Register.HARDWARE_ERROR, self.get(Register.HARDWARE_ERROR) | bits)
+        if self._shut_down:
+            self._release()
+
+    @property
+    def _shut_down(self) -> bool:
+        return bool(self.get(Register.HARDWARE_ERROR) & self.get(Register.SHUTDOWN))
+
+    @property
+    def alert(self) -> int:
+        """Bit that every status packet carries while there is a hardware error."""
+        return ALERT if self.get(Register.HARDWARE_ERROR) else 0
+
+    @property
+    def watchdog_tripped(self) -> bool:
+        """Whether the bus watchdog has stopped the servo."""
+        return self.get(Register.BUS_WATCHDOG) < 0
+
+    @property
+    def watchdog_due_ns(self) -> int | None:
+        """When the bus watchdog will trip unless it is fed; None where it is not armed."""
+        periods = self.get(Register.BUS_WATCHDOG)
+        if periods <= 0 or not self.torque_on:
+            return None
+        return self._fed_ns + periods * round(WATCHDOG_UNIT_S * 1e9)
+
+    def trip_watchdog(self) -> None:
+        """Stop at the present angle and lock the goals until 0 is written to the watchdog."""
+        self._hold_rad = self._angle_rad
+        self.put(Register.BUS_WATCHDOG, -1)
+
+    def feed_watchdog(self, now_ns: int) -> None:
+        """Note that an instruction was on the bus, whoever it was for."""
+        self._fed_ns = now_ns
+
+    def _release(self) -> None:
+        self._hold_rad = self._angle_rad
+        self.put(Register.TORQUE_ENABLE, 0)
+
+    def _boot(self) -> None:
+        """Give the RAM area its start values."""
+        self._release()
+        for register in (Register.HARDWARE_ERROR, Register.BUS_WATCHDOG, *_GOALS):
+            self.put(register, 0)
+        self.put(Register.STATUS_RETURN_LEVEL, 2)
+        self.put(Register.POSITION_P_GAIN, 800)
+        self.observe(self._angle_rad, 0.0, 0.0)
+
+    def reboot(self) -> None:
+        """Restart: clears hardware errors and RAM, keeps EEPROM."""
+        self._boot()
+
+    # --- registers as the bus sees them --------------------------------------------------------
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return the error number and, where it is 0, the bytes."""
+        if length == 0:
+            return StatusError.DATA_LENGTH, b""
+        if address + length > MEMORY_BYTES:
+            return StatusError.ACCESS, b""
+        return StatusError.NONE, bytes(self._memory[address : address + length])
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write whole registers one after the other; nothing changes where one is refused."""
+        fields = []
+        while data:
+            if address not in self._cell_at:
+                return StatusError.ACCESS
+            register, cell = self._cell_at[address]
+            if len(data) < cell.size:
+                return StatusError.DATA_LENGTH
+            raw = cell.decode(data)
+            if error := self._refusal(register, cell, raw):
+                return error
+            fields.append((register, raw))
+            address, data = address + cell.size, data[cell.size :]
+        if not fields:
+            return StatusError.DATA_LENGTH
+        for register, raw in fields:
+            self._apply(register, raw)
+        return StatusError.NONE
+
+    def _refusal(self, register: Register, cell: Cell, raw: int) -> int:
+        if not cell.writable or (cell.address < self._table.ram_start and self.torque_on):
+            return StatusError.ACCESS
+        low, high = _RANGES.get(register, (raw, raw))
+        if not low <= raw <= high:
+            return StatusError.DATA_RANGE
+        if register in _GOALS and self.watchdog_tripped:
+            return StatusError.DATA_RANGE
+        if register is Register.TORQUE_ENABLE and raw and self._shut_down:
+            return StatusError.RESULT_FAIL
+        if register is Register.GOAL_POSITION and not self._within_limits(raw):
+            return StatusError.DATA_LIMIT
+        return StatusError.NONE
+
+    def _within_limits(self, raw: int) -> bool:
+        if self.get(Register.OPERATING_MODE) == EXTENDED_POSITION_MODE:
+            return True
+        low = self.get(Register.MIN_POSITION_LIMIT)
+        return low <= raw <= self.get(Register.MAX_POSITION_LIMIT)
+
+    def _apply(self, register: Register, raw: int) -> None:
+        if register is Register.TORQUE_ENABLE:
+            if raw and not self.torque_on:  # the goal starts where the servo stands
+                self.put(Register.GOAL_POSITION, self.get(Register.PRESENT_POSITION))
+            elif not raw:
+                self._release()
+        self.put(register, raw)

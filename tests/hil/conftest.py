@@ -1,0 +1,42 @@
+"""A plant that needs no compiler: every joint follows its goal like a first-order lag."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_py.registers import MODELS
+from hil.chain import Chain
+from hil.servo import EmulatedServo
+
+
+class LagPlant:
+    """Exact solution of angle' = (goal - angle) / tau; the current follows the goal's distance."""
+
+    TAU_S = 0.05
+
+    def __init__(self, dof: int = 1) -> None:
+        self.dof = dof
+        self.angle_rad, self.current_a = np.zeros(dof), np.zeros(dof)
+        self.tip_m = np.array([0.0, 0.0, 1.0])
+        self.elapsed_s = 0.0
+
+    def advance(self, goal_rad, step_s) -> None:
+        goal = np.array(goal_rad)
+        self.angle_rad += (goal - self.angle_rad) * (1.0 - math.exp(-step_s / self.TAU_S))
+        self.current_a[:] = 2.0 * (goal - self.angle_rad)
+        self.tip_m[:] = math.sin(self.angle_rad[0]), 0.0, math.cos(self.angle_rad[0])
+        self.elapsed_s += step_s
+
+
+@pytest.fixture
+def chain_of():
+    """Build a chain of servos of one model over a lag plant."""
+
+    def build(number: int = 54025, ids=(1,), **options) -> Chain:
+        servos = [EmulatedServo(MODELS[number], servo_id, **options) for servo_id in ids]
+        return Chain(servos, LagPlant(len(ids)))
+
+    return build
