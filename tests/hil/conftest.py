@@ -31,7 +31,7 @@ class LagPlant:
         self.elapsed_s += step_s
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def chain_of():
     """Build a chain of servos of one model over a lag plant."""
 
