@@ -8,7 +8,7 @@ decomposition), so that
 needs one Gemm, one to three Mul and one MatMul whatever the number of monomials, where skl2onnx
 itself writes 2 M + 5 nodes for M monomials (FACTS §4). Two models have converters here:
 
-`BarePredictor`     features -> tip_m
+`PolynomialGraph`   one polynomial, its inputs clipped into the training box or not
 `GuardedPredictor`  features -> tip_m, in_range, half_width_m, in one graph
 
 All graphs are float64, batch 1, opset 13, IR 7, so that onnxruntime from 1.16 on loads them, and
@@ -39,8 +39,8 @@ OVERSAMPLING: Final = 1.3
 
 
 @dataclass(frozen=True)
-class BarePredictor:
-    """A fitted `polynomial_pipeline` to convert without guard and interval.
+class PolynomialGraph:
+    """A fitted `polynomial_pipeline` to convert by itself.
 
     Attributes
     ----------
@@ -48,10 +48,13 @@ class BarePredictor:
         Fitted.
     output : str
         Name of the graph's output.
+    box : tuple of two ndarray, shape (n,), optional
+        Lower and upper bounds that the inputs are clipped to; by default they are not.
     """
 
     pipeline: Any
-    output: str = "tip_m"
+    output: str
+    box: tuple[Array, Array] | None = None
 
 
 def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
@@ -128,6 +131,10 @@ class _Graph:
     def temporary(self, op: str, inputs: Sequence[str], stem: str, **attributes: Any) -> str:
         return self.node(op, inputs, self.scope.get_unique_variable_name(stem), **attributes)
 
+    def clipped(self, source: str, lower: Array, upper: Array) -> str:
+        raised = self.temporary("Max", [source, self.constant("lower", lower[None])], "raised")
+        return self.temporary("Min", [raised, self.constant("upper", upper[None])], "clipped")
+
     def polynomial(self, source: str, polynomial: Polynomial, stem: str, output: str) -> str:
         rows, bias, weights = power_form(polynomial)
         forms = self.temporary(
@@ -150,14 +157,14 @@ class _Graph:
         return result
 
 
-def _convert_bare(scope: Any, operator: Any, container: Any) -> None:
-    model: BarePredictor = operator.raw_operator
+def _convert_polynomial(scope: Any, operator: Any, container: Any) -> None:
+    model: PolynomialGraph = operator.raw_operator
     graph = _Graph(scope, container)
+    source = operator.inputs[0].full_name
+    if model.box is not None:
+        source = graph.clipped(source, *model.box)
     graph.polynomial(
-        operator.inputs[0].full_name,
-        Polynomial.of(model.pipeline),
-        model.output,
-        operator.outputs[0].full_name,
+        source, Polynomial.of(model.pipeline), model.output, operator.outputs[0].full_name
     )
 
 
@@ -167,10 +174,7 @@ def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
     source = operator.inputs[0].full_name
     tip, in_range, half_width = (variable.full_name for variable in operator.outputs)
 
-    low = graph.constant("lower", model.lower[None])
-    high = graph.constant("upper", model.upper[None])
-    clipped = graph.temporary("Max", [source, low], "raised")
-    clipped = graph.temporary("Min", [clipped, high], "clipped")
+    clipped = graph.clipped(source, model.lower, model.upper)
     graph.polynomial(clipped, Polynomial.of(model.pipeline), "tip", tip)
 
     count = len(model.lower)  # matrix product instead of a Reduce operator: FACTS §4
@@ -192,7 +196,7 @@ def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
 
 
 def _outputs_of(model: Any) -> dict[str, int]:
-    if isinstance(model, BarePredictor):
+    if isinstance(model, PolynomialGraph):
         return {model.output: Polynomial.of(model.pipeline).coefficients.shape[1]}
     axes = len(model.quantile)
     return {"tip_m": axes, "in_range": 1, "half_width_m": axes}
@@ -210,14 +214,17 @@ def _keep_shapes(operator: Any) -> None:
     """Shapes were declared by the parser."""
 
 
-for _model, _convert in ((BarePredictor, _convert_bare), (GuardedPredictor, _convert_guarded)):
+for _model, _convert in (
+    (PolynomialGraph, _convert_polynomial),
+    (GuardedPredictor, _convert_guarded),
+):
     update_registered_converter(
         _model, f"Dropstitch{_model.__name__}", _keep_shapes, _convert, parser=_parse
     )
 
 
 def to_onnx(
-    model: BarePredictor | GuardedPredictor,
+    model: PolynomialGraph | GuardedPredictor,
     inputs: int,
     input_name: str = "features",
     metadata: Mapping[str, Any] | None = None,
@@ -226,7 +233,7 @@ def to_onnx(
 
     Parameters
     ----------
-    model : BarePredictor or GuardedPredictor
+    model : PolynomialGraph or GuardedPredictor
         Fitted.
     inputs : int
         Number of features.

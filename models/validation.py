@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -55,12 +54,22 @@ def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
     return np.asarray(np.linalg.norm(actual_m - predicted_m, axis=1), dtype=np.float64)
 
 
-def pooled_and_by_payload(values: Array, payload_kg: Array) -> dict[str, Array]:
-    """Split values of rows: under "pooled" all, under "0", "0.5", … those of one payload."""
-    split = {"pooled": values}
+def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bool_]]:
+    """Rows of each part that a table reports.
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (n,)
+        "pooled" for all; "0", "0.5", … for one payload in kg; "phase_90deg", … for one phase of
+        joint 2 where the rows hold several.
+    """
+    parts = {"pooled": np.ones(len(payload_kg), dtype=bool)}
     for kg in np.unique(payload_kg):
-        split[payload_key(float(kg))] = values[payload_kg == kg]
-    return split
+        parts[payload_key(float(kg))] = payload_kg == kg
+    phases = np.unique(phase_2_rad)
+    for phase in phases if len(phases) > 1 else ():
+        parts[f"phase_{np.degrees(phase):.0f}deg"] = phase_2_rad == phase
+    return parts
 
 
 def payload_key(payload_kg: float) -> str:
@@ -68,16 +77,6 @@ def payload_key(payload_kg: float) -> str:
     return f"{payload_kg:g}"
 
 
-def means(split: dict[str, Array]) -> dict[str, float]:
-    """Mean of each part (of distances: paper, eq. 8)."""
-    return {key: float(np.mean(values)) for key, values in split.items()}
-
-
 def r_squared(actual: Array, estimate: Array) -> float:
     """Share of the variance that the estimate explains; negative where worse than the mean."""
     return float(1.0 - np.sum((actual - estimate) ** 2) / np.sum((actual - actual.mean()) ** 2))
-
-
-def concatenate(parts: Sequence[Array]) -> Array:
-    """Stack rows of several trials."""
-    return np.concatenate(list(parts))

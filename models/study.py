@@ -1,0 +1,301 @@
+"""The published study on any set of trials: every table of the paper, and DI without mocap.
+
+Trained on trial 1, tested on trial 2 and on a motion that no training saw. Degrees are compared
+by cross-validation on trial 1 alone; trial 2 chooses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.deformation import deformation_index
+from models.findings import findings
+from models.kinematics import rigid_tip_m
+from models.lagged import LaggedRegressor
+from models.observer import Observation, observe
+from models.plant.step import StepModel
+from models.predictors import (
+    DEGREES,
+    Array,
+    Fold,
+    GuardedPredictor,
+    polynomial_pipeline,
+    predict,
+)
+from models.samples import VARIANTS, Samples, Source, collect
+from models.study_series import series
+from models.trial import TrialSet
+from models.validation import (
+    block_folds,
+    euclidean_distance_m,
+    payload_folds,
+    payload_key,
+    r_squared,
+)
+
+SCHEMA: Final = 1
+ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
+
+
+@dataclass(frozen=True)
+class Study:
+    """Result of `run_study`.
+
+    Attributes
+    ----------
+    document : dict
+        What `study.json` holds.
+    predictor : GuardedPredictor
+        Trained on the observer's DI, at the chosen degree: what the robot gets.
+    lagged : LaggedRegressor
+        The fallback estimator of DI.
+    training : Samples
+        Rows that both were trained on.
+    """
+
+    document: dict[str, Any]
+    predictor: GuardedPredictor
+    lagged: LaggedRegressor
+    training: Samples
+
+
+def run_study(
+    training: TrialSet,
+    tests: Mapping[str, TrialSet],
+    observer: StepModel,
+    others: TrialSet | None = None,
+    progress: Callable[[str], None] = lambda detail: None,
+) -> Study:
+    """Train, cross-validate and test every predictor of the study.
+
+    Parameters
+    ----------
+    training : TrialSet
+        Trial 1 of every payload, one dof.
+    tests : mapping of str to TrialSet
+        "trial_2", "unseen_20deg", …: never trained on.
+    observer : StepModel
+        The plant observer of that dof.
+    others : TrialSet, optional
+        Trials of the other dof, for the comparison of mean DI.
+    progress : callable
+        Told what was finished.
+
+    Raises
+    ------
+    InputError
+        If the trials are too short to hold out blocks with gaps.
+    """
+    true_di = [deformation_index(t) for t in training]
+    lagged = LaggedRegressor.fit(tuple(training), true_di)
+    fit, _ = _observed(training, observer, lagged)
+    progress("DI")
+    folds = _folds(fit)
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "dof": training[0].meta.dof,
+        "rows": "moving rows only; the observer also runs through the rest rows in front",
+        "training": _described(training),
+        "cross_validation": _cross_validation(fit, folds, progress),
+        "mean_di": _mean_di(training),
+        "mean_di_other_dof": _mean_di(others) if others else {},
+    }
+    chosen = _best_degree(document["cross_validation"]["estimated_di"])
+    predictor = GuardedPredictor.fit(chosen, fit.features("observer"), fit.tip_m, folds["blocks"])
+    fitted = {
+        (source, degree): polynomial_pipeline(degree).fit(fit.features(source), fit.tip_m)
+        for source in ("true", *ESTIMATORS)
+        for degree in DEGREES
+    }
+    progress("fits")
+    document["chosen_degree"] = chosen
+    sections = ("tests", "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators",
+                "baselines", "interval")  # fmt: skip
+    document |= {section: {} for section in sections}
+    observed: dict[str, Samples] = {}
+    for name, trials in tests.items():
+        samples, observations = _observed(trials, observer, lagged)
+        distances = _distances(samples, fitted)
+        observed[name] = samples
+        document["tests"][name] = _described(trials)
+        for section, statistic in (("mean", np.mean), ("std", np.std)):
+            document[f"{section}_euclidean_distance_m"][name] = _table(
+                samples, distances, statistic
+            )
+        document["estimators"][name] = _estimators(samples, distances)
+        document["baselines"][name] = _baselines(samples, observations)
+        document["interval"][name] = _coverage(predictor, samples)
+        progress(name)
+    document["series"] = series(fit, observed, fitted)
+    document["findings"] = findings(document, training, tests)
+    return Study(document, predictor, lagged, fit)
+
+
+def _observed(
+    trials: TrialSet, observer: StepModel, lagged: LaggedRegressor
+) -> tuple[Samples, list[Observation]]:
+    observations = [observe(observer, t) for t in trials]
+    di = {
+        "true": [deformation_index(t) for t in trials],
+        "observer": [o.di for o in observations],
+        "lagged": [lagged.estimate(t) for t in trials],
+    }
+    return collect(tuple(trials), di), observations
+
+
+def _described(trials: TrialSet) -> dict[str, Any]:
+    def span(name: str) -> list[float]:
+        return sorted({getattr(t.meta, name) for t in trials})
+
+    return {
+        "trials": [t.name for t in trials],
+        "sha256": trials.sha256(),
+        "payload_kg": span("payload_kg"),
+        "amplitude_rad": span("amplitude_rad"),
+        "phase_2_rad": span("phase_2_rad"),
+        "step_s": round(trials[0].step_s, 9),
+    }
+
+
+def _mean_di(trials: TrialSet) -> dict[str, float]:
+    """Mean DI over the moving rows by payload (paper, Fig. 11)."""
+    by_payload: dict[str, list[Array]] = {}
+    for t in trials:
+        moving = deformation_index(t)[t.moving]
+        by_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
+    return {
+        key: float(np.nanmean(np.concatenate(by_payload[key])))
+        for key in sorted(by_payload, key=float)
+    }
+
+
+def _folds(fit: Samples) -> dict[str, list[Fold]]:
+    folds = {"blocks": block_folds(fit.run, fit.time_s)}
+    if len(np.unique(fit.payload_kg)) > 1:
+        folds["leave_one_payload_out"] = payload_folds(fit.payload_kg)
+    shortest = min(min(len(train), len(test)) for train, test in folds["blocks"])
+    if shortest < fit.signals.shape[1] + 1:
+        raise InputError(
+            fit.trials[0].path,
+            f"{len(fit)} moving rows are too few to hold out five blocks with 1 s gaps",
+            "train on runs of at least 4 s",
+        )
+    return folds
+
+
+def _cross_validation(
+    fit: Samples, folds: dict[str, list[Fold]], progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Mean out-of-fold distance and its standard deviation over the folds, by degree."""
+    result: dict[str, Any] = {}
+    for variant, source in VARIANTS.items():
+        features = fit.features(source)
+        for degree in DEGREES:
+            entry = {}
+            for kind, parts in folds.items():
+                distances = [
+                    euclidean_distance_m(
+                        fit.tip_m[test],
+                        predict(
+                            polynomial_pipeline(degree).fit(features[train], fit.tip_m[train]),
+                            features[test],
+                        ),
+                    )
+                    for train, test in parts
+                ]
+                entry[f"{kind}_m"] = float(np.mean(np.concatenate(distances)))
+                entry[f"{kind}_fold_std_m"] = float(np.std([d.mean() for d in distances]))
+            result.setdefault(variant, {})[str(degree)] = entry
+            progress(f"cross-validation {variant} degree {degree}")
+    return result
+
+
+def _best_degree(by_degree: dict[str, dict[str, float]]) -> int:
+    return int(min(by_degree, key=lambda degree: by_degree[degree]["blocks_m"]))
+
+
+def _distances(
+    samples: Samples, fitted: Mapping[tuple[Source, int], Any]
+) -> dict[tuple[Source, int], Array]:
+    return {
+        (source, degree): euclidean_distance_m(
+            samples.tip_m, predict(pipeline, samples.features(source))
+        )
+        for (source, degree), pipeline in fitted.items()
+    }
+
+
+def _table(
+    samples: Samples,
+    distances: Mapping[tuple[Source, int], Array],
+    statistic: Callable[[Array], Any],
+) -> dict[str, dict[str, dict[str, float]]]:
+    """[pooled | payload][variant][degree] (paper, eq. 8 and Figs. 14 and 15)."""
+    table: dict[str, dict[str, dict[str, float]]] = {}
+    for variant, source in VARIANTS.items():
+        for degree in DEGREES:
+            for key, rows in samples.parts().items():
+                by_variant = table.setdefault(key, {}).setdefault(variant, {})
+                by_variant[str(degree)] = float(statistic(distances[source, degree][rows]))
+    return table
+
+
+def _estimators(samples: Samples, distances: Mapping[tuple[Source, int], Array]) -> dict[str, Any]:
+    """Each estimator of DI: R², error, and the share of true DI's benefit that it recovers."""
+    result: dict[str, Any] = {}
+    true = samples.di["true"]
+    for source in ESTIMATORS:
+        estimate = samples.di.get(source, np.zeros_like(true))
+        errors = {str(d): float(distances[source, d].mean()) for d in DEGREES}
+        shares = {}
+        for degree in DEGREES:
+            without = distances["none", degree].mean()
+            benefit = without - distances["true", degree].mean()
+            shares[str(degree)] = float((without - errors[str(degree)]) / benefit)
+        result[source] = {
+            "r2_di": r_squared(true, estimate),
+            "rms_error_di": float(np.sqrt(np.mean((estimate - true) ** 2))),
+            "mean_euclidean_distance_m": errors,
+            "benefit_recovered": shares,
+        }
+    return result
+
+
+def _baselines(samples: Samples, observations: list[Observation]) -> dict[str, Any]:
+    """Distances without a polynomial: the observer's own tip, and a link that does not bend."""
+    result: dict[str, Any] = {}
+    rigid = [
+        rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
+    ]
+    for name, tips_m in (
+        ("observer_tip", [o.tip_m for o in observations]),
+        ("rigid_kinematics", rigid),
+    ):
+        distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
+        result[name] = {
+            key: float(distance_m[rows].mean()) for key, rows in samples.parts().items()
+        }
+    result["final_payload_error_kg"] = {
+        trial.name: float(observation.payload_kg[-1] - trial.meta.payload_kg)
+        for trial, observation in zip(samples.trials, observations, strict=True)
+    }
+    return result
+
+
+def _coverage(predictor: GuardedPredictor, samples: Samples) -> dict[str, Any]:
+    """How often the end effector lay in the deployed predictor's 95 % interval."""
+    features = samples.features("observer")
+    residual = np.abs(samples.tip_m - predictor.predict(features))
+    half_width = predictor.half_width(features)
+    inside = residual <= half_width
+    return {
+        "coverage": {axis: float(inside[:, k].mean()) for k, axis in enumerate("xyz")},
+        "coverage_mean": float(inside.mean()),
+        "mean_half_width_m": {axis: float(half_width[:, k].mean()) for k, axis in enumerate("xyz")},
+        "in_range_share": float(predictor.in_range(features).mean()),
+    }
