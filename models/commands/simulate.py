@@ -1,0 +1,160 @@
+"""Run the virtual laboratory: a MuJoCo robot finer than the plant, with the study's protocol.
+
+Every trial settles, runs the motion once as a warm-up (discarded), settles again, rests for 60
+rows and then runs the motion that is recorded. The paper gives no phase between the joints of
+2DOF: at --phase-deg 0 both move together, at 90 the tip goes round. Running again with the same
+options renews the same trials; other files in DIR stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+
+from firmware_py.console import DONE, Progress, emit
+from firmware_py.errors import InputError
+from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
+from models.catalogue import CATALOGUE, parse_strength
+from models.rig.laboratory import DOWN
+from models.rig.parameters import RIG_TOML, Parameters, read_parameters
+from models.rig.protocol import STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, Case
+
+EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
+
+_LARGEST_PAYLOAD_KG = 10.0
+_LARGEST_TRIALS = 1000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("--out", type=Path, required=True, metavar="DIR", help="where the trials go")
+    add("--dof", type=int, nargs="+", choices=(1, 2), default=[1], help="driven joints (1)")
+    add(
+        "--payloads", type=float, nargs="+", default=list(STUDY_PAYLOADS_KG), metavar="KG",
+        help="payloads in kg (0 0.5 1 1.5 2)",
+    )  # fmt: skip
+    add("--trials", type=int, default=2, metavar="N", help="repetitions of each payload (2)")
+    add("--seed", type=int, default=0, help="of all variation and noise (0)")
+    add("--motion", choices=KINDS, default="sinusoid", help="reference motion (sinusoid)")
+    add("--amplitude-deg", type=float, default=30.0, metavar="DEG", help="largest goal (30)")
+    add(
+        "--period", type=float, default=STUDY_PERIOD_S, metavar="S",
+        help="cycle of the sinusoid; other motions scale with it (4.352)",
+    )  # fmt: skip
+    add("--phase-deg", type=float, default=0.0, metavar="DEG", help="lead of joint 2 (0)")
+    add(
+        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        help="add an effect to what the laboratory has; repeatable; " + _effects_help(),
+    )  # fmt: skip
+    add(
+        "--pressure-pa", type=float, default=STUDY_PRESSURE_PA, metavar="PA",
+        help="inflation pressure (41300)",
+    )  # fmt: skip
+    add(
+        "--gravity", type=float, nargs=3, default=list(DOWN), metavar=("X", "Y", "Z"),
+        help="direction of gravity in the world frame (0 0 -1)",
+    )  # fmt: skip
+    add(
+        "--rig", type=Path, default=RIG_TOML, metavar="TOML", help="another laboratory's parameters"
+    )
+    add(
+        "--workers",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes (all cores)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run and write the trials, then draw them."""
+    parameters = read_parameters(args.rig)
+    hidden = _strengths(args.hide)
+    cases = _cases(args, parameters)
+    parameters = parameters.hide(hidden)
+    from models.rig import runner  # loads MuJoCo, which a mistyped option need not wait for
+    from models.rig.overview import draw_overview
+
+    conditions = {
+        "seed": args.seed,
+        "hidden": hidden,
+        "laboratory": {name: parameters[name] for name in parameters},
+    }
+    runner.check_names(cases, conditions, args.out)
+    args.out.mkdir(parents=True, exist_ok=True)
+    progress = Progress("simulate", len(cases))
+    paths = runner.run_cases(cases, parameters, args.out, args.workers, progress.step)
+    runner.record_conditions(cases, conditions, args.out)
+    overview = draw_overview(args.out)
+    emit(
+        args,
+        {"trials": [str(path) for path in paths], "overview": str(overview), "hidden": hidden},
+        f"{len(paths)} trials in {args.out}; look at {overview}",
+    )
+    return DONE
+
+
+def _cases(args: argparse.Namespace, parameters: Parameters) -> list[Case]:
+    _check(args, parameters)
+    return [
+        Case(
+            motion=Motion(
+                kind=args.motion,
+                amplitude_rad=math.radians(args.amplitude_deg),
+                period_s=args.period,
+                phase_2_rad=math.radians(args.phase_deg) if dof == 2 else 0.0,
+                dof=dof,
+            ),
+            payload_kg=payload_kg,
+            trial=trial,
+            seed=args.seed,
+            pressure_pa=args.pressure_pa,
+            gravity=tuple(args.gravity),
+        )
+        for dof in sorted(set(args.dof))
+        for payload_kg in sorted(set(args.payloads))
+        for trial in range(1, args.trials + 1)
+    ]
+
+
+def _check(args: argparse.Namespace, parameters: Parameters) -> None:
+    pressure = parameters.entries["stiffness.pressure_pa"]
+    ranges: list[tuple[str, float, float, float]] = [
+        ("--trials", args.trials, 1, _LARGEST_TRIALS),
+        ("--seed", args.seed, 0, 2**32 - 1),
+        ("--amplitude-deg", args.amplitude_deg, 0, 90),
+        ("--period", args.period, 0.1, 600),
+        ("--phase-deg", args.phase_deg, -360, 360),
+        ("--pressure-pa", args.pressure_pa, pressure.minimum, pressure.maximum),
+        ("--workers", args.workers, 1, 1024),
+        *(("--payloads", kg, 0, _LARGEST_PAYLOAD_KG) for kg in args.payloads),
+        *(("--gravity", g, -1e6, 1e6) for g in args.gravity),
+    ]
+    for option, value, low, high in ranges:
+        if not low <= value <= high:
+            raise InputError(
+                f"{option} {value:g}", "is out of range", f"choose {low:g} to {high:g}"
+            )
+    if not any(args.gravity):
+        raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
+    if args.out.exists() and not args.out.is_dir():
+        raise InputError(f"--out {args.out}", "is a file", "name a directory")
+
+
+def _strengths(arguments: list[str]) -> dict[str, float]:
+    strengths: dict[str, float] = {}
+    for argument in arguments:
+        effect, strength = parse_strength(argument)
+        if effect in strengths:
+            raise InputError(f"--hide {argument}", "hides the same effect twice", "add them up")
+        if not math.isfinite(strength):
+            raise InputError(f"--hide {argument}", "is not finite", "give a finite strength")
+        strengths[effect] = strength
+    return strengths
+
+
+def _effects_help() -> str:
+    return ", ".join(f"{name} ({effect.unit})" for name, effect in CATALOGUE.items())

@@ -1,0 +1,204 @@
+"""The study's protocol: settle, warm-up run (discarded), settle, rest, recorded run."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
+from firmware_py.signals import PERIOD_S, trial_signals
+from models.kinematics import Array
+from models.rig.laboratory import DOWN, Laboratory
+from models.rig.parameters import Parameters
+from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
+from models.trials import Trial, TrialMeta
+
+REST_SAMPLES: Final = 60
+"""Rows at rest in front of the motion: the reference of the Deformation Index."""
+
+STUDY_PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+STUDY_PRESSURE_PA: Final = 41_300.0
+_MARGIN: Final = 6
+"""Ticks logged before and after the recorded run, for the mocap's delay and resampling."""
+
+_FOLDED_RAD: Final = 0.8
+"""Bend of a hinge beyond which the link has folded and the run is no trial."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One trial to run.
+
+    Attributes
+    ----------
+    motion : Motion
+        Reference motion, with the number of driven joints.
+    payload_kg : float
+        Declared payload.
+    trial : int
+        Number of the repetition; it draws its own variation and noise.
+    seed : int
+        Of the whole set.
+    pressure_pa : float
+        Declared pressure.
+    gravity : tuple of float
+        Direction of gravity in the world frame.
+    """
+
+    motion: Motion
+    payload_kg: float
+    trial: int
+    seed: int = 0
+    pressure_pa: float = STUDY_PRESSURE_PA
+    gravity: tuple[float, float, float] = field(default=DOWN)
+
+    @property
+    def name(self) -> str:
+        """Name of the trial; conditions other than the study's are spelled out."""
+        m = self.motion
+        parts = [
+            f"dof{m.dof}",
+            f"payload{self.payload_kg:g}",
+            f"trial{self.trial}",
+            m.kind,
+            f"{math.degrees(m.amplitude_rad):.6g}deg",
+        ]
+        if m.dof == 2 and m.phase_2_rad:
+            parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
+        if m.period_s != STUDY_PERIOD_S:
+            parts.append(f"period{m.period_s:g}s")
+        if self.pressure_pa != STUDY_PRESSURE_PA:
+            parts.append(f"{self.pressure_pa:g}pa")
+        if self.gravity != DOWN:
+            parts.append("gravity" + ",".join(f"{g:g}" for g in self.gravity))
+        return "_".join(parts)
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers of this trial alone, whatever else runs and wherever."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What differs in this trial from the nominal laboratory."""
+
+    parameters: Parameters
+    eccentricity_m: tuple[float, float]
+    frame_shift_m: Array
+
+
+def vary(parameters: Parameters, case: Case, rng: np.random.Generator) -> Variation:
+    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
+    p = parameters
+    pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
+    values = {
+        "stiffness.pressure_pa": case.pressure_pa
+        * (1.0 + p["variation.pressure_share"] * pressure),
+        "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
+    }
+    scale = max(1.0 + p["variation.friction_share"] * friction, 0.0)
+    for name in p:
+        if name.startswith("servo.") and "_friction_" in name:
+            values[name] = p[name] * scale
+    eccentricity = p["variation.eccentricity_m"]
+    return Variation(
+        parameters=p.changed(**values),
+        eccentricity_m=(eccentricity * x, eccentricity * y),
+        frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
+    )
+
+
+def run_case(parameters: Parameters, case: Case) -> Trial:
+    """Run one trial.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Of the laboratory, with what is hidden in it.
+    case : Case
+        What to run.
+
+    Raises
+    ------
+    InputError
+        If the link folds under what is asked of it.
+    """
+    rng = case.rng()
+    variation = vary(parameters, case, rng)
+    p = variation.parameters
+    lab = Laboratory(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
+    substeps = round(PERIOD_S / lab.step_s)
+
+    rest = np.zeros((round(p["world.settle_s"] / PERIOD_S), case.motion.dof))
+    warm_up_s = np.arange(0.0, case.motion.duration_s + GLIDE_S, PERIOD_S)
+    before = np.concatenate([rest, case.motion.goal_rad(warm_up_s), rest])
+    goals = case.motion.table_rad(rest_samples=REST_SAMPLES)
+    after = np.repeat(goals[-1:], _MARGIN, axis=0)
+    first, last = len(before), len(before) + len(goals)
+
+    encoder_rad, current_a = np.empty_like(goals), np.empty_like(goals)
+    log = []
+    for tick, goal in enumerate(np.concatenate([before, goals, after])):
+        if tick == first:
+            lab.start_leak()
+        if first <= tick < last:
+            encoder_rad[tick - first] = [s.encoder_rad for s in lab.servos]
+            current_a[tick - first] = [s.current_a for s in lab.servos]
+        lab.send(goal)
+        for _ in range(substeps):
+            if tick >= first - _MARGIN:
+                log.append(lab.markers_m.copy())
+            lab.step()
+        _check_shape(lab, case)
+
+    time_s = np.arange(len(goals)) * PERIOD_S
+    markers_m = read_markers(
+        p, MarkerLog(-_MARGIN * PERIOD_S, lab.step_s, np.array(log)), time_s,
+        variation.frame_shift_m, rng,
+    )  # fmt: skip
+    angle_rad = read_encoder(p, encoder_rad)
+    current_a = read_current(p, current_a, rng)
+    return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
+
+
+def _check_shape(lab: Laboratory, case: Case) -> None:
+    bend = np.max(np.abs(lab.data.qpos[lab.chain.hinges]))
+    if not bend < _FOLDED_RAD:  # also NaN
+        raise InputError(
+            case.name,
+            f"the link folds {lab.time_s:.1f} s after power-up",
+            "choose a smaller payload, amplitude or strength, or a longer period",
+        )
+
+
+def _trial(
+    case: Case, p: Parameters, time_s: Array, goal_rad: Array, angle_rad: Array,
+    current_a: Array, markers_m: Array,
+) -> Trial:  # fmt: skip
+    joints = np.stack([goal_rad, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
+    tip_m = markers_m[:, 12:].mean(axis=1)
+    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
+    motion = case.motion
+    meta = TrialMeta(
+        dof=motion.dof,
+        payload_kg=case.payload_kg,
+        pressure_pa=case.pressure_pa,
+        trial=case.trial,
+        motion=motion.kind,
+        source="rig",
+        period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad,
+        phase_2_rad=motion.phase_2_rad if motion.dof == 2 else 0.0,
+        base_offset_m=p["link.base_offset_m"],
+        link_length_m=p["link.length_m"],
+        link_width_m=p["link.width_m"],
+        rest_samples=REST_SAMPLES,
+    )
+    names = [s.name for s in trial_signals(motion.dof)]
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
+    return Trial(case.name, meta, columns)

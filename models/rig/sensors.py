@@ -1,0 +1,80 @@
+"""What the laboratory measures: encoder and current of the servo, markers of the mocap."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from models.kinematics import Array
+from models.rig.parameters import Parameters
+
+
+class MarkerLog(NamedTuple):
+    """True markers on a fine uniform grid: `markers_m[k]` (16, 3) at `start_s + k step_s`."""
+
+    start_s: float
+    step_s: float
+    markers_m: Array
+
+    def at(self, time_s: Array) -> Array:
+        """Markers at any times within the log, linearly interpolated, shape (n, 16, 3)."""
+        position = (time_s - self.start_s) / self.step_s
+        before = np.clip(position.astype(int), 0, len(self.markers_m) - 2)
+        share = (position - before)[:, None, None]
+        return np.asarray(
+            self.markers_m[before] * (1.0 - share) + self.markers_m[before + 1] * share
+        )
+
+
+def read_encoder(parameters: Parameters, encoder_rad: Array) -> Array:
+    """Angle in whole pulses, as the servo reports it."""
+    pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
+    return np.asarray(np.round(encoder_rad / pulse) * pulse)
+
+
+def read_current(parameters: Parameters, current_a: Array, rng: np.random.Generator) -> Array:
+    """Current with its scale, bias and noise, in whole counts as the servo reports it."""
+    p = parameters
+    read = current_a * (1.0 + p["sensor.current_scale_share"]) + p["sensor.current_bias_a"]
+    read = read + p["sensor.current_noise_a"] * rng.standard_normal(current_a.shape)
+    return np.asarray(np.round(read / p["sensor.current_step_a"]) * p["sensor.current_step_a"])
+
+
+def read_markers(
+    parameters: Parameters, log: MarkerLog, time_s: Array, shift_m: Array, rng: np.random.Generator
+) -> Array:
+    """Markers at `time_s` as the mocap gives them after resampling.
+
+    The cameras run freely at 240 Hz; every frame carries noise and its instant jitters. At time t
+    a frame shows what was true one mocap delay before.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Of the laboratory, with the delay of this trial.
+    log : MarkerLog
+        What was true.
+    time_s : ndarray, shape (n,)
+        Uniform times to resample to.
+    shift_m : ndarray, shape (3,)
+        Shift of the mocap's frame.
+    rng : numpy.random.Generator
+        Of this trial.
+
+    Returns
+    -------
+    ndarray, shape (n, 16, 3)
+        In the world frame as the mocap believes it to be.
+    """
+    p = parameters
+    interval_s = 1.0 / p["sensor.mocap_rate_hz"]
+    count = int((time_s[-1] - time_s[0]) / interval_s) + 4
+    frames_s = time_s[0] + (rng.uniform() - 2.0 + np.arange(count)) * interval_s
+    jitter_s = p["sensor.mocap_jitter_s"] * rng.standard_normal(count)
+    frames_m = log.at(frames_s - p["sensor.mocap_delay_s"] + jitter_s)
+    frames_m = frames_m + p["sensor.marker_noise_m"] * rng.standard_normal(frames_m.shape)
+    resampled = MarkerLog(float(frames_s[0]), interval_s, frames_m).at(time_s)
+    cos, sin = np.cos(p["sensor.frame_tilt_rad"]), np.sin(p["sensor.frame_tilt_rad"])
+    tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    return np.asarray(resampled @ tilt.T + shift_m)
