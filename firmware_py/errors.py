@@ -4,6 +4,7 @@
 
     DropstitchError                 anything that we raise on purpose
     ├── InputError                  the user's file, option or set-up is wrong (exit 2)
+    ├── UnitRefusal                 an FMI unit refused a call; it stands where it stood
     └── SafetyTrip                  the supervisor stopped the robot; holds the last ticks (exit 1)
 
 Inside the loop a fault is a value (`firmware_py.bus.BusStatus`), never an exception.
@@ -35,6 +36,10 @@ class InputError(DropstitchError):
     def __init__(self, where: str | Path, what: str, remedy: str) -> None:
         self.where, self.what, self.remedy = str(where), what, remedy
         super().__init__(f"{where}: {what}; {remedy}.")
+
+
+class UnitRefusal(DropstitchError):
+    """An FMI unit refused a call; the message is the sentence that it logged."""
 
 
 class SafetyTrip(DropstitchError):

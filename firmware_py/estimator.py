@@ -15,8 +15,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.errors import InputError, UnitRefusal
 from firmware_py.predictor import OnnxGraph
+from firmware_py.unit import FmiUnit
 
 Array = NDArray[np.float64]
 
@@ -113,6 +114,57 @@ class LaggedEstimator:
         return Estimate(float(self._graph.results[0][0]), math.nan)
 
 
+class ObserverEstimator:
+    """The plant observer: the identified link on the measured angle and current (`observer.fmu`).
+
+    The first sample sets the link's first state, at rest; each further one is a step.
+
+    Parameters
+    ----------
+    unit : FmiUnit
+        With the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
+    dof : int
+        Number of joints.
+
+    Raises
+    ------
+    InputError
+        If the unit has not these variables.
+    """
+
+    def __init__(self, unit: FmiUnit, dof: int) -> None:
+        joints = range(1, dof + 1)
+        names = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
+        self._unit, self._dof = unit, dof
+        self._inputs = unit.channel(names)
+        self._outputs = unit.channel(["di", "payload_kg"])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._unit.reset()
+        self._first = True
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample; see `DeformationEstimator.update`.
+
+        A sample that the unit refuses (not a number) leaves it as it was and answers NaN.
+        """
+        self._inputs.values[: self._dof] = angle_rad
+        self._inputs.values[self._dof :] = current_a
+        try:
+            self._inputs.send()
+            if self._first:
+                self._unit.start()
+                self._first = False
+            else:
+                self._unit.step(step_s)
+            self._outputs.receive()
+        except UnitRefusal:
+            return Estimate(math.nan, math.nan)
+        return Estimate(float(self._outputs.values[0]), float(self._outputs.values[1]))
+
+
 def load_estimator(
     name: str, directory: Path, dof: int, lag_ticks: Sequence[int]
 ) -> DeformationEstimator:
@@ -134,6 +186,8 @@ def load_estimator(
     InputError
         If the name is not known or the file cannot be used.
     """
+    if name == "observer":
+        return ObserverEstimator(FmiUnit(directory / "observer.fmu"), dof)
     if name == "lagged":
         return LaggedEstimator(directory / "lagged.onnx", lag_ticks, dof)
     if name == "none":

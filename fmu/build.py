@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import fmpy
 
-from fmu.codegen import write_model, write_sources
+from fmu.codegen import write_model, write_variables
 from fmu.description import FmiVersion, describe, document
 from fmu.interface import Interface, interface_of
 from models.native import compile_library
@@ -85,7 +85,8 @@ def build_unit(
         directory = Path(scratch)
         model_c = write_model(model, directory)
         token = _token(interface, fmi, description, model_c, resources)
-        write_sources(model, interface, token, directory)
+        variables_c = write_variables(model, interface, token, directory)
+        sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "unit.c", model_c, variables_c]
         content = {
             "modelDescription.xml": describe(interface, fmi, token, description, _generated()),
             "documentation/index.html": document(interface, description).encode(),
@@ -95,22 +96,12 @@ def build_unit(
         for name in platforms:
             platform = PLATFORMS[name]
             library = directory / name / f"{interface.name}{platform.suffix}"
-            _compile(directory, library, fmi, platform)
+            include = [WRAPPER, directory, HEADERS]
+            compile_library(sources, library, include=include, target=platform.target)
             folder = platform.fmi2 if fmi == 2 else platform.fmi3
             content[f"binaries/{folder}/{library.name}"] = library.read_bytes()
     _pack(content, output)
     return output
-
-
-def _compile(directory: Path, library: Path, fmi: FmiVersion, platform: Platform) -> None:
-    sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "unit.c"]
-    generated = [directory / "model.c", directory / "variables.c"]
-    compile_library(
-        [*sources, *generated],
-        library,
-        include=[WRAPPER, directory, HEADERS],
-        target=platform.target,
-    )
 
 
 def _token(

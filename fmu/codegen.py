@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -17,33 +18,6 @@ from fmu.interface import FmiVariable, Interface
 from models.plant.step import StepModel
 
 FUNCTIONS = ("initial", "begin", "flow", "finish", "output")
-
-
-def write_sources(
-    model: StepModel, interface: Interface, token: str, directory: Path
-) -> list[Path]:
-    """Write the generated C of a unit.
-
-    Parameters
-    ----------
-    model : StepModel
-        Whose functions to generate.
-    interface : Interface
-        Of the same model.
-    token : str
-        Instantiation token that the unit accepts.
-    directory : Path
-        Where the four files go.
-
-    Returns
-    -------
-    list of Path
-        The files to compile.
-    """
-    write_model(model, directory)
-    (directory / "variables.h").write_text(_header(model, interface, token), encoding="utf-8")
-    (directory / "variables.c").write_text(_table(interface), encoding="utf-8")
-    return [directory / "model.c", directory / "variables.c"]
 
 
 def write_model(model: StepModel, directory: Path) -> Path:
@@ -60,16 +34,33 @@ def write_model(model: StepModel, directory: Path) -> Path:
     return directory / "model.c"
 
 
+def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
+    """Write `variables.c` and `variables.h`; returns the former.
+
+    Parameters
+    ----------
+    model : StepModel
+        For the number of states and the longest sub-step.
+    interface : Interface
+        Of the same model.
+    token : str
+        Instantiation token that the unit accepts.
+    directory : Path
+        Where the files go.
+    """
+    (directory / "variables.h").write_text(_header(model, interface, token), encoding="utf-8")
+    (directory / "variables.c").write_text(_table(interface), encoding="utf-8")
+    return directory / "variables.c"
+
+
 def _dense(function: ca.Function, name: str) -> ca.Function:
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
     return ca.Function(name, arguments, [ca.densify(function(*arguments))])
 
 
 def _header(model: StepModel, interface: Interface, token: str) -> str:
-    inputs, parameters, outputs = (
-        interface.of(causality) for causality in ("input", "parameter", "output")
-    )
+    inputs, parameters = interface.of("input"), interface.of("parameter")
     sizes = {
         "N_VARIABLES": len(interface.variables),
         "N_STATES": len(model.states),
@@ -77,7 +68,6 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
         "FIRST_PARAMETER": 1 + len(inputs),
         "FIRST_OUTPUT": 1 + len(inputs) + len(parameters),
     }
-    assert 1 + len(inputs) + len(parameters) + len(outputs) == len(interface.variables)
     lines = [
         f"/* Generated for {interface.name}: sizes and value references. */",
         "#ifndef VARIABLES_H",
