@@ -17,7 +17,10 @@ PERIOD_S: Final = 0.017
 UNIT_OF_SUFFIX: Final = {
     "s": "s", "ns": "ns", "rad": "rad", "rad_s": "rad/s", "rad_s2": "rad/s2", "m": "m",
     "m_s": "m/s", "kg": "kg", "a": "A", "v": "V", "n": "N", "nm": "N.m", "pa": "Pa",
-    "degc": "degC", "hz": "Hz", "w": "W",
+    "degc": "degC", "hz": "Hz", "w": "W", "ohm": "Ohm", "per_s": "1/s", "m_s2": "m/s2",
+    "kg_m2": "kg.m2", "nm_rad": "N.m/rad", "nm_s_rad": "N.m.s/rad", "nm_a": "N.m/A",
+    "a_s_rad": "A.s/rad", "v_s_rad": "V.s/rad", "rad_nm": "rad/(N.m)", "n_s_m": "N.s/m",
+    "n_v": "N/V", "v_s_m": "V.s/m", "m_n": "m/N",
 }  # fmt: skip
 """Unit suffixes that a column or variable may carry, and how FMI writes the unit."""
 
@@ -62,7 +65,7 @@ PAYLOAD = Signal("payload_kg", "kg", "mass of the payload at the tip")
 DI = Signal("di", "1", "Deformation Index (paper, equation 1)")
 IN_RANGE = Signal("in_range", "1", "1 where the predictor's inputs lie inside its training range")
 
-_STAGES = ("wake", "read", "estimate", "predict", "command", "check", "log")
+_STAGES = ("wake", "read", "estimate", "predict", "command", "check", "write", "log")
 STAGES: Final = _STAGES
 """Stages of a tick in the order in which they run."""
 
@@ -117,6 +120,7 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the wire"),
         Signal("lateness_ns", "ns", "wake-up behind the deadline"),
         Signal("preempted_ns", "ns", "run-queue delay of the loop's thread during the period"),
+        Signal("steal_ns", "ns", "time that the hypervisor kept from this machine, all processors"),
         Signal("missed", "1", "deadlines missed since the previous tick"),
     )
 

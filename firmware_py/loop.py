@@ -1,0 +1,337 @@
+"""The control loop: read → estimate → predict → command → check → write → log, every 17 ms.
+
+Exactly this class runs on the robot, against an emulated servo and in simulated time; only the
+bus and the clock that it is given differ.
+
+- Slot k starts at the absolute time `start + k * period`. A tick that ends after its slot makes
+  the loop skip the slots that have begun: phase is kept, and no two ticks run in one slot.
+- The tick's remaining budget bounds every wait for the bus.
+- Nothing is allocated for good in a tick, nothing touches a disk, the garbage collector stays out
+  (`firmware_py.clock.real_time`).
+- However `run` ends, the torque goes off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from itertools import chain
+from types import FrameType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus import BusStatus, ServoBus
+from firmware_py.clock import Clock
+from firmware_py.errors import InputError
+from firmware_py.estimator import DeformationEstimator
+from firmware_py.predictor import Predictor
+from firmware_py.records import TickRing
+from firmware_py.safety import SafetySupervisor, State
+from firmware_py.signals import PERIOD_S
+from firmware_py.telemetry import NoTelemetry, Telemetry
+from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
+
+Array = NDArray[np.float64]
+
+RESERVE_NS: Final = 2_000_000
+"""Part of a slot that the wait for the servos leaves to the rest of the tick."""
+
+_START_DELAY_NS: Final = 2_000_000
+
+
+class Ended(Enum):
+    """How a run ended."""
+
+    FINISHED = "finished"
+    """The motion, or the time asked for, was over."""
+    SIGNALLED = "signalled"
+    """SIGINT or SIGTERM came; the robot was brought to a controlled stop."""
+    TRIPPED = "tripped"
+    """The safety supervisor stopped the robot."""
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a run was.
+
+    Attributes
+    ----------
+    ended : Ended
+        How it ended.
+    reason : str
+        One sentence.
+    ticks : int
+        Ticks that ran.
+    bus_faults : dict of str to int
+        Ticks by status of the bus, good ones left out.
+    out_of_range : int
+        Ticks in which the predictor's inputs lay outside its training range.
+    timing : Timing
+        Histograms, misses and their causes.
+    records : ndarray of tick_dtype, shape (n,)
+        The last ticks, oldest first, as many as were asked to be kept.
+    telemetry_drops : int
+        Ticks that the recorder did not get.
+    """
+
+    ended: Ended
+    reason: str
+    ticks: int
+    bus_faults: dict[str, int]
+    out_of_range: int
+    timing: Timing
+    records: NDArray[np.void]
+    telemetry_drops: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything but the records, for JSON."""
+        return {
+            "ended": self.ended.value,
+            "reason": self.reason,
+            "ticks": self.ticks,
+            "bus_faults": self.bus_faults,
+            "out_of_range": self.out_of_range,
+            "telemetry_drops": self.telemetry_drops,
+            "timing": self.timing.summary(),
+        }
+
+
+class ControlLoop:
+    """Drives the servos along a table of goals.
+
+    Parameters
+    ----------
+    bus : ServoBus
+        The servos. The caller closes it.
+    estimator : DeformationEstimator
+        Deformation Index from angle and current.
+    predictor : Predictor
+        Tip from angle, current and DI.
+    supervisor : SafetySupervisor
+        A fresh one.
+    goals_rad : ndarray, shape (n, dof)
+        Goal of each slot, see `Motion.table_rad`.
+    clock : Clock
+        Real or simulated.
+    slots : int, optional
+        Slots to run before the controlled stop; the table repeats. None runs it once.
+    period_s : float
+        Control period.
+    reply_timeout_s : float
+        Longest wait for the servos' replies within a tick.
+    telemetry : Telemetry, optional
+        Where finished records go.
+    counters : Counters, optional
+        The kernel's counters, made in the thread that calls `run`.
+    keep : int
+        Number of records to keep for the summary.
+    """
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        estimator: DeformationEstimator,
+        predictor: Predictor,
+        supervisor: SafetySupervisor,
+        goals_rad: Array,
+        clock: Clock,
+        *,
+        slots: int | None = None,
+        period_s: float = PERIOD_S,
+        reply_timeout_s: float = 0.008,
+        telemetry: Telemetry | None = None,
+        counters: Counters | None = None,
+        keep: int = 4096,
+    ) -> None:
+        if goals_rad.ndim != 2 or goals_rad.shape[1] != bus.dof or len(goals_rad) < 1:
+            raise InputError(
+                "motion", f"has goals of shape {goals_rad.shape}, the bus {bus.dof} joints",
+                "give one column per joint",
+            )  # fmt: skip
+        self._bus, self._clock, self._supervisor = bus, clock, supervisor
+        self._estimator, self._predictor = estimator, predictor
+        self._goals = np.ascontiguousarray(goals_rad, dtype=np.float64)
+        self._slots = len(goals_rad) if slots is None else slots
+        self._period_ns = round(period_s * 1e9)
+        self._period_s = self._period_ns * 1e-9
+        self._timeout_ns = min(round(reply_timeout_s * 1e9), self._period_ns)
+        self._telemetry: Telemetry = telemetry or NoTelemetry()
+        self._counters: Counters = counters or NoCounters()
+        self._timing = Timing()
+        self._statuses: Counter[BusStatus] = Counter()
+        self._out_of_range = 0
+        self._signal = ""
+        self._ended = Ended.FINISHED
+        self._ring = TickRing(bus.dof, keep)
+        self._finished: tuple[tuple[int, ...], int, int, int, int] = ((), 0, 0, 0, 0)
+        self._run_delay_ns, self._steal_ns = 0, 0
+        self._previous_slot = -1
+
+    def stop(self, reason: str) -> None:
+        """Ask for a controlled stop; safe to call from a signal handler or another thread."""
+        self._signal = reason
+
+    def run(self) -> RunSummary:
+        """Connect, run until the motion is over or something stops it, torque off.
+
+        Raises
+        ------
+        InputError
+            If the servos are unfit to start.
+        """
+        bus, supervisor = self._bus, self._supervisor
+        bus.connect()
+        supervisor.arm(bus.angle_rad)
+        try:
+            with _signals_to(self.stop):
+                bus.write(supervisor.goal_rad, self._clock.now_ns() + self._period_ns)
+                if (status := bus.torque(True)) != BusStatus.OK:
+                    raise InputError("torque", f"cannot be switched on ({status.name})",
+                                     "check cabling and power of the servos")  # fmt: skip
+                self._estimator.reset()
+                supervisor.start()
+                supervisor.rebase(self._goals[0])
+                self._run_slots()
+        finally:
+            bus.torque(False)
+            self._hand_over()
+        return self._summary()
+
+    def _run_slots(self) -> None:
+        clock, period_ns = self._clock, self._period_ns
+        self._run_delay_ns = self._counters.run_delay_ns()
+        self._steal_ns = self._counters.steal_ns()
+        start_ns = clock.now_ns() + _START_DELAY_NS
+        slot = 0
+        while self._supervisor.state is not State.OFF:
+            deadline_ns = start_ns + slot * period_ns
+            clock.sleep_until(deadline_ns)
+            end_ns = self._tick(slot, deadline_ns)
+            # The next slot is the first that has not begun: a missed one is skipped.
+            slot = max(slot + 1, -((start_ns - end_ns) // period_ns))
+
+    def _tick(self, slot: int, deadline_ns: int) -> int:
+        """Run one tick; return when it ended."""
+        bus, supervisor, goals, now = self._bus, self._supervisor, self._goals, self._clock.now_ns
+        wake_ns = now()
+        missed = slot - self._previous_slot - 1
+        waited_ns = bus.wait_ns
+
+        limit_ns = min(wake_ns + self._timeout_ns, deadline_ns + self._period_ns - RESERVE_NS)
+        status = bus.read(limit_ns)
+        read_ns = now()
+
+        step_s = (missed + 1) * self._period_s
+        estimate = self._estimator.update(bus.angle_rad, bus.current_a, step_s)
+        estimate_ns = now()
+
+        prediction = self._predictor.predict(bus.angle_rad, bus.current_a, estimate.di)
+        predict_ns = now()
+
+        wished_rad = goals[slot % len(goals)]
+        if missed:
+            supervisor.rebase(goals[(slot - 1) % len(goals)])
+        self._heed_requests(slot)
+        command_ns = now()
+
+        supervisor.check(
+            status, bus.alert, bus.angle_rad, bus.current_a, prediction.tip_m, estimate.di, missed
+        )
+        goal_rad = supervisor.admit(wished_rad)
+        check_ns = now()
+
+        status = max(status, bus.write(goal_rad, deadline_ns + self._period_ns))
+        write_ns = now()
+
+        self._hand_over()
+        bus_wait_ns = bus.wait_ns - waited_ns
+        run_delay_ns, steal_ns = self._counters.run_delay_ns(), self._counters.steal_ns()
+        preempted_ns = run_delay_ns - self._run_delay_ns
+        stolen_ns = steal_ns - self._steal_ns
+        self._run_delay_ns, self._steal_ns = run_delay_ns, steal_ns
+        lateness_ns = wake_ns - deadline_ns
+        stages_ns = (
+            lateness_ns, read_ns - wake_ns, estimate_ns - read_ns, predict_ns - estimate_ns,
+            command_ns - predict_ns, check_ns - command_ns, write_ns - check_ns,
+        )  # fmt: skip
+        joints = zip(goal_rad.tolist(), bus.angle_rad.tolist(), bus.current_a.tolist(), strict=True)
+        in_range = prediction.in_range
+        self._ring.append((
+            slot, slot * self._period_s, deadline_ns, *chain.from_iterable(joints),
+            estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
+            *prediction.half_width_m.tolist(), in_range, supervisor.state, status,
+            supervisor.stale_ticks, bus.alert, *stages_ns, 0, 0, bus_wait_ns, lateness_ns,
+            preempted_ns, stolen_ns, missed,
+        ))  # fmt: skip
+        self._statuses[status] += 1
+        self._out_of_range += not in_range
+        self._previous_slot = slot
+
+        end_ns = now()
+        busy_ns = end_ns - wake_ns
+        self._ring.amend("log_ns", end_ns - write_ns)
+        self._ring.amend("busy_ns", busy_ns)
+        self._finished = (stages_ns, end_ns - write_ns, lateness_ns, busy_ns, bus_wait_ns)
+        if (late_ns := end_ns - deadline_ns - self._period_ns) > 0:
+            self._timing.miss(
+                -(-late_ns // self._period_ns),
+                cause_of_miss(busy_ns, bus_wait_ns, lateness_ns, preempted_ns, stolen_ns),
+            )
+        return end_ns
+
+    def _heed_requests(self, slot: int) -> None:
+        """Begin the controlled stop where somebody asks for it or the motion is over."""
+        if self._signal:
+            self._end(Ended.SIGNALLED, self._signal)
+        elif slot >= self._slots:
+            self._end(Ended.FINISHED, "the motion is over")
+
+    def _end(self, ended: Ended, reason: str) -> None:
+        if self._supervisor.state < State.STOPPING:
+            self._ended = ended
+            self._supervisor.request_stop(reason)
+
+    def _hand_over(self) -> None:
+        """Count and send the previous tick: its record is complete only after its end."""
+        if self._ring.count:
+            stages_ns, log_ns, lateness_ns, busy_ns, bus_wait_ns = self._finished
+            self._timing.add((*stages_ns, log_ns), lateness_ns, busy_ns, bus_wait_ns)
+            self._telemetry.put(self._ring.latest())
+
+    def _summary(self) -> RunSummary:
+        supervisor = self._supervisor
+        return RunSummary(
+            ended=Ended.TRIPPED if supervisor.tripped else self._ended,
+            reason=supervisor.reason,
+            ticks=self._ring.count,
+            bus_faults={s.name.lower(): n for s, n in self._statuses.items() if s != BusStatus.OK},
+            out_of_range=self._out_of_range,
+            timing=self._timing,
+            records=self._ring.ordered(),
+            telemetry_drops=self._telemetry.drops,
+        )
+
+
+@contextlib.contextmanager
+def _signals_to(stop: Callable[[str], None]) -> Iterator[None]:
+    """Turn SIGINT and SIGTERM into requests for a controlled stop (main thread only)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        stop(signal.Signals(number).name)
+
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)

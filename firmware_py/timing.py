@@ -1,0 +1,217 @@
+"""Where the time of a tick goes: constant-memory histograms and the kernel's own counters."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import os
+import threading
+from collections.abc import Iterable
+from enum import Enum
+from typing import Any, Final, Protocol
+
+from firmware_py.signals import STAGES
+
+_SUB_BITS: Final = 6
+_SUB_BUCKETS: Final = 1 << _SUB_BITS
+_OCTAVES: Final = 40
+"""Durations up to 2**40 ns, a quarter of an hour, are told apart."""
+
+_TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
+_STEAL_FIELD: Final = 8
+
+
+class Histogram:
+    """Counts of durations in buckets at most 1/64 wide, relative; nothing is allocated to count.
+
+    The layout is that of an HDR histogram: exact below 128 ns, then 64 buckets an octave.
+    """
+
+    def __init__(self) -> None:
+        self.counts = array.array("q", bytes(8 * _SUB_BUCKETS * _OCTAVES))
+        self.count = 0
+        self.max_ns = 0
+
+    def add(self, duration_ns: int) -> None:
+        """Count one duration; a negative one counts as zero."""
+        value = duration_ns if duration_ns > 0 else 0
+        shift = value.bit_length() - _SUB_BITS - 1
+        bucket = value if shift <= 0 else (shift << _SUB_BITS) + (value >> shift)
+        self.counts[bucket if bucket < len(self.counts) else -1] += 1
+        self.count += 1
+        if value > self.max_ns:
+            self.max_ns = value
+
+    def percentile_ns(self, share: float) -> int:
+        """Smallest bucket's upper end that at least `share` of the durations do not exceed."""
+        needed, seen = share * self.count, 0
+        for bucket, count in enumerate(self.counts):
+            seen += count
+            if count and seen >= needed:
+                return min(_upper_end_ns(bucket), self.max_ns)
+        return 0
+
+    def summary(self) -> dict[str, int]:
+        """Count, percentiles and maximum, as `timing.json` writes them."""
+        return {
+            "n": self.count,
+            "p50_ns": self.percentile_ns(0.5),
+            "p99_ns": self.percentile_ns(0.99),
+            "p99_9_ns": self.percentile_ns(0.999),
+            "max_ns": self.max_ns,
+        }
+
+
+def _upper_end_ns(bucket: int) -> int:
+    if bucket < 2 * _SUB_BUCKETS:
+        return bucket
+    shift = (bucket >> _SUB_BITS) - 1
+    return ((bucket - (shift << _SUB_BITS) + 1) << shift) - 1
+
+
+class Counters(Protocol):
+    """What the kernel says about the loop's thread and the machine."""
+
+    def run_delay_ns(self) -> int:
+        """Time that the thread was ready to run and did not."""
+        ...
+
+    def steal_ns(self) -> int:
+        """Time that the hypervisor kept from this machine, over all processors."""
+        ...
+
+
+class NoCounters:
+    """For simulated time, where nobody is preempted."""
+
+    def run_delay_ns(self) -> int:
+        """Nothing."""
+        return 0
+
+    def steal_ns(self) -> int:
+        """Nothing."""
+        return 0
+
+
+class KernelCounters:
+    """The kernel's counters for the thread that makes this object.
+
+    The files stay open, so that a reading is one system call: 1 µs for the run-queue delay, 7 µs
+    for steal time (in steps of 10 ms). Where one of them does not exist it reads as zero.
+    """
+
+    def __init__(self) -> None:
+        thread = threading.get_native_id()
+        self._schedule = _open(f"/proc/self/task/{thread}/schedstat")
+        self._machine = _open("/proc/stat")
+
+    def run_delay_ns(self) -> int:
+        """See `Counters.run_delay_ns`."""
+        if self._schedule is None:
+            return 0
+        return int(os.pread(self._schedule, 64, 0).split()[1])
+
+    def steal_ns(self) -> int:
+        """See `Counters.steal_ns`."""
+        if self._machine is None:
+            return 0
+        fields = os.pread(self._machine, 128, 0).split(maxsplit=_STEAL_FIELD + 1)
+        return int(fields[_STEAL_FIELD]) * (1_000_000_000 // _TICKS_PER_S)
+
+    def close(self) -> None:
+        """Close the files."""
+        for fd in (self._schedule, self._machine):
+            if fd is not None:
+                os.close(fd)
+
+
+def _open(path: str) -> int | None:
+    with contextlib.suppress(OSError):
+        return os.open(path, os.O_RDONLY)
+    return None
+
+
+class Cause(Enum):
+    """Why a deadline was missed."""
+
+    OWN_COMPUTE = "own compute"
+    BUS_WAIT = "bus wait"
+    PREEMPTED = "preempted by the host"
+
+
+def cause_of_miss(
+    busy_ns: int, bus_wait_ns: int, lateness_ns: int, preempted_ns: int, steal_ns: int
+) -> Cause:
+    """Name what took the largest part of a tick that ended after its slot.
+
+    Lateness that the run queue does not explain is time in which the whole machine stood still;
+    steal time is counted by the machine in steps and may show a tick late, so the larger of both
+    accounts of the host counts.
+    """
+    host_ns = max(preempted_ns + steal_ns, lateness_ns)
+    own_ns = busy_ns - bus_wait_ns - max(host_ns - lateness_ns, 0)
+    parts = {Cause.PREEMPTED: host_ns, Cause.BUS_WAIT: bus_wait_ns, Cause.OWN_COMPUTE: own_ns}
+    return max(parts, key=lambda cause: parts[cause])
+
+
+class Timing:
+    """Timing of a run in constant memory: a histogram per stage, and every miss with its cause.
+
+    Attributes
+    ----------
+    stages : dict of str to Histogram
+        By stage, and "lateness", "busy" (the whole tick) and "own" (busy without waiting for the
+        wire).
+    misses : int
+        Slots missed.
+    longest_run : int
+        Largest number of slots missed in a row.
+    causes : dict of Cause to int
+        Slots missed by cause.
+    """
+
+    def __init__(self) -> None:
+        self.stages = {name: Histogram() for name in (*STAGES, "lateness", "busy", "own")}
+        self.misses, self.longest_run = 0, 0
+        self.causes = dict.fromkeys(Cause, 0)
+        self._stage_adders = [self.stages[name].add for name in STAGES]
+
+    def add(
+        self, stages_ns: Iterable[int], lateness_ns: int, busy_ns: int, bus_wait_ns: int
+    ) -> None:
+        """Count one tick; `stages_ns` in the order of `STAGES`."""
+        for add, duration_ns in zip(self._stage_adders, stages_ns, strict=True):
+            add(duration_ns)
+        self.stages["lateness"].add(lateness_ns)
+        self.stages["busy"].add(busy_ns)
+        self.stages["own"].add(busy_ns - bus_wait_ns)
+
+    def miss(self, slots: int, cause: Cause) -> None:
+        """Count slots missed in a row."""
+        self.misses += slots
+        self.longest_run = max(self.longest_run, slots)
+        self.causes[cause] += slots
+
+    def summary(self) -> dict[str, Any]:
+        """Everything, as `timing.json` writes it."""
+        ticks = self.stages["busy"].count
+        return {
+            "stages": {name: histogram.summary() for name, histogram in self.stages.items()},
+            "misses": self.misses,
+            "longest_run_of_misses": self.longest_run,
+            "causes": {cause.value: count for cause, count in self.causes.items()},
+            "miss_rate_upper_bound_95": miss_rate_bound(self.misses, ticks + self.misses),
+        }
+
+
+def miss_rate_bound(misses: int, slots: int) -> float:
+    """95 % upper bound on the miss rate (rule of three where none was seen, else Wilson's)."""
+    if slots == 0:
+        return 1.0
+    if misses == 0:
+        return min(1.0, 3.0 / slots)
+    z, p = 1.645, misses / slots
+    centre = p + z * z / (2 * slots)
+    spread: float = z * ((p * (1 - p) + z * z / (4 * slots)) / slots) ** 0.5
+    bound: float = (centre + spread) / (1 + z * z / slots)
+    return min(1.0, bound)
