@@ -1,0 +1,175 @@
+"""Put drive, load and effects together into a `StepModel`.
+
+The twin is the plant in closed loop: goals in, everything measured out. Its joints are states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import casadi as ca
+
+from firmware_py.signals import PAYLOAD
+from models.plant.effects import PORTS, Effect
+from models.plant.mechanics import solve
+from models.plant.scope import Expr, Scope
+from models.plant.servo import UNIT_OF, Drive
+from models.plant.step import StepModel, Variable
+
+MAX_SUBSTEP_S: Final = 1e-3
+"""Longest Runge–Kutta step: dry friction is stiff."""
+
+
+def compose_twin(
+    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
+) -> StepModel:
+    """Plant in closed loop; see the module's text."""
+    drive.declare(scope)
+    scope.payload_kg = scope.input(payload_variable())
+    for j in scope.joints:
+        declare_joint(scope, j, scope.start[j])
+    load.declare(scope)
+    serve(scope, PORTS[: PORTS.index("servo_torque")], effects, load)
+    load.transmit(scope)
+    drive.drive(scope)
+    serve(scope, ("servo_torque", "joint_torque"), effects, load)
+    mass, force = load.equations(scope)
+    torque = []
+    for index, j in enumerate(scope.joints):
+        mass[index, index] += drive.inertia(scope, j)
+        torque.append(scope.motor_torque[j] - scope.friction[j] + scope.joint_torque[j])
+    torque = ca.vertcat(*torque, *scope.bend_torque.values())
+    acceleration = ca.vertsplit(solve(mass, torque - force))
+    for key, value in zip(load.rates(scope), acceleration, strict=True):
+        scope.states[key.name()].rate = value
+    settle(scope, load, force)
+    serve(scope, ("sensor",), effects, load)
+    outputs: dict[str, tuple[Variable, Expr]] = {}
+    angle = scope.suffix["angle"]
+    for j in scope.joints:
+        variable = Variable(
+            f"{JOINT[angle]}_{j}_{angle}", UNIT_OF[angle], 0.0, f"measured, joint {j}"
+        )
+        outputs[variable.name] = (variable, scope.angle[j] + scope.angle_error[j])
+    for j, current in scope.current.items():
+        variable = Variable(f"current_{j}_a", "A", 0.0, f"motor current of joint {j}")
+        measured = (1 + scope.current_scale[j]) * current + scope.current_bias[j]
+        outputs[variable.name] = (variable, measured)
+    return build(name, scope, outputs | load.outputs(scope))
+
+
+JOINT: Final = {"rad": "angle", "m": "position"}
+"""What the coordinate of a joint is called, by its unit."""
+
+
+def payload_variable(start: float = 0.0) -> Variable:
+    """Mass at the tip as an input or output."""
+    return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, 3.0)
+
+
+def declare_joint(scope: Scope, joint: int, initial: Expr) -> None:
+    """Add the coordinate of a joint and its rate as states."""
+    angle = scope.suffix["angle"]
+    unit = UNIT_OF[angle]
+    scope.angle[joint] = scope.state(Variable(f"joint_{joint}_{angle}", unit, nominal=0.5), initial)
+    scope.rate[joint] = scope.state(Variable(f"joint_rate_{joint}_{angle}_s", f"{unit}/s"))
+    scope.states[f"joint_{joint}_{angle}"].rate = scope.rate[joint]
+
+
+def serve(scope: Scope, ports: Iterable[str], effects: Sequence[Effect], load: Any) -> None:
+    """Let the effects of each port act, after the load has wired its own torque."""
+    for port in ports:
+        if port == "bend_torque":
+            load.load(scope)
+        for effect in effects:
+            if effect.port == port:
+                effect.apply(scope)
+
+
+def settle(scope: Scope, load: Any, force: Expr) -> None:
+    """Start at rest: bends in equilibrium at the first goal, the drive holding the load.
+
+    The equilibrium is one Newton step from the straight link. The bend at rest upright is the
+    reference of the Deformation Index.
+    """
+    bends = [scope.states[b.name()] for b in scope.bend.values()]
+    symbols = ca.vertcat(*(b.symbol for b in bends))
+    count = len(scope.joints)
+    residual = ca.vertcat(*scope.bend_torque.values()) - force[count:]
+
+    def at_rest(expression: Expr, angles: Sequence[Expr]) -> Expr:
+        """Expression with all at rest; states that start with a bend follow it."""
+        own = {s.name() for s in (*scope.angle.values(), *scope.bend.values())}
+        still = [(s.symbol, s.initial) for n, s in scope.states.items() if n not in own]
+        expression = substitute(expression, still)
+        return substitute(expression, list(zip(scope.angle.values(), angles, strict=True)))
+
+    def equilibrium(angles: Sequence[Expr]) -> Expr:
+        balance = at_rest(residual, angles)
+        slope = ca.jacobian(balance, symbols)
+        zero = [(symbols, ca.SX.zeros(symbols.numel()))]
+        return solve(-substitute(slope, zero), substitute(balance, zero))
+
+    start = [scope.states[a.name()].initial for a in scope.angle.values()]
+    first = equilibrium(start) if bends else ca.SX(0, 1)
+    upright = equilibrium([ca.SX(0)] * count) if bends else ca.SX(0, 1)
+    for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
+        scope.rest_bend[key] = value
+    holding = substitute(at_rest(force[:count], start), [(symbols, first)])
+    for state, value in zip(bends, ca.vertsplit(first), strict=True):
+        state.initial = value
+    held = list(zip(scope.holding.values(), ca.vertsplit(holding), strict=True))
+    for state in scope.states.values():
+        state.initial = substitute(substitute(state.initial, [(symbols, first)]), held)
+
+
+def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
+    """Expression with the first of each pair replaced by the second, all at once."""
+    if not pairs:
+        return expression
+    old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))
+    return ca.substitute(ca.SX(expression), old, ca.densify(ca.SX(new)))
+
+
+def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) -> StepModel:
+    """Make the functions of a `StepModel` from what the scope has gathered."""
+    x = ca.vertcat(*(s.symbol for s in scope.states.values()))
+    u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
+    p = ca.vertcat(*(symbol for _, symbol in scope.parameters.values()))
+    h = scope.step_s
+
+    def function(what: str, extra: Sequence[Expr], rows: Sequence[Expr]) -> Any:
+        labels = ["x", "u", "p", "h"][: 3 + len(extra)]
+        column = ca.densify(ca.vertcat(*(ca.SX(r) for r in rows)))
+        return ca.Function(f"{name}_{what}", [x, u, p, *extra], [column], labels, ["result"])
+
+    states = scope.states.values()
+    initial = ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states)))
+    begin = [s.symbol if s.begin is None else s.begin for s in states]
+    finish = [s.symbol if s.finish is None else s.finish for s in states]
+    return StepModel(
+        name=name,
+        inputs=tuple(v for v, _ in scope.inputs.values()),
+        parameters=tuple(v for v, _ in scope.parameters.values()),
+        states=tuple(s.variable for s in states),
+        outputs=tuple(v for v, _ in outputs.values()),
+        initial=ca.Function(f"{name}_initial", [u, p], [initial], ["u", "p"], ["x"]),
+        begin=function("begin", [h], begin),
+        flow=runge_kutta(f"{name}_flow", function("rate", [], [s.rate for s in states])),
+        finish=function("finish", [h], finish),
+        output=function("output", [], [expression for _, expression in outputs.values()]),
+        max_substep_s=MAX_SUBSTEP_S,
+    )
+
+
+def runge_kutta(name: str, rate: Any) -> Any:
+    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p)."""
+    x, u, p = (ca.MX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
+    h = ca.MX.sym("h")
+    k1 = rate(x, u, p)
+    k2 = rate(x + h / 2 * k1, u, p)
+    k3 = rate(x + h / 2 * k2, u, p)
+    k4 = rate(x + h * k3, u, p)
+    step = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function(name, [x, u, p, h], [step], ["x", "u", "p", "h"], ["result"])

@@ -1,0 +1,69 @@
+"""A parameter of the plant: its value, what it may be, and where that is known from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+Role = Literal["nuisance", "effect", "calibration", "fixed"]
+"""What `identify` does with a parameter.
+
+`nuisance` differs from link to link (stiffness, mass, damping, friction) and is always fitted;
+`effect` belongs to an effect that the plant holds and is fitted with it; `calibration` maps the
+bend to what the markers see and is fitted to the Deformation Index; `fixed` is measured or known.
+"""
+
+
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """One number of the plant.
+
+    Attributes
+    ----------
+    name : str
+        With its unit suffix, and the plane (1 or 2) where there is one per plane.
+    unit : str
+        FMI spelling, "1" for none.
+    value : float
+        Current value.
+    low, high : float
+        What is physically possible; no fit leaves these bounds.
+    role : str
+        See `Role`.
+    description : str
+        One phrase.
+    source : str
+        Where value and bounds are from.
+    error : float or None
+        Standard error of an identified value.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    role: Role = "fixed"
+    description: str = ""
+    source: str = ""
+    error: float | None = None
+
+
+def check_values(where: str, parameters: Iterable[Parameter]) -> None:
+    """Refuse a value outside its bounds, naming the parameter.
+
+    Raises
+    ------
+    InputError
+        For the first value that is not within its bounds.
+    """
+    for q in parameters:
+        if not q.low <= q.value <= q.high:
+            raise InputError(
+                where,
+                f"parameter {q.name} is {q.value:g} {q.unit}, outside {q.low:g} to {q.high:g}",
+                "give a value within the bounds, or bounds that hold it",
+            )

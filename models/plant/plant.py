@@ -1,0 +1,290 @@
+"""The plant document: drive, load, effects and parameters, read, checked, written, composed.
+
+People write TOML, `identify` writes JSON of the same form::
+
+    schema = 1
+    name = "drop-stitch link"
+    drive = { kind = "cascade" }        # models.plant.servo.DRIVES
+    load = { kind = "link" }            # models.plant.plant.LOADS
+    effects = [{ name = "coulomb_friction" }, …]
+    [signals.angle_1_rad]               # only where they are not those of the link
+    unit = "rad"
+    role = "measured"
+    [parameters.link_mass_kg]           # or just  link_mass_kg = 0.9  under [parameters]
+    value = 0.9
+    unit = "kg"
+    bounds = [0.3, 3.0]
+    source = "weighed"
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+import tomli_w
+
+from firmware_py.errors import InputError
+from models.plant.chain import Link
+from models.plant.compose import compose_twin
+from models.plant.effects import EFFECTS, Effect
+from models.plant.loads import Mass, Pendulum
+from models.plant.observer import compose_observer, observer_parameters
+from models.plant.parameter import Parameter, Role, check_values
+from models.plant.scope import Scope
+from models.plant.servo import DRIVES
+from models.plant.step import StepModel
+
+Unit = Literal["twin", "observer"]
+SCHEMA: Final = 1
+LOADS: Final[dict[str, type[Any]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
+"""Loads by the name that a plant document gives them."""
+NOMINAL: Final = Path(__file__).with_name("nominal.toml")
+"""The plant before anything is identified."""
+
+
+class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    kind: str
+
+
+class _Name(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    name: str
+
+
+class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Unit of a signal and what it is to the plant: goal, measured, supply or condition."""
+
+    unit: str
+    role: str
+
+
+class _Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A parameter in the document; what is left out is the part's own."""
+
+    value: float
+    unit: str | None = None
+    bounds: tuple[float, float] | None = None
+    source: str | None = None
+    role: Role | None = None
+    error: float | None = None
+
+
+class _Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    name: str
+    drive: _Kind
+    load: _Kind
+    effects: list[_Name] = []
+    signals: dict[str, SignalRole] = {}
+    parameters: dict[str, float | _Entry] = {}
+    provenance: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant: what it is made of and what its parameters are.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    drive, load : str
+        Their kinds.
+    effects : tuple of str
+        Names of the effects that it holds.
+    parameters : dict of str to Parameter
+        All of them, for two joints where the load has two.
+    signals : dict of str to SignalRole
+        Columns of a trial where they are not the link's.
+    provenance : dict
+        What it came from: parent hash, data hash, held-out errors.
+    """
+
+    name: str
+    drive: str
+    load: str
+    effects: tuple[str, ...]
+    parameters: dict[str, Parameter]
+    signals: dict[str, SignalRole] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def step_model(self, dof: int, unit: Unit = "twin") -> StepModel:
+        """Compose the plant for stepping.
+
+        Parameters
+        ----------
+        dof : int
+            Joints, 1 or 2.
+        unit : {"twin", "observer"}
+            Closed loop from goals, or the link driven by measured angles and currents.
+
+        Returns
+        -------
+        StepModel
+            Twin: inputs goal_j_rad, payload_kg; outputs angle_j_rad, current_j_a, di, tip_*_m.
+            Observer: inputs angle_j_rad, current_j_a; outputs di, tip_*_m, payload_kg.
+        """
+        if not 1 <= dof <= LOADS[self.load].max_dof:
+            raise InputError("dof", f"{dof} joints for load {self.load!r}", "choose another plant")
+        if unit == "observer" and (self.load, self.drive) != ("link", "cascade"):
+            raise InputError(
+                f"plant {self.name!r}",
+                f"there is no observer for a {self.load} on a {self.drive} drive",
+                "use the twin",
+            )  # fmt: skip
+        scope = _scope(self.load, dof)
+        drive, load, effects = DRIVES[self.drive](), LOADS[self.load](), self._effects()
+        declared = _declared(scope, self.drive, self.load, effects, observer=unit == "observer")
+        scope.declare([self.parameters[q.name] for q in declared])
+        compose = compose_observer if unit == "observer" else compose_twin
+        return compose(f"{unit}_{dof}dof", scope, drive, load, effects)
+
+    def _effects(self) -> list[Effect]:
+        return [EFFECTS[name]() for name in self.effects]
+
+    def with_values(
+        self, values: Mapping[str, float], errors: Mapping[str, float] | None = None
+    ) -> Plant:
+        """Plant with some values changed, checked against the bounds."""
+        parameters = dict(self.parameters)
+        for name, value in values.items():
+            if name not in parameters:
+                raise InputError(name, "is no parameter of the plant", "see the plant document")
+            error = (errors or {}).get(name, parameters[name].error)
+            parameters[name] = msgspec.structs.replace(
+                parameters[name], value=float(value), error=error
+            )
+        check_values(f"plant {self.name!r}", parameters.values())
+        return replace(self, parameters=parameters)
+
+    def with_effects(self, *names: str) -> Plant:
+        """Plant that also holds these effects, at the strength that their class gives."""
+        effects = (*self.effects, *(n for n in names if n not in self.effects))
+        return _complete(replace(self, effects=effects), "effects", {})
+
+    def document(self) -> dict[str, Any]:
+        """Content of the plant's file, in plain types."""
+        entries = {
+            q.name: {
+                "value": q.value, "unit": q.unit, "bounds": [q.low, q.high], "role": q.role,
+                "source": q.source, **({} if q.error is None else {"error": q.error}),
+            }
+            for q in self.parameters.values()
+        }  # fmt: skip
+        return {
+            "schema": SCHEMA,
+            "name": self.name,
+            "drive": {"kind": self.drive},
+            "load": {"kind": self.load},
+            "effects": [{"name": name} for name in self.effects],
+            "signals": {n: msgspec.to_builtins(s) for n, s in self.signals.items()},
+            "parameters": entries,
+            "provenance": self.provenance,
+        }
+
+    def sha256(self) -> str:
+        """Hash of the document, for provenance."""
+        return hashlib.sha256(json.dumps(self.document(), sort_keys=True).encode()).hexdigest()
+
+    def write(self, path: Path | str) -> None:
+        """Write the document; JSON or TOML by the suffix."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = (
+            tomli_w.dumps(self.document())
+            if path.suffix == ".toml"
+            else json.dumps(self.document(), indent=1) + "\n"
+        )
+        path.write_text(text, encoding="utf-8")
+
+
+def read_plant(path: Path | str = NOMINAL) -> Plant:
+    """Read a plant document (TOML or JSON).
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no document, a kind, an effect, a parameter or a unit is
+        unknown, or a value lies outside its bounds.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        raw = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        document = msgspec.convert(raw, _Document)
+    except OSError:
+        raise InputError(
+            path, "cannot be read", "name a plant, e.g. models/plant/nominal.toml"
+        ) from None
+    except (ValueError, msgspec.ValidationError) as error:
+        raise InputError(path, f"is no plant document ({error})", "correct it") from None
+    if document.schema != SCHEMA:
+        raise InputError(path, f"schema is {document.schema}", f"this version reads {SCHEMA}")
+    for what, kind, known in (
+        ("drive", document.drive.kind, DRIVES),
+        ("load", document.load.kind, LOADS),
+        *(("effect", effect.name, EFFECTS) for effect in document.effects),
+    ):
+        if kind not in known:
+            raise InputError(path, f"{kind!r} is no {what}", "choose from " + ", ".join(known))
+    plant = Plant(
+        document.name, document.drive.kind, document.load.kind,
+        tuple(e.name for e in document.effects), {}, document.signals, document.provenance,
+    )  # fmt: skip
+    return _complete(plant, path, document.parameters)
+
+
+def _complete(plant: Plant, where: Path | str, entries: Mapping[str, float | _Entry]) -> Plant:
+    """Plant with every parameter that its parts declare, the document's put over theirs."""
+    scope = _scope(plant.load, LOADS[plant.load].max_dof)
+    parameters = {
+        q.name: plant.parameters.get(q.name, q)
+        for q in _declared(scope, plant.drive, plant.load, plant._effects(), observer=True)
+    }
+    for name, given in entries.items():
+        if name not in parameters:
+            raise InputError(
+                where, f"parameter {name!r} belongs to no part of this plant",
+                "correct the name, or add the effect that it belongs to",
+            )  # fmt: skip
+        parameters[name] = _merge(where, parameters[name], given)
+    check_values(str(where), parameters.values())
+    return replace(plant, parameters=parameters)
+
+
+def _merge(where: Path | str, q: Parameter, given: float | _Entry) -> Parameter:
+    entry = given if isinstance(given, _Entry) else _Entry(value=float(given))
+    if entry.unit is not None and entry.unit != q.unit:
+        raise InputError(
+            where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
+        )
+    low, high = entry.bounds or (q.low, q.high)
+    if not (math.isfinite(entry.value) and low <= high):
+        raise InputError(where, f"parameter {q.name} is not a finite number", "correct it")
+    return msgspec.structs.replace(
+        q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
+        role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
+    )  # fmt: skip
+
+
+def _scope(load: str, dof: int) -> Scope:
+    return Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[load].suffix))
+
+
+def _declared(
+    scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
+) -> list[Parameter]:
+    """Parameters of all parts, in order."""
+    return [
+        *DRIVES[drive]().parameters(scope),
+        *LOADS[load]().parameters(scope),
+        *(q for effect in effects for q in effect.parameters(scope)),
+        *(observer_parameters() if observer and load == "link" else ()),
+    ]
