@@ -37,6 +37,10 @@ class InputError(DropstitchError):
         self.where, self.what, self.remedy = str(where), what, remedy
         super().__init__(f"{where}: {what}; {remedy}.")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let the error cross from a worker process to the command that shows it."""
+        return type(self), (self.where, self.what, self.remedy)
+
 
 class UnitRefusal(DropstitchError):
     """An FMI unit refused a call; the message is the sentence that it logged."""

@@ -17,9 +17,8 @@ from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
 from models.catalogue import CATALOGUE, parse_strength
-from models.rig.laboratory import DOWN
+from models.rig.case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, Case
 from models.rig.parameters import RIG_TOML, Parameters, read_parameters
-from models.rig.protocol import STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, Case
 
 EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 

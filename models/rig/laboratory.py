@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import mujoco
 import numpy as np
 
 from models.kinematics import Array
 from models.rig.bend import BendLaw
+from models.rig.case import DOWN
 from models.rig.chain import Load, build_chain
 from models.rig.parameters import Parameters
 from models.rig.servo import Servo
-
-DOWN: Final = (0.0, 0.0, -1.0)
 
 
 class Laboratory:

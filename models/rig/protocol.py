@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
+from firmware_py.motion import GLIDE_S
 from firmware_py.signals import PERIOD_S, trial_signals
 from models.kinematics import Array
-from models.rig.laboratory import DOWN, Laboratory
+from models.rig.case import Case
+from models.rig.laboratory import Laboratory
 from models.rig.parameters import Parameters
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.trials import Trial, TrialMeta
@@ -21,66 +20,11 @@ from models.trials import Trial, TrialMeta
 REST_SAMPLES: Final = 60
 """Rows at rest in front of the motion: the reference of the Deformation Index."""
 
-STUDY_PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
-STUDY_PRESSURE_PA: Final = 41_300.0
 _MARGIN: Final = 6
 """Ticks logged before and after the recorded run, for the mocap's delay and resampling."""
 
 _FOLDED_RAD: Final = 0.8
 """Bend of a hinge beyond which the link has folded and the run is no trial."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """One trial to run.
-
-    Attributes
-    ----------
-    motion : Motion
-        Reference motion, with the number of driven joints.
-    payload_kg : float
-        Declared payload.
-    trial : int
-        Number of the repetition; it draws its own variation and noise.
-    seed : int
-        Of the whole set.
-    pressure_pa : float
-        Declared pressure.
-    gravity : tuple of float
-        Direction of gravity in the world frame.
-    """
-
-    motion: Motion
-    payload_kg: float
-    trial: int
-    seed: int = 0
-    pressure_pa: float = STUDY_PRESSURE_PA
-    gravity: tuple[float, float, float] = field(default=DOWN)
-
-    @property
-    def name(self) -> str:
-        """Name of the trial; conditions other than the study's are spelled out."""
-        m = self.motion
-        parts = [
-            f"dof{m.dof}",
-            f"payload{self.payload_kg:g}",
-            f"trial{self.trial}",
-            m.kind,
-            f"{math.degrees(m.amplitude_rad):.6g}deg",
-        ]
-        if m.dof == 2 and m.phase_2_rad:
-            parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
-        if m.period_s != STUDY_PERIOD_S:
-            parts.append(f"period{m.period_s:g}s")
-        if self.pressure_pa != STUDY_PRESSURE_PA:
-            parts.append(f"{self.pressure_pa:g}pa")
-        if self.gravity != DOWN:
-            parts.append("gravity" + ",".join(f"{g:g}" for g in self.gravity))
-        return "_".join(parts)
-
-    def rng(self) -> np.random.Generator:
-        """Random numbers of this trial alone, whatever else runs and wherever."""
-        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
 
 
 @dataclass(frozen=True)
@@ -134,9 +78,11 @@ def run_case(parameters: Parameters, case: Case) -> Trial:
     lab = Laboratory(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
     substeps = round(PERIOD_S / lab.step_s)
 
-    rest = np.zeros((round(p["world.settle_s"] / PERIOD_S), case.motion.dof))
-    warm_up_s = np.arange(0.0, case.motion.duration_s + GLIDE_S, PERIOD_S)
-    before = np.concatenate([rest, case.motion.goal_rad(warm_up_s), rest])
+    # The motion rests before its start and glides back after its end: that is the whole warm-up.
+    warm_up_s = np.arange(
+        -p["world.settle_s"], case.motion.duration_s + GLIDE_S + p["world.pause_s"], PERIOD_S
+    )
+    before = case.motion.goal_rad(warm_up_s)
     goals = case.motion.table_rad(rest_samples=REST_SAMPLES)
     after = np.repeat(goals[-1:], _MARGIN, axis=0)
     first, last = len(before), len(before) + len(goals)
@@ -156,7 +102,7 @@ def run_case(parameters: Parameters, case: Case) -> Trial:
             lab.step()
         _check_shape(lab, case)
 
-    time_s = np.arange(len(goals)) * PERIOD_S
+    time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
     markers_m = read_markers(
         p, MarkerLog(-_MARGIN * PERIOD_S, lab.step_s, np.array(log)), time_s,
         variation.frame_shift_m, rng,

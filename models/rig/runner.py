@@ -12,8 +12,9 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.errors import InputError
+from models.rig.case import Case
 from models.rig.parameters import Parameters
-from models.rig.protocol import Case, run_case
+from models.rig.protocol import run_case
 from models.trials import write_trial
 
 RECORD: Final = "laboratory.json"
