@@ -1,0 +1,140 @@
+"""Train the predictors of one dof on trial 1, test them on trial 2, write the bundle.
+
+Trial 1 of the largest amplitude trains; its repetitions are trial_2. A motion that no training
+saw comes from --unseen, or from trials of a smaller amplitude in DIR. The plant is the one that
+`identify` made: its observer gives the DI that the robot will have.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_py.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.errors import InputError
+from models.trials import Trial, TrialSet, read_trials
+
+EXAMPLE = (
+    "python -m models train build/trials --dof 1 --plant build/plant.json "
+    "--out build/bundle_1dof --unseen build/unseen_20deg"
+)
+STEPS: Final = 20
+"""Progress reports of a study: DI, 18 cross-validations and the fits; the tests come on top."""
+MM: Final = 1e3
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("trials", type=Path, metavar="DIR", help="trials to train and test on")
+    add("--dof", type=int, choices=(1, 2), required=True, help="driven joints")
+    add("--plant", type=Path, required=True, metavar="PLANT", help="identified plant")
+    add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
+    add(
+        "--unseen", type=Path, metavar="DIR",
+        help="trials of a motion that neither training nor identification saw",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Study, export, report."""
+    everything = read_trials(args.trials)
+    trials = everything.where(lambda t: t.meta.dof == args.dof)
+    if not trials:
+        raise InputError(
+            args.trials, f"holds no trial of {args.dof}DOF", f"simulate with --dof {args.dof}"
+        )
+    training, held_out = trials.split()
+    unseen = read_trials(args.unseen).where(lambda t: t.meta.dof == args.dof) if args.unseen else ()
+    tests = name_tests(training, (*held_out, *unseen))
+
+    from models.export import ParityError, write_bundle  # loads scikit-learn
+    from models.plant.plant import read_plant
+    from models.study import run_study
+
+    plant = read_plant(args.plant)
+    refuse_fitted(plant.provenance, args.plant, tests)
+    observer = plant.step_model(args.dof, "observer")
+    progress = Progress(f"train {args.dof}DOF", STEPS + len(tests))
+    others, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
+    study = run_study(training, tests, observer, others, progress.step)
+    try:
+        parity = write_bundle(args.out, study, plant)
+    except ParityError as error:
+        emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
+        return NEGATIVE
+    data = {"bundle": str(args.out), "parity": parity, "degree": study.document["chosen_degree"]}
+    tables = {
+        name: by_part["pooled"]
+        for name, by_part in study.document["mean_euclidean_distance_m"].items()
+    }
+    emit(args, data | {"mean_euclidean_distance_m": tables}, _summary(args.out, study.document))
+    return DONE
+
+
+def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, TrialSet]:
+    """Sort held-out trials into named tests, repetitions of the training first.
+
+    Returns
+    -------
+    dict of str to TrialSet
+        "trial_2" (the training's motion again), "unseen_20deg" (a smaller amplitude),
+        "unseen_multisine_20deg" (another motion).
+    """
+    trained = {(t.meta.motion, round(t.meta.amplitude_rad, 6)) for t in training}
+    motions = {motion for motion, _ in trained}
+    named: dict[str, list[Trial]] = {}
+    for t in held_out:
+        if (t.meta.motion, round(t.meta.amplitude_rad, 6)) in trained:
+            name = f"trial_{t.meta.trial}"
+        else:
+            motion = "" if t.meta.motion in motions else f"{t.meta.motion}_"
+            name = f"unseen_{motion}{np.degrees(t.meta.amplitude_rad):.0f}deg"
+        named.setdefault(name, []).append(t)
+    return {name: TrialSet(tuple(named[name])) for name in sorted(named)}
+
+
+def refuse_fitted(
+    provenance: Mapping[str, Any], where: Path, tests: Mapping[str, TrialSet]
+) -> None:
+    """Refuse an unseen trial that the plant was fitted on.
+
+    Raises
+    ------
+    InputError
+        If the plant's provenance lists the hash of such a trial.
+    """
+    fitted = set(provenance.get("trials_sha256", ()))
+    for name, trials in tests.items():
+        for t in trials if name.startswith("unseen") else ():
+            if t.sha256() in fitted:
+                raise InputError(
+                    where, f"was fitted on {t.path}, which is to be the unseen motion",
+                    "identify without it, or give other trials to --unseen",
+                )  # fmt: skip
+
+
+def _summary(out: Path, document: Mapping[str, Any]) -> str:
+    degree = str(document["chosen_degree"])
+    lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
+    for name, table in document["mean_euclidean_distance_m"].items():
+        pooled = table["pooled"]
+        r2 = document["estimators"][name]["observer"]["r2_di"]
+        lines.append(
+            f"  {name}: mean Euclidean distance {MM * pooled['estimated_di'][degree]:.2f} mm with "
+            f"estimated DI ({MM * pooled['with_di'][degree]:.2f} with true DI, "
+            f"{MM * pooled['without_di'][degree]:.2f} without), R² of DI {r2:.3f}, interval "
+            f"covers {document['interval'][name]['coverage_mean']:.1%}"
+        )
+    if not any(name.startswith("trial_") for name in document["tests"]):
+        lines.append("  no trial 2 to test on: simulate with --trials 2")
+    if not any(name.startswith("unseen") for name in document["tests"]):
+        lines.append(
+            "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 "
+            "--out build/unseen_20deg, then give it to --unseen"
+        )
+    return "\n".join(lines)
