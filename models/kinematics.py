@@ -47,3 +47,20 @@ def base_corners_m(angle_rad: Array, base_offset_m: float, width_m: float) -> Ar
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
     """Tip of a link that does not bend, shape (n, 3): the yardstick of every prediction."""
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
+
+
+def pointing_rad(position_m: Array) -> Array:
+    """Joint angles of a straight link through a point: the inverse of `rigid_tip_m`.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (n, 3)
+        Any point on the link's axis, world frame, in m.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Angle 1 and angle 2 in rad.
+    """
+    x, y, z = position_m.T
+    return np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])

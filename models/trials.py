@@ -1,7 +1,8 @@
 """The trial file contract: `NAME.csv` (samples) beside `NAME.toml` (conditions).
 
 Row k holds angle, current and markers as sampled at `time_s`, and the goal that was sent just
-after that sample. The time step is uniform. An empty cell is an occluded marker (NaN).
+after that sample. The time step is uniform. An empty cell is an occluded marker (NaN); of a run
+without motion capture every marker and the tip are empty.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
-from firmware_py.signals import Signal, tick_signals, trial_signals, unit_of
+from firmware_py.signals import Signal, tick_signals, tip_names, trial_signals, unit_of
 from models.trial import SCHEMA, Array, Trial, TrialMeta, TrialSet
 
 __all__ = [
@@ -161,7 +162,7 @@ def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dic
     required = [s.name for s in signals]
     _check_header(path, header, required, known)
     samples = np.full((len(body), len(header)), np.nan)
-    may_be_empty = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
+    optional = _optional(header, body, required)
     for i, row in enumerate(body):
         if len(row) != len(header):
             raise InputError(
@@ -169,7 +170,7 @@ def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dic
                 "the file is truncated or damaged: export it again",
             )  # fmt: skip
         for k, cell in enumerate(row):
-            if cell == "" and may_be_empty[k]:
+            if cell == "" and header[k] in optional:
                 continue
             try:
                 samples[i, k] = float(cell)
@@ -197,6 +198,14 @@ def _check_header(path: Path, header: list[str], required: list[str], known: set
             raise InputError(
                 path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
             )
+
+
+def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
+    """Columns whose cells may be empty; the tip's only where nothing at all saw it."""
+    names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
+    tip = [header.index(name) for name in tip_names()]
+    unseen = not any(row[k] for row in body for k in tip if k < len(row))
+    return names | set(tip_names()) if unseen else names
 
 
 def _column_remedy(name: str, header: Sequence[str]) -> str:

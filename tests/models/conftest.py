@@ -60,6 +60,11 @@ def make_trial():
 
 
 @pytest.fixture
+def rigid_markers():
+    return rigid_markers_m
+
+
+@pytest.fixture
 def swing_rad():
     """Three rest rows, then one slow swing of both joints, out of phase, shape (64, 2)."""
     phase = 2 * np.pi * np.arange(61) / 60

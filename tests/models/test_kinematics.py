@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from models.kinematics import base_corners_m, base_rotation, rigid_tip_m
+from models.kinematics import base_corners_m, base_rotation, pointing_rad, rigid_tip_m
 
 angles = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 
@@ -47,3 +47,9 @@ def test_corners_turn_with_the_joint():
     corners = base_corners_m(np.array([[np.pi / 2]]), 0.06, 0.15)[0]
     assert corners[:, 0] == pytest.approx(0.06)  # the plate's axis now points along +x
     assert np.sign(corners[:, 2]).tolist() == [-1, 1, -1, 1]  # its +x edge points down
+
+
+@given(angles, st.floats(0.1, 2))
+def test_pointing_inverts_the_rigid_tip(angle, length_m):
+    tip = rigid_tip_m(np.array([angle]), 0.06, length_m)
+    assert pointing_rad(tip)[0] == pytest.approx(angle, abs=1e-12)

@@ -248,3 +248,16 @@ def test_split_holds_out_repetitions_and_smaller_amplitudes(make_trial, swing_ra
     fitted, held_out = trials.split()
     assert [t.name for t in fitted] == ["one", "one_heavy", "other_motion"]
     assert [t.name for t in held_out] == ["two", "small"]
+
+
+def test_a_run_without_motion_capture_has_no_tip_but_a_tip_with_holes_is_refused(
+    make_trial, swing_rad, tmp_path
+):
+    trial = make_trial(swing_rad)
+    for name in trial.columns:
+        if name.startswith(("tip", "m0", "m1")):
+            trial.columns[name][:] = np.nan
+    back = read_trial(write_trial(trial, tmp_path))
+    assert np.isnan(back.tip_m).all() and np.isnan(back.markers_m).all()
+    trial.columns["tip_x_m"][7:] = 0.1
+    assert "row 2, column tip_x_m" in refusal(write_trial(trial, tmp_path))

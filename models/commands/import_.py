@@ -1,0 +1,77 @@
+"""Turn a recording into a trial: map names and units, merge, synchronise, resample."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_py.console import DONE, emit
+from models.importers import KINDS, read_series
+from models.importers.assemble import align, assemble
+from models.importers.mapping import read_mapping
+from models.importers.synchronise import shift, synchronise
+from models.trials import read_trial, write_trial
+
+EXAMPLE = (
+    "python -m models import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="recording to import")
+    parser.add_argument(
+        "--as", dest="kind", required=True, choices=KINDS, help="what the recording is"
+    )
+    parser.add_argument(
+        "--servo", type=Path, metavar="LOG",
+        help="second file with angle, current and goal: .mcap of ours, or a table",
+    )  # fmt: skip
+    parser.add_argument(
+        "--offset", type=float, metavar="SECONDS",
+        help="add this to the times of --servo instead of finding the offset by correlation",
+    )  # fmt: skip
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.toml",
+        help="names, units, frame and conditions (form: models/importers/mapping.py)",
+    )  # fmt: skip
+    parser.add_argument("--name", help="name of the trial (default: that of FILE)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where trials go")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import one recording; what is written has passed the same checks as any trial."""
+    mapping = read_mapping(args.map)
+    series = align(read_series(args.file, args.kind, mapping), mapping)
+    result: dict[str, Any] = {}
+    if args.servo is not None:
+        servo = read_series(args.servo, None, mapping.for_servo())
+        if args.offset is None:
+            found = synchronise(servo, series, mapping.dof)
+            result = {"offset_s": found.offset_s, "correlation": found.correlation}
+        else:
+            result = {"offset_s": args.offset}
+        series = [*series, *shift(servo, result["offset_s"])]
+    trial = assemble(series, mapping, args.name or args.file.stem)
+    path = write_trial(trial, args.out)
+    trial = read_trial(path)
+    result |= {
+        "trial": str(path),
+        "rows": len(trial),
+        "step_s": trial.step_s,
+        "rest_samples": trial.meta.rest_samples,
+        "occluded_share": float(np.mean(np.isnan(trial.markers_m))),
+    }
+    text = (
+        f"{path}: {len(trial)} rows of {trial.step_s * 1e3:.3g} ms, {trial.meta.rest_samples} at "
+        f"rest, {result['occluded_share']:.1%} of the marker cells empty"
+    )
+    if "correlation" in result:
+        text += (
+            f"; servo clock {result['offset_s']:+.4f} s, correlation {result['correlation']:.4f}"
+        )
+    emit(args, result, text)
+    return DONE
