@@ -53,9 +53,8 @@ def compose_twin(
         )
         outputs[variable.name] = (variable, scope.angle[j] + scope.angle_error[j])
     for j, current in scope.current.items():
-        variable = Variable(f"current_{j}_a", "A", 0.0, f"motor current of joint {j}")
-        measured = (1 + scope.current_scale[j]) * current + scope.current_bias[j]
-        outputs[variable.name] = (variable, measured)
+        variable = current_variable(j)
+        outputs[variable.name] = (variable, measured_current(scope, j, current))
     return build(name, scope, outputs | load.outputs(scope))
 
 
@@ -66,6 +65,16 @@ JOINT: Final = {"rad": "angle", "m": "position"}
 def payload_variable(start: float = 0.0) -> Variable:
     """Mass at the tip as an input or output."""
     return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, 3.0)
+
+
+def current_variable(joint: int) -> Variable:
+    """Motor current as an input or output."""
+    return Variable(f"current_{joint}_a", "A", 0.0, f"measured motor current of joint {joint}")
+
+
+def measured_current(scope: Scope, joint: int, current: Expr) -> Expr:
+    """Motor current as the sensor shows it."""
+    return (1 + scope.current_scale[joint]) * current + scope.current_bias[joint]
 
 
 def declare_joint(scope: Scope, joint: int, initial: Expr) -> None:
@@ -141,13 +150,14 @@ def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) ->
 
     def function(what: str, extra: Sequence[Expr], rows: Sequence[Expr]) -> Any:
         labels = ["x", "u", "p", "h"][: 3 + len(extra)]
-        column = ca.densify(ca.vertcat(*(ca.SX(r) for r in rows)))
+        column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(r) for r in rows))))
         return ca.Function(f"{name}_{what}", [x, u, p, *extra], [column], labels, ["result"])
 
     states = scope.states.values()
-    initial = ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states)))
+    initial = ca.cse(ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states))))
     begin = [s.symbol if s.begin is None else s.begin for s in states]
     finish = [s.symbol if s.finish is None else s.finish for s in states]
+    rate = function("rate", [], [s.rate for s in states])
     return StepModel(
         name=name,
         inputs=tuple(v for v, _ in scope.inputs.values()),
@@ -156,10 +166,11 @@ def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) ->
         outputs=tuple(v for v, _ in outputs.values()),
         initial=ca.Function(f"{name}_initial", [u, p], [initial], ["u", "p"], ["x"]),
         begin=function("begin", [h], begin),
-        flow=runge_kutta(f"{name}_flow", function("rate", [], [s.rate for s in states])),
+        flow=runge_kutta(f"{name}_flow", rate),
         finish=function("finish", [h], finish),
         output=function("output", [], [expression for _, expression in outputs.values()]),
         max_substep_s=MAX_SUBSTEP_S,
+        rate=rate,
     )
 
 

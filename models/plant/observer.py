@@ -23,7 +23,15 @@ from typing import Any
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
-from models.plant.compose import build, payload_variable, serve, settle, substitute
+from models.plant.compose import (
+    build,
+    current_variable,
+    measured_current,
+    payload_variable,
+    serve,
+    settle,
+    substitute,
+)
 from models.plant.effects import PORTS, Effect
 from models.plant.mechanics import solve
 from models.plant.parameter import Parameter
@@ -62,18 +70,63 @@ def observer_parameters() -> tuple[Parameter, ...]:
     )  # fmt: skip
 
 
+def compose_driven(
+    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
+) -> StepModel:
+    """Link driven by the measured angles, payload given, current as an output.
+
+    What `identify` fits the link with: no loop hides an error of the load from the load's own
+    parameters.
+    """
+    acceleration = [_follow(scope, j) for j in scope.joints]
+    scope.payload_kg = scope.input(payload_variable())
+    needed, bending = _move(scope, load, effects, acceleration)
+    needed = substitute(needed, [bending])
+    serve(scope, ("sensor",), effects, load)
+    outputs: dict[str, tuple[Variable, Expr]] = {}
+    for index, j in enumerate(scope.joints):
+        torque = needed[index] + drive.inertia(scope, j) * acceleration[index]
+        torque += scope.friction[j] - scope.joint_torque[j]
+        current = torque / (scope.torque_scale[j] * scope.p("torque_constant_{j}_nm_a", j))
+        variable = current_variable(j)
+        outputs[variable.name] = (variable, measured_current(scope, j, current))
+    return build(name, scope, outputs | load.outputs(scope))
+
+
 def compose_observer(
     name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
 ) -> StepModel:
-    """Link driven by measurement; see the module's text."""
+    """Link driven by the measured angles, payload estimated; see the module's text."""
     acceleration = [_follow(scope, j) for j in scope.joints]
-    currents = [
-        scope.input(Variable(f"current_{j}_a", "A", 0.0, f"measured current of joint {j}"))
-        for j in scope.joints
-    ]
+    currents = [scope.input(current_variable(j)) for j in scope.joints]
     payload = scope.state(payload_variable(), scope.p("payload_prior_kg"))
-    known = scope.p("payload_known_kg")
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a symbol of its own: to derive by it
+    needed, bending = _move(scope, load, effects, acceleration)
+    slope = ca.jacobian(needed, mass_kg)
+    affine = [substitute(part, [bending]) for part in (needed - mass_kg * slope, slope)]
+    _estimate(scope, drive, payload, affine, acceleration, currents)
+    serve(scope, ("sensor",), effects, load)
+    outputs = load.outputs(scope)
+    outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
+
+    known = scope.p("payload_known_kg")
+    now = [(mass_kg, ca.if_else(known >= 0, known, payload))]
+    start = [(payload, scope.p("payload_prior_kg"))]
+    for state in scope.states.values():
+        state.initial = substitute(substitute(state.initial, now), start)
+        state.rate = substitute(state.rate, now)
+        state.finish = None if state.finish is None else substitute(state.finish, now)
+    return build(name, scope, {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()})
+
+
+def _move(
+    scope: Scope, load: Any, effects: Sequence[Effect], acceleration: Sequence[Expr]
+) -> tuple[Expr, tuple[Expr, Expr]]:
+    """Let the load bend on joints that move as measured.
+
+    Returns the torque that each joint needs, and what stands in it for the acceleration of the
+    bends together with what that acceleration is.
+    """
     load.declare(scope)
     serve(scope, PORTS[1 : PORTS.index("servo_torque")], effects, load)
     load.transmit(scope)
@@ -83,27 +136,11 @@ def compose_observer(
     base, bending = ca.vertcat(*acceleration), ca.SX.sym("bending", len(scope.bend))
     needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
     own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
-    bend_acceleration = solve(mass[count:, count:], own)
-    for key, value in zip(scope.bend_rate.values(), ca.vertsplit(bend_acceleration), strict=True):
-        scope.states[key.name()].rate = value
+    solution = solve(mass[count:, count:], own)
+    for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(solution), strict=True):
+        scope.states[rate.name()].rate = value
     settle(scope, load, force)
-    slope = substitute(ca.jacobian(needed, mass_kg), [(bending, bend_acceleration)])
-    offset = substitute(
-        needed - mass_kg * ca.jacobian(needed, mass_kg), [(bending, bend_acceleration)]
-    )
-    _estimate(scope, drive, payload, (offset, slope), acceleration, currents)
-    serve(scope, ("sensor",), effects, load)
-    outputs = load.outputs(scope)
-    outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
-    resolve = [(mass_kg, ca.if_else(known >= 0, known, payload))]
-    for state in scope.states.values():
-        state.initial = substitute(
-            substitute(state.initial, resolve), [(payload, scope.p("payload_prior_kg"))]
-        )
-        state.rate = substitute(state.rate, resolve)
-        state.finish = None if state.finish is None else substitute(state.finish, resolve)
-    outputs = {n: (v, substitute(e, resolve)) for n, (v, e) in outputs.items()}
-    return build(name, scope, outputs)
+    return needed, (bending, solution)
 
 
 def _follow(scope: Scope, joint: int) -> Expr:
@@ -132,7 +169,7 @@ def _estimate(
     scope: Scope,
     drive: Drive,
     payload: Expr,
-    needed: tuple[Expr, Expr],
+    needed: Sequence[Expr],
     acceleration: Sequence[Expr],
     currents: Sequence[Expr],
 ) -> None:

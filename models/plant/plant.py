@@ -36,16 +36,19 @@ from models.plant.chain import Link
 from models.plant.compose import compose_twin
 from models.plant.effects import EFFECTS, Effect
 from models.plant.loads import Mass, Pendulum
-from models.plant.observer import compose_observer, observer_parameters
+from models.plant.observer import compose_driven, compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
 from models.plant.scope import Scope
 from models.plant.servo import DRIVES
 from models.plant.step import StepModel
 
-Unit = Literal["twin", "observer"]
+Unit = Literal["twin", "observer", "driven"]
 SCHEMA: Final = 1
 LOADS: Final[dict[str, type[Any]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
 """Loads by the name that a plant document gives them."""
+COMPOSERS: Final = {
+    "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,
+}  # fmt: skip
 NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
@@ -122,29 +125,30 @@ class Plant:
         ----------
         dof : int
             Joints, 1 or 2.
-        unit : {"twin", "observer"}
-            Closed loop from goals, or the link driven by measured angles and currents.
+        unit : {"twin", "observer", "driven"}
+            Closed loop from goals; the link driven by measured angles and currents; the link
+            driven by measured angles with its payload given.
 
         Returns
         -------
         StepModel
             Twin: inputs goal_j_rad, payload_kg; outputs angle_j_rad, current_j_a, di, tip_*_m.
             Observer: inputs angle_j_rad, current_j_a; outputs di, tip_*_m, payload_kg.
+            Driven: inputs angle_j_rad, payload_kg; outputs current_j_a, di, tip_*_m.
         """
         if not 1 <= dof <= LOADS[self.load].max_dof:
             raise InputError("dof", f"{dof} joints for load {self.load!r}", "choose another plant")
-        if unit == "observer" and (self.load, self.drive) != ("link", "cascade"):
+        if unit != "twin" and (self.load, self.drive) != ("link", "cascade"):
             raise InputError(
                 f"plant {self.name!r}",
-                f"there is no observer for a {self.load} on a {self.drive} drive",
+                f"there is no {unit} unit for a {self.load} on a {self.drive} drive",
                 "use the twin",
             )  # fmt: skip
         scope = _scope(self.load, dof)
         drive, load, effects = DRIVES[self.drive](), LOADS[self.load](), self._effects()
-        declared = _declared(scope, self.drive, self.load, effects, observer=unit == "observer")
+        declared = _declared(scope, self.drive, self.load, effects, observer=unit != "twin")
         scope.declare([self.parameters[q.name] for q in declared])
-        compose = compose_observer if unit == "observer" else compose_twin
-        return compose(f"{unit}_{dof}dof", scope, drive, load, effects)
+        return COMPOSERS[unit](f"{unit}_{dof}dof", scope, drive, load, effects)
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in self.effects]

@@ -75,6 +75,8 @@ class StepModel:
         (x, u, p) -> y.
     max_substep_s : float
         Longest internal step.
+    rate : casadi.Function, optional
+        (x, u, p) -> dx/dt of the continuous part, which `flow` integrates.
     """
 
     name: str
@@ -88,6 +90,7 @@ class StepModel:
     finish: ca.Function
     output: ca.Function
     max_substep_s: float = 1e-3
+    rate: ca.Function | None = None
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
         """Vector p of the start values, with `changes` by name put over them.
