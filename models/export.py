@@ -199,11 +199,12 @@ def _metrics(document: dict[str, Any]) -> dict[str, float]:
     metrics = {}
     for name, table in document["mean_euclidean_distance_m"].items():
         pooled = table["pooled"]
-        metrics[f"{name}_mean_euclidean_distance_m"] = pooled["estimated_di"][degree]
+        deployed = document["deployed"][name]
+        metrics[f"{name}_mean_euclidean_distance_m"] = deployed["mean_euclidean_distance_m"]
         metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
         metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
         metrics[f"{name}_r2_di"] = document["estimators"][name]["observer"]["r2_di"]
-        metrics[f"{name}_interval_coverage"] = document["interval"][name]["coverage_mean"]
+        metrics[f"{name}_interval_coverage"] = deployed["interval_coverage_mean"]
     return metrics
 
 

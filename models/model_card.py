@@ -103,9 +103,9 @@ def _estimation(document: Mapping[str, Any]) -> str:
 
 def _limits(manifest: Manifest, document: Mapping[str, Any]) -> str:
     coverage = "\n".join(
-        f"- On {name} the 95 % interval held the tip in {100 * part['coverage_mean']:.1f} % of "
+        f"- On {name} the 95 % interval held the tip in {100 * part['interval_coverage_mean']:.1f} % of "
         f"the rows and axes; {100 * part['in_range_share']:.1f} % of the rows were in range."
-        for name, part in document["interval"].items()
+        for name, part in document["deployed"].items()
     )
     validated = document["cross_validation"]["estimated_di"][str(manifest.degree)]
     payload = validated.get("leave_one_payload_out_m")

@@ -128,7 +128,7 @@ def _summary(out: Path, document: Mapping[str, Any]) -> str:
             f"  {name}: mean Euclidean distance {MM * pooled['estimated_di'][degree]:.2f} mm with "
             f"estimated DI ({MM * pooled['with_di'][degree]:.2f} with true DI, "
             f"{MM * pooled['without_di'][degree]:.2f} without), R² of DI {r2:.3f}, interval "
-            f"covers {document['interval'][name]['coverage_mean']:.1%}"
+            f"covers {document['deployed'][name]['interval_coverage_mean']:.1%}"
         )
     if not any(name.startswith("trial_") for name in document["tests"]):
         lines.append("  no trial 2 to test on: simulate with --trials 2")
