@@ -39,7 +39,11 @@ class Physics(Protocol):
     dof: int
     angle_rad: Array
     current_a: Array
-    tip_m: Array
+
+    @property
+    def tip_m(self) -> Array:
+        """End effector at the end of the last step."""
+        ...
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
         """Let `step_s` pass with constant goals, one per joint."""

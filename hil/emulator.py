@@ -1,0 +1,234 @@
+"""The emulated servos as a whole: line, servos and plant from one specification.
+
+For a virtual run they live in the loop's process; for a run in real time in a process of their own
+(`Emulator`), so that nothing but bytes passes between them and the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import time
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.clock import RealTimeOptions, real_time
+from firmware_py.errors import InputError
+from firmware_py.registers import MODELS
+from firmware_py.timing import KernelCounters
+from hil.chain import Chain
+from hil.faults import FaultPlan
+from hil.host import Releases
+from hil.line import Line, pty_endpoint, serve, socket_endpoint
+from hil.physics import UnitPhysics
+from hil.servo import BAUD_OF_CODE, EmulatedServo
+
+PRIORITY: Final = 60
+"""Above the loop's: where both share a processor a reply must not wait for the waiting loop."""
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True)
+class Specification:
+    """What to emulate.
+
+    Attributes
+    ----------
+    unit : Path
+        Twin to step, one joint per servo.
+    model_number : int
+        Model of every servo.
+    ids : tuple of int
+        Their addresses, in joint order.
+    baud : int
+        Bits per second.
+    return_delay_s, latency_s : float
+        Of the servos and of the USB adapter.
+    payload_kg : float
+        At the tip.
+    faults : dict of str to float
+        Rates for `FaultPlan`.
+    seed : int
+        Of the faults.
+    """
+
+    unit: Path
+    model_number: int = 54024
+    ids: tuple[int, ...] = (1,)
+    baud: int = 1_000_000
+    return_delay_s: float = 500e-6
+    latency_s: float = 1e-3
+    payload_kg: float = 0.0
+    faults: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.baud not in BAUD_OF_CODE.values():
+            rates = ", ".join(map(str, BAUD_OF_CODE.values()))
+            raise InputError("--baud", f"{self.baud} is no rate of the servo", f"use {rates}")
+        if len(set(self.ids)) != len(self.ids) or not all(0 <= i <= 252 for i in self.ids):
+            raise InputError("--ids", f"{self.ids} is no set of addresses", "give each once, 0–252")
+        if self.model_number not in MODELS:
+            raise InputError("--model", f"{self.model_number} is not known", "see hil emulate -h")
+
+
+class Truth(NamedTuple):
+    """What the plant did, one row per measurement that the servos sent.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (n,)
+        When the servo sampled.
+    tip_m : ndarray, shape (n, 3)
+        True end effector then.
+    """
+
+    time_ns: NDArray[np.int64]
+    tip_m: NDArray[np.float64]
+
+
+class TruthLog:
+    """Notes the true tip whenever a present position is read."""
+
+    def __init__(self, physics: UnitPhysics) -> None:
+        self._physics = physics
+        self._time_ns, self._tip_m = array("q"), array("d")
+
+    def note(self, time_ns: int) -> None:
+        """Note the tip at a time; a second servo's answer to the same instruction adds nothing."""
+        if self._time_ns and self._time_ns[-1] == time_ns:
+            return
+        self._time_ns.append(time_ns)
+        self._tip_m.extend(self._physics.tip_m.tolist())
+
+    def truth(self) -> Truth:
+        """Everything noted so far."""
+        return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
+
+
+def assemble(specification: Specification, start_ns: int) -> tuple[Line, TruthLog]:
+    """Put line, servos and plant together; the plant is in its initial state at `start_ns`."""
+    spec = specification
+    physics = UnitPhysics(spec.unit, len(spec.ids), spec.payload_kg)
+    log = TruthLog(physics)
+    servos = [
+        EmulatedServo(MODELS[spec.model_number], servo_id, spec.baud, spec.return_delay_s)
+        for servo_id in spec.ids
+    ]
+    chain = Chain(servos, physics, start_ns, log.note)
+    return Line(chain, spec.latency_s, FaultPlan(spec.faults, spec.seed)), log
+
+
+class Outcome(NamedTuple):
+    """What an emulator leaves behind."""
+
+    truth: Truth
+    releases: Releases
+    faults: dict[str, int]
+
+
+def _run(
+    pipe: Connection, spec: Specification, kind: Literal["pty", "socket"], path: Path, cpu: int
+) -> None:
+    due, written, delays = array("q"), array("q"), array("q")
+    with real_time(RealTimeOptions(priority=PRIORITY, cpu=cpu)), contextlib.ExitStack() as stack:
+        counters = KernelCounters()
+        seen_ns = counters.run_delay_ns()
+
+        def note_release(due_ns: int, written_ns: int) -> None:
+            nonlocal seen_ns
+            delay_ns = counters.run_delay_ns()
+            due.append(due_ns)
+            written.append(written_ns)
+            delays.append(delay_ns - seen_ns)
+            seen_ns = delay_ns
+
+        endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, pipe.fileno())
+        name, connect = stack.enter_context(endpoint)
+        line, log = assemble(spec, time.monotonic_ns())
+        gc.freeze()
+        pipe.send(name)
+        while (fd := connect()) is not None and serve(line, fd, pipe.fileno(), note_release):
+            pass
+    releases = Releases(*(np.array(column, np.int64) for column in (due, written, delays)))
+    with contextlib.suppress(BrokenPipeError):
+        pipe.send(Outcome(log.truth(), releases, dict(line.faults.injected)))
+
+
+class Emulator:
+    """Emulated servos in a process of their own.
+
+    Parameters
+    ----------
+    specification : Specification
+        What to emulate.
+    kind : {"pty", "socket"}
+        Endpoint to offer.
+    directory : Path
+        Where the socket goes.
+    cpu : int
+        Processor to pin the process to.
+
+    Attributes
+    ----------
+    name : str
+        Port name for `firmware_py.port.open_wire`.
+    pid : int
+        Process.
+    """
+
+    def __init__(
+        self,
+        specification: Specification,
+        kind: Literal["pty", "socket"],
+        directory: Path,
+        cpu: int,
+    ) -> None:
+        # What is wrong with the unit is said here, where somebody can read it.
+        UnitPhysics(specification.unit, len(specification.ids)).unit.close()
+        self._ours, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(
+            target=_run,
+            args=(theirs, specification, kind, directory / f"line-{os.getpid()}", cpu),
+            daemon=True,
+        )
+        self._process.start()
+        theirs.close()
+        self.name: str = self._ours.recv()
+        self.pid = self._process.pid or 0
+
+    def stop(self) -> Outcome:
+        """End the process and return what it leaves behind."""
+        self._ours.send(None)
+        outcome: Outcome = self._ours.recv()
+        self._process.join()
+        return outcome
+
+
+def serve_forever(
+    specification: Specification,
+    kind: Literal["pty", "socket"],
+    path: Path,
+    announce: Callable[[str], None],
+) -> None:
+    """Be the servos in this process until it is interrupted."""
+    never, held = os.pipe()
+    endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)
+    try:
+        with endpoint as (name, connect):
+            line, _ = assemble(specification, time.monotonic_ns())
+            announce(name)
+            while (fd := connect()) is not None and serve(line, fd, never):
+                pass
+    finally:
+        os.close(never)
+        os.close(held)

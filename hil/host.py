@@ -1,0 +1,197 @@
+"""What the machine did beside the loop: probes pinned to its processors, and a load on request.
+
+A probe is a process of higher priority than everything else of ours. It wakes every few
+milliseconds on the processor that it is pinned to and notes how late it was: the reference jitter
+of the machine, and, where it is milliseconds, proof that nobody of ours could have run there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import platform
+import time
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
+
+Nanoseconds = NDArray[np.int64]
+
+PROBE_PRIORITY: Final = 80
+PROBE_PERIOD_NS: Final = 5_000_000
+STALL_NS: Final = 1_000_000
+"""Lateness of a probe from which on the processor is taken to have stood still."""
+_NONE = np.zeros(0, np.int64)
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What was seen on one processor.
+
+    Attributes
+    ----------
+    wake_ns, lateness_ns : ndarray, shape (n,)
+        Of the probe: when it woke and how long after its deadline.
+    ours_ns : ndarray, shape (n,)
+        Processor time, since the wake-up before, of those processes of ours (the probe among them)
+        that may run on this processor beside the one that is watched.
+    period_ns : int
+        Of the probe.
+    """
+
+    wake_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    lateness_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    ours_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    period_ns: int = PROBE_PERIOD_NS
+
+    def stall_ns(self, start_ns: int, end_ns: int) -> int:
+        """Longest time within the window for which the processor may have stood still."""
+        first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns + self.period_ns))
+        wake, late = self.wake_ns[first : last + 1], self.lateness_ns[first : last + 1]
+        # The probe saw nothing from its wake-up before to this one.
+        begins = wake - late - self.period_ns
+        overlap = np.minimum(wake, end_ns) - np.maximum(begins, start_ns)
+        return int(overlap[late >= STALL_NS].max(initial=0))
+
+    def ours_between_ns(self, start_ns: int, end_ns: int) -> int:
+        """Processor time of ours that may fall into the window."""
+        first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns))
+        return int(self.ours_ns[first : last + 1].sum())
+
+
+@dataclass(frozen=True)
+class Releases:
+    """How punctual the emulator was, one row per packet.
+
+    Attributes
+    ----------
+    due_ns, written_ns : ndarray, shape (n,)
+        When the bytes were due at the host's end and when they were written there.
+    run_delay_ns : ndarray, shape (n,)
+        Run-queue delay of the emulator since the packet before.
+    """
+
+    due_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    written_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    run_delay_ns: Nanoseconds = field(default_factory=_NONE.copy)
+
+    def run_delay_between_ns(self, start_ns: int, end_ns: int) -> int:
+        """Run-queue delay of the emulator that may fall into the window."""
+        first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
+        return int(self.run_delay_ns[first : last + 1].sum())
+
+
+class Probe:
+    """A probe on one processor, running from `start` until `stop`.
+
+    Parameters
+    ----------
+    cpu : int
+        Processor to pin it to.
+    neighbours : sequence of int
+        Processes of ours that may run on the same processor beside the one that is watched.
+    """
+
+    def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
+        self._ours, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(
+            target=_probe, args=(theirs, cpu, tuple(neighbours)), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self._ours.recv()
+
+    def stop(self) -> Watch:
+        """End the probe and return what it saw."""
+        self._ours.send(None)
+        wake, lateness, ours = (np.array(column, np.int64) for column in self._ours.recv())
+        self._process.join()
+        return Watch(wake, lateness, ours)
+
+
+def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
+    clock = DeadlineClock()
+    wake, lateness, ours = array("q"), array("q"), array("q")
+    accounts = [os.open(f"/proc/{pid}/schedstat", os.O_RDONLY) for pid in neighbours]
+
+    def spent_ns() -> int:
+        spent = time.thread_time_ns()
+        for account in accounts:
+            with contextlib.suppress(OSError):  # it may have ended
+                spent += int(os.pread(account, 64, 0).split()[0])
+        return spent
+
+    with real_time(RealTimeOptions(priority=PROBE_PRIORITY, cpu=cpu)):
+        pipe.send(None)
+        before_ns = spent_ns()
+        deadline_ns = clock.now_ns()
+        while not pipe.poll():
+            deadline_ns += PROBE_PERIOD_NS
+            clock.sleep_until(deadline_ns)
+            now_ns = clock.now_ns()
+            after_ns = spent_ns()
+            wake.append(now_ns)
+            lateness.append(now_ns - deadline_ns)
+            ours.append(after_ns - before_ns)
+            before_ns = after_ns
+            if now_ns - deadline_ns > PROBE_PERIOD_NS:  # keep the phase, do not catch up
+                deadline_ns += (now_ns - deadline_ns) // PROBE_PERIOD_NS * PROBE_PERIOD_NS
+    pipe.send((wake, lateness, ours))
+
+
+@contextlib.contextmanager
+def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
+    """Keep processors busy with `count` processes of normal priority."""
+    processes = [_SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
+    for process in processes:
+        process.start()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def _spin(cpus: set[int]) -> None:
+    os.sched_setaffinity(0, cpus)
+    block = np.random.default_rng(0).standard_normal((64, 64))
+    while True:
+        block = block @ block
+        block /= np.abs(block).max()
+
+
+def processors() -> tuple[int, set[int]]:
+    """Processor for the loop, and those for everything else (the same where there is only one)."""
+    available = sorted(os.sched_getaffinity(0))
+    return available[-1], set(available[:-1]) or set(available)
+
+
+def environment() -> dict[str, Any]:
+    """Facts about this machine that a timing depends on."""
+
+    def fact(path: str) -> str:
+        try:
+            return Path(path).read_text(encoding="ascii").strip()
+        except OSError:
+            return "unknown"
+
+    return {
+        "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
+        "machine": platform.machine(),
+        "processors": os.cpu_count() or 0,
+        "python": platform.python_version(),
+        "clock_source": fact("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        "governor": fact("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
+        "load_average": fact("/proc/loadavg").rsplit(" ", 2)[0],
+    }
