@@ -1,0 +1,223 @@
+"""The robot's configuration: one TOML file for one robot, every key checked, none guessed."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus import ServoSetup, exchange_time_s
+from firmware_py.clock import RealTimeOptions
+from firmware_py.errors import InputError
+from firmware_py.loop import RESERVE_NS
+from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
+from firmware_py.port import BAUD_RATES
+from firmware_py.registers import RETURN_DELAY_UNIT_S, model_named
+from firmware_py.safety import Limits, check_motion
+from firmware_py.signals import PERIOD_S
+
+Array = NDArray[np.float64]
+SCHEMA: Final = 1
+_FACTORY_RETURN_DELAY_S: Final = 500e-6
+_MAX_ID: Final = 252
+
+
+class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[bus]`.
+
+    Attributes
+    ----------
+    port : str
+        Serial device, or `unix:PATH` for an emulator's socket.
+    baud : int
+        Bits per second.
+    reply_timeout_s : float
+        Longest wait for the servos within a tick.
+    return_delay_s : float or None
+        Written to the servos; None leaves what they have.
+    """
+
+    port: str
+    baud: int = 1_000_000
+    reply_timeout_s: float = 0.008
+    return_delay_s: float | None = None
+
+
+class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One `[[servos]]` entry, in joint order."""
+
+    id: int
+    model: str
+
+
+class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[motion]`; see `firmware_py.motion`.
+
+    Attributes
+    ----------
+    rest_s : float
+        Rest before the motion: the reference of the Deformation Index.
+    """
+
+    kind: Kind = "sinusoid"
+    amplitude_rad: float = STUDY_AMPLITUDE_RAD
+    period_s: float = STUDY_PERIOD_S
+    phase_2_rad: float = 0.0
+    rest_s: float = 1.0
+
+
+class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`robot.toml`; see the commented example at the root of the repository.
+
+    Attributes
+    ----------
+    bundle : str
+        Directory of the bundle, relative to the file.
+    payload_kg : float or None
+        What hangs at the tip, for the log; None where it is not known.
+    record : bool
+        Whether a sidecar process writes the ticks to a file.
+    logs : str
+        Directory of these files, relative to the file.
+    """
+
+    schema: int = SCHEMA
+    bundle: str
+    bus: BusConfig
+    servos: tuple[ServoConfig, ...]
+    period_s: float = PERIOD_S
+    payload_kg: float | None = None
+    record: bool = True
+    logs: str = "logs"
+    motion: MotionConfig = MotionConfig()
+    limits: Limits = Limits()
+    real_time: RealTimeOptions = RealTimeOptions()
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.servos)
+
+    def setups(self) -> tuple[ServoSetup, ...]:
+        """Servos as the bus wants them."""
+        low, high = self.limits.angle_rad
+        return tuple(ServoSetup(s.id, model_named(s.model), low, high) for s in self.servos)
+
+    def goals_rad(self, *, repeated: bool = False) -> Array:
+        """Goals of the motion, one row a period, rest in front, shape (n, dof).
+
+        Parameters
+        ----------
+        repeated : bool
+            The table will be run again and again: return to zero at its end.
+
+        Raises
+        ------
+        InputError
+            If the motion is none, or breaks a limit.
+        """
+        wanted = self.motion
+        motion = Motion(
+            wanted.kind, wanted.amplitude_rad, wanted.period_s, wanted.phase_2_rad, self.dof
+        )
+        rest = round(wanted.rest_s / self.period_s)
+        goals = motion.table_rad(self.period_s, rest)
+        if repeated:
+            times_s = motion.duration_s + np.arange(round(GLIDE_S / self.period_s)) * self.period_s
+            goals = np.concatenate([goals, motion.goal_rad(times_s)])
+        check_motion(goals, self.limits, self.period_s, f"motion {wanted.kind}")
+        return goals
+
+
+def read_config(path: Path | str) -> RobotConfig:
+    """Read and check `robot.toml`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is not TOML, a key is unknown or missing, or a value is of the
+        wrong type or out of range; the message names file, key and remedy.
+    """
+    path = Path(path)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        config = msgspec.convert(document, RobotConfig)
+    except FileNotFoundError:
+        raise InputError(path, "is missing", "copy the commented robot.toml and adapt it") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+    except msgspec.ValidationError as error:
+        raise InputError(path, str(error), "see the commented robot.toml for every key") from None
+    _check(config, path)
+    return config
+
+
+def _check(config: RobotConfig, path: Path) -> None:
+    if config.schema != SCHEMA:
+        raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")
+    if config.dof not in (1, 2):
+        raise InputError(path, f"servos has {config.dof} entries", "give one per joint, 1 or 2")
+    ids = [servo.id for servo in config.servos]
+    if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
+        raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
+    _check_ranges(config, path)
+    _check_wire(config, path)
+
+
+def _check_ranges(config: RobotConfig, path: Path) -> None:
+    limits, bus = config.limits, config.bus
+    ranges = (
+        ("period_s", config.period_s, 1e-3, 1.0),
+        ("payload_kg", config.payload_kg, 0.0, 100.0),
+        ("bus.reply_timeout_s", bus.reply_timeout_s, 1e-4, config.period_s),
+        ("bus.return_delay_s", bus.return_delay_s, 0.0, 254 * RETURN_DELAY_UNIT_S),
+        ("motion.rest_s", config.motion.rest_s, 0.0, 60.0),
+        ("limits.rate_rad_s", limits.rate_rad_s, 1e-3, 100.0),
+        ("limits.acceleration_rad_s2", limits.acceleration_rad_s2, 1e-3, 1e4),
+        ("limits.current_a", limits.current_a, 1e-3, 100.0),
+        ("limits.following_error_rad", limits.following_error_rad, 1e-3, 3.2),
+        ("limits.jump_rad", limits.jump_rad, 1e-3, 3.2),
+        ("limits.persistence_ticks", limits.persistence_ticks, 1, 100),
+        ("limits.stale_ticks", limits.stale_ticks, 1, 100),
+        ("limits.blend_s", limits.blend_s, 0.0, 60.0),
+        ("limits.stop_deceleration_rad_s2", limits.stop_deceleration_rad_s2, 1e-2, 1e4),
+        ("limits.hold_s", limits.hold_s, 0.0, 3600.0),
+        ("real_time.priority", config.real_time.priority, 0, 99),
+    )
+    for key, value, low, high in ranges:
+        if value is not None and not low <= value <= high:
+            raise InputError(
+                path, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
+            )
+    low, high = limits.angle_rad
+    if not -math.pi <= low < high <= math.pi:
+        raise InputError(path, f"limits.angle_rad is [{low}, {high}]", "give low < high, in rad")
+    for k, axis in enumerate("xyz"):
+        if not limits.tip_min_m[k] < limits.tip_max_m[k]:
+            raise InputError(
+                path, f"limits.tip_min_m and tip_max_m leave no room along {axis}", "give min < max"
+            )
+
+
+def _check_wire(config: RobotConfig, path: Path) -> None:
+    bus = config.bus
+    if bus.baud not in BAUD_RATES:
+        raise InputError(
+            path, f"bus.baud is {bus.baud}", "choose from " + ", ".join(map(str, BAUD_RATES))
+        )
+    block = config.setups()[0].model.table.feedback.size
+    delay_s = _FACTORY_RETURN_DELAY_S if bus.return_delay_s is None else bus.return_delay_s
+    needed_s = exchange_time_s(config.dof, block, bus.baud, delay_s)
+    available_s = min(bus.reply_timeout_s, config.period_s - RESERVE_NS * 1e-9)
+    if needed_s > available_s:
+        raise InputError(
+            path,
+            f"{config.dof} servos at {bus.baud} baud need {needed_s * 1e3:.1f} ms on the wire, "
+            f"bus.reply_timeout_s and period_s leave {available_s * 1e3:.1f} ms",
+            "raise bus.baud to 1000000 or more, here and in the servos",
+        )

@@ -1,0 +1,124 @@
+"""The log of a run: an MCAP file with one wide message per tick.
+
+`firmware_py.recorder` writes it from another process; `read_recording` reads it, also one that
+was cut off (up to its last whole chunk). The packages mcap and lz4 are imported only here and
+there, never by the loop's process while it runs.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.signals import tick_signals
+
+TOPIC: Final = "/tick"
+METADATA: Final = "dropstitch"
+SCHEMA_NAME: Final = "dropstitch.Tick"
+CHUNK_BYTES: Final = 64 * 1024
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A log that was read.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (n,)
+        By name, as `firmware_py.signals.tick_signals` lists them; NaN where the log has null.
+    metadata : dict of str to str
+        What the run wrote about itself: `dof`, `started_utc`, `bundle_sha256`, `config` (JSON) …
+    complete : bool
+        False where the file was cut off.
+    """
+
+    columns: dict[str, NDArray[np.float64]]
+    metadata: dict[str, str]
+    complete: bool
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return int(self.metadata["dof"])
+
+
+def tick_schema(dof: int) -> dict[str, Any]:
+    """JSON schema of a tick, with unit and meaning of every column."""
+    return {
+        "title": SCHEMA_NAME,
+        "type": "object",
+        "properties": {
+            s.name: {"type": "number", "unit": s.unit, "description": s.description}
+            for s in tick_signals(dof)
+        },
+    }
+
+
+def require_packages() -> None:
+    """Refuse to record or read a log where its packages are not installed.
+
+    Raises
+    ------
+    InputError
+        If mcap or lz4 is missing.
+    """
+    missing = [name for name in ("mcap", "lz4") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            "record", f"needs the packages mcap and lz4 ({', '.join(missing)} missing)",
+            "pip install 'dropstitch[record]', or set record = false in robot.toml",
+        )  # fmt: skip
+
+
+def read_recording(path: Path | str) -> Recording:
+    """Read a log.
+
+    Raises
+    ------
+    InputError
+        If the packages are missing, or the file is, or is no log of ours, or holds no tick.
+    """
+    require_packages()
+    from mcap.exceptions import McapError
+    from mcap.records import Message, Metadata
+    from mcap.stream_reader import StreamReader
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "is missing", "name a log that 'dropstitch run' has written")
+    rows: list[dict[str, float | None]] = []
+    metadata: dict[str, str] = {}
+    complete = False
+    decode = msgspec.json.Decoder(dict[str, float | None]).decode
+    with path.open("rb") as stream:
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Message):
+                    rows.append(decode(record.data))
+                elif isinstance(record, Metadata) and record.name == METADATA:
+                    metadata = dict(record.metadata)
+            complete = True
+        except (McapError, msgspec.DecodeError, ValueError, RuntimeError, EOFError):
+            pass  # what came before the damage is good: chunks are checked as they are opened
+        except Exception as error:  # struct.error and lz4's own types for a file cut short
+            if not metadata:
+                raise InputError(path, f"is not a log ({error})", "name an MCAP log") from None
+    if "dof" not in metadata:
+        raise InputError(path, "is not a log of ours", "name one that 'dropstitch run' has written")
+    if not rows:
+        raise InputError(path, "holds no whole chunk of ticks", "record for longer")
+    return Recording(
+        {
+            s.name: np.array([np.nan if (v := row.get(s.name)) is None else v for row in rows])
+            for s in tick_signals(int(metadata["dof"]))
+        },
+        metadata,
+        complete,
+    )
