@@ -117,7 +117,7 @@ class LaggedEstimator:
 class ObserverEstimator:
     """The plant observer: the identified link on the measured angle and current (`observer.fmu`).
 
-    The first sample sets the link's first state, at rest; each further one is a step.
+    Before the first sample the link is taken to have rested where that sample finds it.
 
     Parameters
     ----------
@@ -143,7 +143,6 @@ class ObserverEstimator:
     def reset(self) -> None:
         """Forget the past."""
         self._unit.reset()
-        self._first = True
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample; see `DeformationEstimator.update`.
@@ -154,11 +153,7 @@ class ObserverEstimator:
         self._inputs.values[self._dof :] = current_a
         try:
             self._inputs.send()
-            if self._first:
-                self._unit.start()
-                self._first = False
-            else:
-                self._unit.step(step_s)
+            self._unit.step(step_s)
             self._outputs.receive()
         except UnitRefusal:
             return Estimate(math.nan, math.nan)

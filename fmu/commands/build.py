@@ -1,0 +1,68 @@
+"""Build an FMI unit from a bundle and a plant.
+
+twin: servo and link in closed loop from the goals, the predictor beside them. predictor: the
+polynomial alone. observer: the estimator of DI and payload that the robot runs; without --out it
+goes into the bundle, whose golden ticks and manifest are renewed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from firmware_py.console import DONE, emit
+from firmware_py.errors import InputError
+
+if TYPE_CHECKING:
+    from fmu.units import Kind
+
+EXAMPLE = "python -m fmu build build/bundle_1dof --plant build/plant.json --out build/twin_1dof.fmu"
+_OBSERVER = "observer.fmu"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
+    add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
+    add("--out", type=Path, metavar="FILE", help="the .fmu (observer: observer.fmu in the bundle)")
+    add("--fmi", type=int, choices=(2, 3), default=3, help="version of the standard (3)")
+    add("--unit", choices=("twin", "predictor", "observer"), default="twin", help="kind (twin)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build the unit."""
+    from firmware_py.bundle import read_manifest
+    from fmu.build import build_unit
+    from fmu.observer import add_observer
+    from fmu.units import parts_of
+
+    kind: Kind = args.unit
+    output = _output(args)
+    manifest = read_manifest(args.bundle)
+    parts = parts_of(kind, manifest.dof, args.bundle, args.plant)
+    if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
+        if args.fmi != 3:
+            raise InputError("--fmi 2", "the robot steps FMI 3.0", "leave --fmi away or give --out")
+        add_observer(args.bundle, manifest, parts)
+    else:
+        build_unit(
+            parts.model(), output, fmi=args.fmi,
+            description=parts.description(), resources=parts.resources(),
+        )  # fmt: skip
+    size = output.stat().st_size
+    data = {"unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size}
+    emit(args, data, f"{output}: {kind}, {manifest.dof}DOF, FMI {args.fmi}.0, {size / 1e3:.0f} kB")
+    return DONE
+
+
+def _output(args: argparse.Namespace) -> Path:
+    if args.out is None and args.unit != "observer":
+        raise InputError("--out", "is missing", f"name the file of the {args.unit}")
+    output: Path = args.out or args.bundle / _OBSERVER
+    if output.suffix != ".fmu":
+        raise InputError(f"--out {output}", "does not end in .fmu", "name it like twin_1dof.fmu")
+    if output.is_dir() or (output.parent.exists() and not output.parent.is_dir()):
+        raise InputError(f"--out {output}", "cannot be a file", "choose another path")
+    return output

@@ -1,0 +1,174 @@
+"""A unit in FMPy, the same for FMI 2.0 and FMI 3.0: what check, simulate and the tests step."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.simulation import instantiate_fmu
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Archive:
+    """An unpacked unit; a context manager that removes it again.
+
+    Attributes
+    ----------
+    path, directory : Path
+        The .fmu file, and where its content lies.
+    description : fmpy ModelDescription
+        Of FMI 2.0 or 3.0.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged or not for Co-Simulation.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        remedy = "build one with 'python -m fmu build'"
+        if not self.path.is_file():
+            raise InputError(path, "is missing", remedy)
+        self.directory = Path(mkdtemp(prefix="dropstitch-fmu-"))
+        try:
+            fmpy.extract(str(self.path), str(self.directory))
+            self.description = fmpy.read_model_description(str(self.directory), validate=False)
+        except Exception as error:  # zip, XML and FMPy each raise types of their own
+            self.close()
+            reason = str(error).strip().splitlines() or ["damaged"]
+            raise InputError(path, f"is no FMI unit ({reason[0]})", remedy) from None
+        if self.description.coSimulation is None or self.description.fmiVersion[0] not in "23":
+            self.close()
+            raise InputError(path, "is not an FMI 2.0 or 3.0 unit for Co-Simulation", remedy)
+
+    @property
+    def fmi(self) -> int:
+        """Major version of the standard."""
+        return int(self.description.fmiVersion[0])
+
+    def binary(self) -> Path:
+        """Library for Linux on x86-64."""
+        folder = "linux64" if self.fmi == 2 else "x86_64-linux"
+        name = self.description.coSimulation.modelIdentifier
+        return self.directory / "binaries" / folder / f"{name}.so"
+
+    def instance(self) -> Instance:
+        """Instantiate; several may live at once."""
+        return Instance(self)
+
+    def close(self) -> None:
+        """Remove the unpacked files."""
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Instance:
+    """An instance of a unit; variables by name, truths as 1 and 0.
+
+    Attributes
+    ----------
+    fmu : FMU2Slave or FMU3Slave
+        FMPy's object, for calls that have no name here.
+    messages : list of str
+        What the unit has logged.
+    time_s : float
+        Where it stands.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self.fmi = archive.fmi
+        self.messages: list[str] = []
+        self.variables = {v.name: v for v in archive.description.modelVariables}
+        self.fmu: Any = instantiate_fmu(
+            str(archive.directory), archive.description, "CoSimulation",
+            debug_logging=True, logger=self._log,
+        )  # fmt: skip
+        self.time_s = 0.0
+
+    def _log(self, *arguments: Any) -> None:
+        """Take the message, the last argument in either version."""
+        message = arguments[-1]
+        self.messages.append(message.decode() if isinstance(message, bytes) else str(message))
+
+    def initialize(self, start: Mapping[str, float] | None = None) -> None:
+        """Go through initialization with these values set."""
+        self.set(start or {})
+        if self.fmi == 2:
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+        self.time_s = 0.0
+
+    def set(self, values: Mapping[str, float]) -> None:
+        """Set variables; FMPy raises FMICallException where the unit refuses."""
+        references = [self.variables[name].valueReference for name in values]
+        if references:
+            put = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
+            put(references, list(values.values()))
+
+    def get(self, names: Sequence[str]) -> Array:
+        """Return the values of variables, shape (n,)."""
+        fetch = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
+        values = np.empty(len(names))
+        truths = np.array([self.variables[name].type == "Boolean" for name in names], dtype=bool)
+        references = np.array([self.variables[name].valueReference for name in names], dtype=int)
+        if truths.any():
+            values[truths] = self.fmu.getBoolean(references[truths].tolist())
+        if not truths.all():
+            values[~truths] = fetch(references[~truths].tolist())
+        return values
+
+    def step(self, step_s: float) -> None:
+        """Advance by one communication step."""
+        self.fmu.doStep(self.time_s, step_s)
+        self.time_s += step_s
+
+    def run(self, inputs: Sequence[str], u: Array, steps_s: Array, outputs: Sequence[str]) -> Array:
+        """Initialize with the first row of inputs and take every step.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of str
+            Names.
+        u : ndarray, shape (n, len(inputs))
+            Row k drives step k.
+        steps_s : ndarray, shape (n,)
+            Lengths of the steps.
+
+        Returns
+        -------
+        ndarray, shape (n + 1, len(outputs))
+            At the start and after each step.
+        """
+        self.initialize(dict(zip(inputs, u[0], strict=True)))
+        rows = [self.get(outputs)]
+        for row, step_s in zip(u, steps_s, strict=True):
+            self.set(dict(zip(inputs, row, strict=True)))
+            self.step(float(step_s))
+            rows.append(self.get(outputs))
+        return np.array(rows)
+
+    def close(self) -> None:
+        """Free the instance."""
+        self.fmu.freeInstance()
+
+    def __enter__(self) -> Instance:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
