@@ -96,15 +96,17 @@ def _estimation(document: Mapping[str, Any]) -> str:
     for name, estimators in document["estimators"].items():
         for source, part in estimators.items():
             share = part["benefit_recovered"]["3"]
-            rows.append((name, source, f"{part['r2_di']:.3f}", f"{100 * share:.0f} %"))
+            shown = "none to recover" if share is None else f"{100 * share:.0f} %"
+            rows.append((name, source, f"{part['r2_di']:.3f}", shown))
     header = ("test", "DI from", "R² of DI", "share of true DI's benefit at degree 3")
     return "## DI without motion capture\n\n" + _table(header, rows)
 
 
 def _limits(manifest: Manifest, document: Mapping[str, Any]) -> str:
     coverage = "\n".join(
-        f"- On {name} the 95 % interval held the tip in {100 * part['interval_coverage_mean']:.1f} % of "
-        f"the rows and axes; {100 * part['in_range_share']:.1f} % of the rows were in range."
+        f"- On {name} the 95 % interval held the tip in "
+        f"{100 * part['interval_coverage_mean']:.1f} % of the rows and axes; "
+        f"{100 * part['in_range_share']:.1f} % of the rows were in range."
         for name, part in document["deployed"].items()
     )
     validated = document["cross_validation"]["estimated_di"][str(manifest.degree)]

@@ -16,7 +16,6 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.deformation import deformation_index
 from models.findings import findings
-from models.kinematics import rigid_tip_m
 from models.lagged import LaggedRegressor
 from models.observer import Observation, observe
 from models.plant.step import StepModel
@@ -28,19 +27,20 @@ from models.predictors import (
     polynomial_pipeline,
     predict,
 )
-from models.samples import VARIANTS, Samples, Source, collect
+from models.samples import VARIANTS, Samples, collect
 from models.study_series import series
-from models.trial import TrialSet
-from models.validation import (
-    block_folds,
-    euclidean_distance_m,
-    payload_folds,
-    payload_key,
-    r_squared,
+from models.study_tables import (
+    ESTIMATORS,
+    baseline_table,
+    deployed_table,
+    distance_table,
+    distances_m,
+    estimator_table,
 )
+from models.trial import TrialSet
+from models.validation import block_folds, euclidean_distance_m, payload_folds, payload_key
 
 SCHEMA: Final = 1
-ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
 
 
 @dataclass(frozen=True)
@@ -122,16 +122,16 @@ def run_study(
     observed: dict[str, Samples] = {}
     for name, trials in tests.items():
         samples, observations = _observed(trials, observer, lagged)
-        distances = _distances(samples, fitted)
+        distances = distances_m(samples, fitted)
         observed[name] = samples
         document["tests"][name] = _described(trials)
         for section, statistic in (("mean", np.mean), ("std", np.std)):
-            document[f"{section}_euclidean_distance_m"][name] = _table(
+            document[f"{section}_euclidean_distance_m"][name] = distance_table(
                 samples, distances, statistic
             )
-        document["estimators"][name] = _estimators(samples, distances)
-        document["baselines"][name] = _baselines(samples, observations)
-        document["deployed"][name] = _deployed(predictor, samples)
+        document["estimators"][name] = estimator_table(samples, distances)
+        document["baselines"][name] = baseline_table(samples, observations)
+        document["deployed"][name] = deployed_table(predictor, samples)
         progress(name)
     document["series"] = series(fit, observed, fitted)
     document["findings"] = findings(document, training, tests)
@@ -226,86 +226,3 @@ def _cross_validation(
 
 def _best_degree(by_degree: dict[str, dict[str, float]]) -> int:
     return int(min(by_degree, key=lambda degree: by_degree[degree]["blocks_m"]))
-
-
-def _distances(
-    samples: Samples, fitted: Mapping[tuple[Source, int], Any]
-) -> dict[tuple[Source, int], Array]:
-    return {
-        (source, degree): euclidean_distance_m(
-            samples.tip_m, predict(pipeline, samples.features(source))
-        )
-        for (source, degree), pipeline in fitted.items()
-    }
-
-
-def _table(
-    samples: Samples,
-    distances: Mapping[tuple[Source, int], Array],
-    statistic: Callable[[Array], Any],
-) -> dict[str, dict[str, dict[str, float]]]:
-    """[pooled | payload][variant][degree] (paper, eq. 8 and Figs. 14 and 15)."""
-    table: dict[str, dict[str, dict[str, float]]] = {}
-    for variant, source in VARIANTS.items():
-        for degree in DEGREES:
-            for key, rows in samples.parts().items():
-                by_variant = table.setdefault(key, {}).setdefault(variant, {})
-                by_variant[str(degree)] = float(statistic(distances[source, degree][rows]))
-    return table
-
-
-def _estimators(samples: Samples, distances: Mapping[tuple[Source, int], Array]) -> dict[str, Any]:
-    """Each estimator of DI: R², error, and the share of true DI's benefit that it recovers."""
-    result: dict[str, Any] = {}
-    true = samples.di["true"]
-    for source in ESTIMATORS:
-        estimate = samples.di.get(source, np.zeros_like(true))
-        errors = {str(d): float(distances[source, d].mean()) for d in DEGREES}
-        shares = {}
-        for degree in DEGREES:
-            without = distances["none", degree].mean()
-            benefit = without - distances["true", degree].mean()
-            shares[str(degree)] = float((without - errors[str(degree)]) / benefit)
-        result[source] = {
-            "r2_di": r_squared(true, estimate),
-            "rms_error_di": float(np.sqrt(np.mean((estimate - true) ** 2))),
-            "mean_euclidean_distance_m": errors,
-            "benefit_recovered": shares,
-        }
-    return result
-
-
-def _baselines(samples: Samples, observations: list[Observation]) -> dict[str, Any]:
-    """Distances without a polynomial: the observer's own tip, and a link that does not bend."""
-    result: dict[str, Any] = {}
-    rigid = [
-        rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
-    ]
-    for name, tips_m in (
-        ("observer_tip", [o.tip_m for o in observations]),
-        ("rigid_kinematics", rigid),
-    ):
-        distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
-        result[name] = {
-            key: float(distance_m[rows].mean()) for key, rows in samples.parts().items()
-        }
-    result["final_payload_error_kg"] = {
-        trial.name: float(observation.payload_kg[-1] - trial.meta.payload_kg)
-        for trial, observation in zip(samples.trials, observations, strict=True)
-    }
-    return result
-
-
-def _deployed(predictor: GuardedPredictor, samples: Samples) -> dict[str, Any]:
-    """Figures of the predictor that the robot gets: guard and 95 % interval included."""
-    features = samples.features("observer")
-    predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
-    inside = np.abs(samples.tip_m - predicted_m) <= half_width_m
-    axes = list(enumerate("xyz"))
-    return {
-        "mean_euclidean_distance_m": float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
-        "interval_coverage": {axis: float(inside[:, k].mean()) for k, axis in axes},
-        "interval_coverage_mean": float(inside.mean()),
-        "mean_half_width_m": {axis: float(half_width_m[:, k].mean()) for k, axis in axes},
-        "in_range_share": float(predictor.in_range(features).mean()),
-    }
