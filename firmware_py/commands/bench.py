@@ -1,0 +1,92 @@
+"""Measure what a tick costs by itself, paced like the real one, against servos in memory.
+
+Paced matters: between two ticks the caches go cold and the same work costs two to three times
+what a hot loop would show (FACTS §1).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+from pathlib import Path
+
+import numpy as np
+
+from firmware_py.bundle import ModelBundle
+from firmware_py.bus import DynamixelBus, ServoSetup
+from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.estimator import DeformationEstimator, NoEstimator
+from firmware_py.loop import ControlLoop
+from firmware_py.loopback import LoopbackWire
+from firmware_py.motion import Motion
+from firmware_py.predictor import Prediction, Predictor
+from firmware_py.registers import model_named
+from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.signals import PERIOD_S, STAGES
+from firmware_py.timing import KernelCounters
+
+EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
+
+LIMIT_NS = 1_500_000
+"""Of the tick's own cost, 99th percentile; the verdict."""
+
+_MODEL = "H54-200-S500-R"
+
+
+class _NoPredictor:
+    """Answers a fixed tip: the loop without any model."""
+
+    def __init__(self) -> None:
+        self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
+
+    def predict(self, angle_rad: object, current_a: object, di: float) -> Prediction:
+        return self._prediction
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--bundle", type=Path, help="with its estimator and predictor")
+    parser.add_argument("--dof", type=int, choices=(1, 2), default=2, help="without a bundle")
+    parser.add_argument("--seconds", type=float, default=20.0)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure; the verdict is negative where the own cost breaks its limit."""
+    dof, estimator, predictor = args.dof, *_no_models()
+    if args.bundle is not None:
+        bundle = ModelBundle.load(args.bundle)
+        dof, estimator, predictor = bundle.manifest.dof, bundle.estimator, bundle.predictor
+    clock, limits = DeadlineClock(), Limits()
+    models = {j: model_named(_MODEL) for j in range(1, dof + 1)}
+    setups = [ServoSetup(id_, model, *limits.angle_rad) for id_, model in models.items()]
+    bus = DynamixelBus(LoopbackWire(models), setups, clock, period_s=PERIOD_S, name="memory")
+    with (
+        contextlib.closing(KernelCounters()) as counters,
+        real_time(RealTimeOptions()) as refused,
+    ):
+        summary = ControlLoop(
+            bus, estimator, predictor, SafetySupervisor(limits, dof), Motion(dof=dof).table_rad(),
+            clock, slots=math.ceil(args.seconds / PERIOD_S), counters=counters,
+        ).run()  # fmt: skip
+    stages = {name: summary.timing.stages[name].summary() for name in (*STAGES, "busy", "own")}
+    good = stages["own"]["p99_ns"] <= LIMIT_NS
+    lines = [f"{'stage':>10} {'p50':>8} {'p99':>8} {'max':>8}  µs"]
+    lines += [
+        f"{name:>10} " + " ".join(f"{s[key] / 1e3:8.1f}" for key in ("p50_ns", "p99_ns", "max_ns"))
+        for name, s in stages.items()
+    ]
+    lines += [f"note: {sentence}" for sentence in refused]
+    lines.append(
+        f"own cost p99 {stages['own']['p99_ns'] / 1e3:.0f} µs of at most {LIMIT_NS / 1e3:.0f} µs "
+        f"in {summary.ticks} ticks, {summary.timing.misses} slots missed: "
+        + ("good" if good else "too much")
+    )
+    result = summary.as_dict() | {"dof": dof, "limit_own_p99_ns": LIMIT_NS, "good": good}
+    emit(args, result, "\n".join(lines))
+    return DONE if good else NEGATIVE
+
+
+def _no_models() -> tuple[DeformationEstimator, Predictor]:
+    return NoEstimator(), _NoPredictor()

@@ -1,0 +1,108 @@
+"""Replay a log through a bundle and compare DI and tip with what the robot recorded.
+
+Without a log the bundle's golden ticks are replayed, which is what the robot does at start-up.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_py.bundle import ModelBundle
+from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.errors import InputError
+from firmware_py.golden import TOLERANCE
+from firmware_py.recording import Recording, read_recording
+from firmware_py.signals import DI, PAYLOAD, tip_names
+
+EXAMPLE = "dropstitch replay logs/20261121T093000Z_sinusoid.mcap --bundle build/bundle_1dof"
+
+_COMPARED = (DI.name, PAYLOAD.name, *tip_names("predicted_"))
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("log", type=Path, nargs="?", help="MCAP log of 'dropstitch run'")
+    parser.add_argument(
+        "--bundle", type=Path, help="bundle to replay through (default: the one of the log)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare; the verdict is negative where a value differs by more than the tolerance."""
+    if args.log is None:
+        if args.bundle is None:
+            raise InputError("replay", "has neither a log nor a bundle", "name one of them")
+        bundle = ModelBundle.load(args.bundle)
+        emit(
+            args,
+            {"bundle": str(args.bundle), "golden": "agree"},
+            f"{args.bundle}: {bundle.manifest.dof} joints, estimator "
+            f"{bundle.manifest.estimator}; the golden ticks agree",
+        )
+        return DONE
+    log = read_recording(args.log)
+    bundle = ModelBundle.load(args.bundle or _bundle_of(args.log, log))
+    differences = compare(log, bundle)
+    worst = max(differences.values())
+    agree = worst <= TOLERANCE
+    result: dict[str, Any] = {
+        "log": str(args.log),
+        "bundle": str(bundle.directory),
+        "ticks": len(log.columns["tick"]),
+        "complete": log.complete,
+        "agree": agree,
+        "largest_difference": differences,
+    }
+    lines = [f"{name}: largest difference {value:.3g}" for name, value in differences.items()]
+    lines.append(
+        f"{result['ticks']} ticks{'' if log.complete else ' of a log that was cut off'} "
+        + ("agree" if agree else f"differ by more than {TOLERANCE:g}")
+    )
+    emit(args, result, "\n".join(lines))
+    return DONE if agree else NEGATIVE
+
+
+def _bundle_of(path: Path, log: Recording) -> Path:
+    directory = Path(log.metadata.get("bundle", ""))
+    if not directory.is_dir():
+        raise InputError(path, f"its bundle {directory} is not here", "name one with --bundle")
+    return directory
+
+
+def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
+    """Run a log's measurements through a bundle's estimator and predictor.
+
+    Returns
+    -------
+    dict of str to float
+        Largest absolute difference by column; where only one side has a value it is infinite.
+
+    Raises
+    ------
+    InputError
+        If log and bundle have different numbers of joints.
+    """
+    dof = bundle.manifest.dof
+    if log.dof != dof:
+        raise InputError(
+            bundle.directory, f"is for {dof} joints, the log for {log.dof}", "name the fitting one"
+        )
+    columns = log.columns
+    angle_rad = np.column_stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)])
+    current_a = np.column_stack([columns[f"current_{j}_a"] for j in range(1, dof + 1)])
+    step_s = float(log.metadata["period_s"]) * (columns["missed"] + 1)
+    recorded = np.column_stack([columns[name] for name in _COMPARED])
+    replayed = np.empty_like(recorded)
+    bundle.estimator.reset()
+    for k in range(len(replayed)):
+        di, payload_kg = bundle.estimator.update(angle_rad[k], current_a[k], float(step_s[k]))
+        tip_m = bundle.predictor.predict(angle_rad[k], current_a[k], di).tip_m
+        replayed[k] = (di, payload_kg, *tip_m)
+    difference = np.abs(replayed - recorded)
+    difference[np.isnan(replayed) & np.isnan(recorded)] = 0.0
+    difference[np.isnan(difference)] = np.inf
+    return dict(zip(_COMPARED, difference.max(axis=0).tolist(), strict=True))

@@ -1,0 +1,156 @@
+"""Drive the servos along the configured motion, predict, supervise and log."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from firmware_py import __version__
+from firmware_py.bundle import MANIFEST, ModelBundle, sha256_of
+from firmware_py.bus import DynamixelBus
+from firmware_py.clock import Clock, DeadlineClock, real_time
+from firmware_py.config import RobotConfig, read_config
+from firmware_py.console import DONE, emit
+from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.loop import ControlLoop, Ended, RunSummary
+from firmware_py.motion import KINDS
+from firmware_py.port import open_wire
+from firmware_py.recorder import recording
+from firmware_py.safety import SafetySupervisor
+from firmware_py.telemetry import NoTelemetry, Telemetry
+from firmware_py.timing import KernelCounters
+
+EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
+    parser.add_argument(
+        "--seconds", type=float, help="repeat the motion for so long (default: run it once)"
+    )
+    parser.add_argument("--motion", choices=KINDS, help="instead of the configured one")
+    parser.add_argument("--amplitude-deg", type=float, help="instead of the configured one")
+    parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run once; raise SafetyTrip, after the summary, where the supervisor stopped the robot."""
+    config = _overridden(read_config(args.config), args)
+    bundle = load_bundle(config, args.config)
+    goals_rad = config.goals_rad(repeated=args.seconds is not None)
+    slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
+    clock = DeadlineClock()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(open_bus(config, clock))
+        telemetry, log = stack.enter_context(_telemetry(config, args, bundle))
+        counters = stack.enter_context(contextlib.closing(KernelCounters()))
+        loop = ControlLoop(
+            bus, bundle.estimator, bundle.predictor,
+            SafetySupervisor(config.limits, config.dof, config.period_s), goals_rad, clock,
+            slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
+            telemetry=telemetry, counters=counters,
+        )  # fmt: skip
+        for sentence in stack.enter_context(real_time(config.real_time)):
+            print(f"dropstitch: {sentence}", file=sys.stderr)
+        summary = loop.run()
+    result = summary.as_dict() | {"log": str(log) if log else None}
+    if log is not None:
+        log.with_suffix(".timing.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    emit(args, result, describe(summary, log))
+    if summary.ended is Ended.TRIPPED:
+        raise SafetyTrip(summary.reason, summary.records)
+    return DONE
+
+
+def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
+    if args.seconds is not None and not 0 < args.seconds < math.inf:
+        raise InputError("--seconds", f"is {args.seconds}", "give a positive time")
+    motion = config.motion
+    if args.motion is not None:
+        motion = msgspec.structs.replace(motion, kind=args.motion)
+    if args.amplitude_deg is not None:
+        motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
+    return msgspec.structs.replace(config, motion=motion)
+
+
+def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
+    """Load the bundle that a configuration names and check that the two fit together."""
+    bundle = ModelBundle.load(path.parent / config.bundle)
+    manifest = bundle.manifest
+    if manifest.dof != config.dof:
+        raise InputError(
+            path, f"bundle is for {manifest.dof} joints, servos has {config.dof}",
+            "name the bundle that was trained for these servos",
+        )  # fmt: skip
+    if manifest.estimator == "lagged" and not math.isclose(manifest.period_s, config.period_s):
+        raise InputError(
+            path, f"period_s is {config.period_s}, the lagged estimator was trained at "
+            f"{manifest.period_s}", "use its period, or a bundle with the observer",
+        )  # fmt: skip
+    return bundle
+
+
+@contextlib.contextmanager
+def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
+    """Open the bus that a configuration describes; torque off and closed at the end."""
+    wire = open_wire(config.bus.port, config.bus.baud, clock)
+    bus = DynamixelBus(
+        wire, config.setups(), clock, period_s=config.period_s,
+        return_delay_s=config.bus.return_delay_s, name=config.bus.port, baud=config.bus.baud,
+    )  # fmt: skip
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+@contextlib.contextmanager
+def _telemetry(
+    config: RobotConfig, args: argparse.Namespace, bundle: ModelBundle
+) -> Iterator[tuple[Telemetry, Path | None]]:
+    if not config.record:
+        yield NoTelemetry(), None
+        return
+    started = datetime.now(UTC)
+    log = args.log or (
+        args.config.parent / config.logs / f"{started:%Y%m%dT%H%M%SZ}_{config.motion.kind}.mcap"
+    )
+    metadata = {
+        "started_utc": started.isoformat(),
+        "software": f"dropstitch {__version__}",
+        "bundle": str(bundle.directory.resolve()),
+        "manifest_sha256": sha256_of(bundle.directory / MANIFEST),
+        "period_s": repr(config.period_s),
+        "rest_samples": str(round(config.motion.rest_s / config.period_s)),
+        "config": msgspec.json.encode(config).decode(),
+    }
+    with recording(log, config.dof, time.time_ns(), metadata) as telemetry:
+        yield telemetry, log
+
+
+def describe(summary: RunSummary, log: Path | None) -> str:
+    """Summary of a run for people."""
+    busy, own = (summary.timing.stages[name].summary() for name in ("busy", "own"))
+    faults = ", ".join(f"{n} {name}" for name, n in summary.bus_faults.items()) or "none"
+    lines = [
+        f"{summary.ended.value}: {summary.reason}",
+        f"{summary.ticks} ticks, {summary.timing.misses} slots missed, bus faults: {faults}",
+        f"tick p50 {busy['p50_ns'] / 1e3:.0f} µs, p99 {busy['p99_ns'] / 1e3:.0f} µs, "
+        f"max {busy['max_ns'] / 1e3:.0f} µs; of its own p50 {own['p50_ns'] / 1e3:.0f} µs, "
+        f"p99 {own['p99_ns'] / 1e3:.0f} µs",
+    ]
+    if summary.out_of_range:
+        lines.append(f"{summary.out_of_range} ticks outside the predictor's training range")
+    if log is not None:
+        lines.append(f"log: {log} ({summary.telemetry_drops} ticks dropped)")
+    return "\n".join(lines)
