@@ -12,6 +12,7 @@ from firmware_py.console import DONE, emit
 from models.importers import KINDS, read_series
 from models.importers.assemble import align, assemble
 from models.importers.mapping import read_mapping
+from models.importers.recording import with_conditions
 from models.importers.synchronise import shift, synchronise
 from models.trials import read_trial, write_trial
 
@@ -45,6 +46,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Import one recording; what is written has passed the same checks as any trial."""
     mapping = read_mapping(args.map)
+    for log in filter(_is_recording, (args.file, args.servo)):
+        mapping = with_conditions(mapping, log)
     series = align(read_series(args.file, args.kind, mapping), mapping)
     result: dict[str, Any] = {}
     if args.servo is not None:
@@ -75,3 +78,7 @@ def run(args: argparse.Namespace) -> int:
         )
     emit(args, result, text)
     return DONE
+
+
+def _is_recording(path: Path | None) -> bool:
+    return path is not None and path.suffix == ".mcap"
