@@ -66,8 +66,6 @@ class Chain:
         In joint order.
     physics : Physics
         With as many joints.
-    start_ns : int
-        Time at which the plant is in its initial state.
     on_sample : callable, optional
         Called with the time whenever a servo's present position is read.
     """
@@ -76,11 +74,10 @@ class Chain:
         self,
         servos: Sequence[EmulatedServo],
         physics: Physics,
-        start_ns: int = 0,
         on_sample: Callable[[int], None] | None = None,
     ) -> None:
         self.servos, self.physics = tuple(servos), physics
-        self._now_ns = start_ns
+        self._now_ns = 0
         self._on_sample = on_sample or (lambda _: None)
         self._registered: dict[int, tuple[int, bytes]] = {}
         self._observe([0.0] * len(self.servos))
@@ -97,6 +94,12 @@ class Chain:
             for t, servo in trips:
                 if t == target_ns:
                     servo.trip_watchdog()
+
+    def resume(self, now_ns: int) -> None:
+        """Go on from `now_ns` as if no time had passed: it stands still while nobody is there."""
+        self._now_ns = max(self._now_ns, now_ns)
+        for servo in self.servos:
+            servo.feed_watchdog(now_ns)
 
     def _step(self, target_ns: int) -> None:
         step_s = (target_ns - self._now_ns) * 1e-9

@@ -10,7 +10,6 @@ import contextlib
 import gc
 import multiprocessing
 import os
-import time
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -115,8 +114,8 @@ class TruthLog:
         return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
 
 
-def assemble(specification: Specification, start_ns: int) -> tuple[Line, TruthLog]:
-    """Put line, servos and plant together; the plant is in its initial state at `start_ns`."""
+def assemble(specification: Specification) -> tuple[Line, TruthLog]:
+    """Put line, servos and plant together; the plant is in its initial state at time zero."""
     spec = specification
     physics = UnitPhysics(spec.unit, len(spec.ids), spec.payload_kg)
     log = TruthLog(physics)
@@ -124,7 +123,7 @@ def assemble(specification: Specification, start_ns: int) -> tuple[Line, TruthLo
         EmulatedServo(MODELS[spec.model_number], servo_id, spec.baud, spec.return_delay_s)
         for servo_id in spec.ids
     ]
-    chain = Chain(servos, physics, start_ns, log.note)
+    chain = Chain(servos, physics, on_sample=log.note)
     return Line(chain, spec.latency_s, FaultPlan(spec.faults, spec.seed)), log
 
 
@@ -154,7 +153,7 @@ def _run(
 
         endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, pipe.fileno())
         name, connect = stack.enter_context(endpoint)
-        line, log = assemble(spec, time.monotonic_ns())
+        line, log = assemble(spec)
         gc.freeze()
         pipe.send(name)
         while (fd := connect()) is not None and serve(line, fd, pipe.fileno(), note_release):
@@ -225,7 +224,7 @@ def serve_forever(
     endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)
     try:
         with endpoint as (name, connect):
-            line, _ = assemble(specification, time.monotonic_ns())
+            line, _ = assemble(specification)
             announce(name)
             while (fd := connect()) is not None and serve(line, fd, never):
                 pass

@@ -204,7 +204,7 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
 def serve(
     line: Line, fd: int, stop_fd: int, on_release: Callable[[int, int], None] | None = None
 ) -> bool:
-    """Play the line in real time on a descriptor.
+    """Play the line in real time on a descriptor; the plant's time goes on from here.
 
     Parameters
     ----------
@@ -224,6 +224,7 @@ def serve(
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0
+    line.chain.resume(time.monotonic_ns())
     while True:
         now_ns = time.monotonic_ns()
         if pending and pending[0][0] <= now_ns:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import time
 
 import dynamixel_sdk as sdk
 import numpy as np
@@ -173,7 +172,6 @@ class Served:
     def __enter__(self) -> str:
         self._context = self._endpoint(self._stop_r)
         name, accept = self._context.__enter__()
-        self._line.chain._now_ns = time.monotonic_ns()
 
         def work() -> None:
             while (fd := accept()) is not None and serve(self._line, fd, self._stop_r):
