@@ -69,6 +69,13 @@ class Parts(NamedTuple):
             return model
         return _with_predictor(model, self.dof, _given(self.predictor))
 
+    def instead(self, plant: Path | None, bundle: Path | None) -> Parts:
+        """Parts with the plant, or the predictor of a bundle, put in the place of their own."""
+        return self._replace(
+            plant=read_plant(plant) if plant and self.plant else self.plant,
+            predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
+        )
+
     def description(self) -> str:
         """One sentence for people."""
         return DESCRIPTIONS[self.kind].format(dof=self.dof)

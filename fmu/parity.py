@@ -1,0 +1,134 @@
+"""The numbers of a unit against the interpreted model and against onnxruntime."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.predictor import OnnxPredictor
+from firmware_py.signals import IN_RANGE, PERIOD_S, feature_names, tip_names
+from fmu.stepper import Archive, Instance
+from fmu.units import Parts
+from models.plant.step import StepModel, names
+
+Array = NDArray[np.float64]
+
+PARITY: Final = 1e-9
+"""Largest difference from the interpreted model, in the unit of each output."""
+
+
+class Check(NamedTuple):
+    """One thing looked at: what, whether it holds, and what was found."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+def varying_steps_s(count: int) -> Array:
+    """Communication steps from a fifth of the period to twice of it, without pattern."""
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    return np.asarray(PERIOD_S * (0.2 + 1.8 * ((np.arange(count) * golden) % 1.0)))
+
+
+def _simulate(model: StepModel, u: Array, steps_s: Array) -> Array:
+    """Outputs of the interpreted model, steps of any length."""
+    p = model.parameter_values()
+    x = np.asarray(model.initial(u[0], p)).ravel()
+    rows = [np.asarray(model.output(x, u[0], p)).ravel()]
+    for row, step_s in zip(u, steps_s, strict=True):
+        x = model.advance(x, row, p, float(step_s))
+        rows.append(np.asarray(model.output(x, row, p)).ravel())
+    return np.array(rows)
+
+
+def parity(
+    archive: Archive, model: StepModel, u: Array, found: dict[str, float]
+) -> Iterator[Check]:
+    """Compare runs with fixed and varying steps; `found` takes the worst difference by output."""
+    inputs, outputs = names(model.inputs), names(model.outputs)
+    runs = {"fixed": np.full(len(u), PERIOD_S), "varying": varying_steps_s(len(u))}
+    for kind, steps_s in runs.items():
+        with archive.instance() as instance:
+            y = instance.run(inputs, u, steps_s, outputs)
+        worst = np.abs(y - _simulate(model, u, steps_s)).max(axis=0)
+        for name, value in zip(outputs, worst, strict=True):
+            found[name] = max(found.get(name, 0.0), float(value))
+        name, value = max(zip(outputs, worst, strict=True), key=lambda pair: pair[1])
+        detail = f"{value:.1e} at most ({name}), {len(u)} steps"
+        yield Check(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
+
+
+def onnx_parity(archive: Archive, parts: Parts, model: StepModel, u: Array) -> Check:
+    """The unit's prediction against onnxruntime on the unit's own features."""
+    assert parts.predictor is not None
+    wanted = [*tip_names("predicted_"), IN_RANGE.name]
+    features = feature_names(parts.dof)
+    with archive.instance() as instance:
+        y = instance.run(names(model.inputs), u, np.full(len(u), PERIOD_S), (*features, *wanted))
+    predictor = OnnxPredictor(parts.predictor, parts.dof)
+    worst = 0.0
+    for row in y[1:]:
+        angle_rad, current_a, di = (
+            row[: parts.dof],
+            row[parts.dof : 2 * parts.dof],
+            row[2 * parts.dof],
+        )
+        answer = predictor.predict(angle_rad, current_a, float(di))
+        expected = [*answer.tip_m, answer.in_range]
+        worst = max(worst, float(np.abs(row[2 * parts.dof + 1 :] - expected).max()))
+    return Check("parity with onnxruntime", worst <= PARITY, f"{worst:.1e} at most")
+
+
+def saved_states(archive: Archive, model: StepModel, u: Array) -> Check:
+    """Save half way; go on; go on again from the saved state here and, as bytes, elsewhere."""
+    inputs, outputs = names(model.inputs), names(model.outputs)
+    half = len(u) // 2
+    with archive.instance() as first, archive.instance() as second:
+        first.run(inputs, u[:half], np.full(half, PERIOD_S), outputs)
+        state, time_s = first.fmu.getFMUState(), first.time_s
+        data = first.fmu.serializeFMUState(state)
+        runs = [_continue(first, inputs, u[half:], outputs)]
+        first.fmu.setFMUState(state)
+        first.time_s = second.time_s = time_s
+        runs.append(_continue(first, inputs, u[half:], outputs))
+        first.fmu.freeFMUState(state)
+        copy = second.fmu.deserializeFMUState(data)
+        second.fmu.setFMUState(copy)
+        second.fmu.freeFMUState(copy)
+        runs.append(_continue(second, inputs, u[half:], outputs))
+    same = all(np.array_equal(run, runs[0]) for run in runs)
+    detail = "restored and deserialized runs are bit-identical" if same else "runs differ"
+    return Check("state", same, f"{detail}, {len(data)} bytes")
+
+
+def _continue(instance: Instance, inputs: Sequence[str], u: Array, outputs: Sequence[str]) -> Array:
+    rows = []
+    for row in u:
+        instance.set(dict(zip(inputs, row, strict=True)))
+        instance.step(PERIOD_S)
+        rows.append(instance.get(outputs))
+    return np.array(rows)
+
+
+def step_times_us(archive: Archive, model: StepModel, u: Array) -> dict[str, float]:
+    """Median time of a step in FMPy: bare, and with all inputs set and all outputs got."""
+    inputs, outputs = names(model.inputs), names(model.outputs)
+    bare, whole = [], []
+    with archive.instance() as instance:
+        instance.initialize(dict(zip(inputs, u[0], strict=True)))
+        for row in u:
+            start_ns = time.perf_counter_ns()
+            instance.set(dict(zip(inputs, row, strict=True)))
+            before_ns = time.perf_counter_ns()
+            instance.step(PERIOD_S)
+            after_ns = time.perf_counter_ns()
+            instance.get(outputs)
+            bare.append(after_ns - before_ns)
+            whole.append(time.perf_counter_ns() - start_ns)
+    medians = {"bare": np.median(bare), "with sets and gets": np.median(whole)}
+    return {what: float(ns) / 1e3 for what, ns in medians.items()}
