@@ -125,7 +125,14 @@ def _telemetry(
     log = args.log or (
         args.config.parent / config.logs / f"{started:%Y%m%dT%H%M%SZ}_{config.motion.kind}.mcap"
     )
-    metadata = {
+    metadata = log_metadata(config, bundle, started)
+    with recording(log, config.dof, time.time_ns(), metadata) as telemetry:
+        yield telemetry, log
+
+
+def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) -> dict[str, str]:
+    """What a log says about the run that it is of."""
+    return {
         "started_utc": started.isoformat(),
         "software": f"dropstitch {__version__}",
         "bundle": str(bundle.directory.resolve()),
@@ -134,8 +141,6 @@ def _telemetry(
         "rest_samples": str(round(config.motion.rest_s / config.period_s)),
         "config": msgspec.json.encode(config).decode(),
     }
-    with recording(log, config.dof, time.time_ns(), metadata) as telemetry:
-        yield telemetry, log
 
 
 def describe(summary: RunSummary, log: Path | None) -> str:
