@@ -68,14 +68,17 @@ def _toy_trial(dof, payload_kg, trial, amplitude_rad, rng, phase_2_rad=0.0, cycl
         columns |= {f"m{i + 1:02d}_{a}_m": markers_m[:, i, k] for k, a in enumerate("xyz")}
     meta = TrialMeta(
         dof=dof, payload_kg=payload_kg, pressure_pa=41.3e3, trial=trial, motion="sinusoid",
-        source="toy", period_s=PERIOD_S, amplitude_rad=float(amplitude_rad), phase_2_rad=phase_2_rad,
+        source="toy", period_s=PERIOD_S, amplitude_rad=float(amplitude_rad),
+        phase_2_rad=float(phase_2_rad),
         base_offset_m=OFFSET_M, link_length_m=LENGTH_M, link_width_m=WIDTH_M, rest_samples=REST,
     )  # fmt: skip
     degrees = round(np.degrees(amplitude_rad))
     return Trial(f"toy_{dof}dof_{payload_kg:g}kg_{degrees}deg_{trial}", meta, columns)
 
 
-def _toy_trials(dof, *, amplitudes_deg=(30, 20), trials=(1, 2), payloads_kg=(0.0, 1.0, 2.0), seed=0):
+def _toy_trials(
+    dof, *, amplitudes_deg=(30, 20), trials=(1, 2), payloads_kg=(0.0, 1.0, 2.0), seed=0
+):
     """Trial 1 and 2 at 30 degrees, trial 1 at 20 degrees."""
     rng = np.random.default_rng(seed)
     return TrialSet(
@@ -145,3 +148,24 @@ def toy_trials():
 def toy_observer():
     """Factory of the toy's observer: `toy_observer(dof)`."""
     return _toy_observer
+
+
+@pytest.fixture(scope="session")
+def toy_study(toy_trials, toy_observer):
+    """A study of the 1DOF toy, trial 2 and the 20 degree motion held out."""
+    from models.commands.train import name_tests
+    from models.study import run_study
+
+    training, held_out = toy_trials(1).split()
+    return run_study(training, name_tests(training, tuple(held_out)), toy_observer(1))
+
+
+@pytest.fixture(scope="session")
+def toy_bundle(toy_study, tmp_path_factory):
+    """The bundle of that study; copy it before changing it."""
+    from models.export import write_bundle
+    from models.plant.plant import read_plant
+
+    directory = tmp_path_factory.mktemp("toy") / "bundle"
+    write_bundle(directory, toy_study, read_plant())
+    return directory

@@ -113,7 +113,7 @@ def refuse_fitted(
         for t in trials if name.startswith("unseen") else ():
             if t.sha256() in fitted:
                 raise InputError(
-                    where, f"was fitted on {t.path}, which is to be the unseen motion",
+                    where, f"was fitted on {t.name}, a trial of the motion that is to be unseen",
                     "identify without it, or give other trials to --unseen",
                 )  # fmt: skip
 
