@@ -1,0 +1,296 @@
+"""Faults of wire and servo as values, against servos in memory whose answers are tampered with."""
+
+import numpy as np
+import pytest
+
+from firmware_py.bus import BusStatus, DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.clock import SimClock
+from firmware_py.errors import InputError
+from firmware_py.loopback import LoopbackWire
+from firmware_py.registers import MODELS, Register, model_named
+
+LEGACY, PRO_A, XM = 54024, 54025, 1020
+BUDGET_NS = 8_000_000
+
+
+class TamperedWire(LoopbackWire):
+    """A loopback whose answers pass through a function; silence lasts until the deadline."""
+
+    def __init__(self, models, clock):
+        super().__init__(models)
+        self.clock, self.tamper, self.written = clock, lambda data: data, []
+        self.gone = False
+
+    def write(self, data):
+        self.check()
+        self.written.append(bytes(data))
+        return super().write(data)
+
+    def read(self, size, deadline_ns):
+        self.check()
+        data = super().read(size, deadline_ns)
+        data = self.tamper(data) if data else b""
+        if not data:
+            self.clock.sleep_until(deadline_ns)
+        return data
+
+    def check(self):
+        if self.gone:
+            raise OSError(5, "Input/output error")
+
+
+def make(*numbers, period_s=0.017, limits=(-0.6, 0.6), **options):
+    clock = SimClock()
+    models = {id_: MODELS[number] for id_, number in enumerate(numbers, start=1)}
+    wire = TamperedWire(models, clock)
+    setups = [ServoSetup(id_, model, *limits) for id_, model in models.items()]
+    return DynamixelBus(wire, setups, clock, period_s=period_s, **options), wire, clock
+
+
+@pytest.fixture(params=[LEGACY, PRO_A, XM], ids=lambda n: MODELS[n].table.name)
+def pair(request):
+    bus, wire, clock = make(request.param, request.param)
+    bus.connect()
+    return bus, wire, clock
+
+
+def read(bus, clock):
+    return bus.read(clock.now_ns() + BUDGET_NS)
+
+
+def test_goals_come_back_as_angles_and_currents_in_si(pair):
+    bus, wire, clock = pair
+    goal_rad = np.array([0.25, -0.5])
+    assert bus.write(goal_rad, clock.now_ns() + BUDGET_NS) is BusStatus.OK
+    wire.put(2, Register.PRESENT_CURRENT, -100)
+    assert read(bus, clock) is BusStatus.OK
+    model = bus._servos[0].model
+    assert np.all(np.abs(bus.angle_rad - goal_rad) <= model.rad_per_pulse / 2)
+    assert bus.current_a.tolist() == [0.0, -100 * model.current_a_per_lsb]
+
+
+def test_arrays_are_overwritten_in_place(pair):
+    bus, _, clock = pair
+    angle_rad, current_a = bus.angle_rad, bus.current_a
+    bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
+    read(bus, clock)
+    assert bus.angle_rad is angle_rad
+    assert bus.current_a is current_a
+    assert angle_rad[1] > 0.19
+
+
+def drop_second(data):
+    return data[: len(data) // 2]
+
+
+def flip_payload(data):
+    return bytes([*data[:11], data[11] ^ 1, *data[12:]])
+
+
+def cut(data):
+    return data[:-3]
+
+
+@pytest.mark.parametrize(
+    ("tamper", "expected"),
+    [
+        (lambda data: b"", BusStatus.TIMEOUT),
+        (drop_second, BusStatus.TIMEOUT),
+        (flip_payload, BusStatus.CORRUPT),
+        (cut, BusStatus.CORRUPT),
+    ],
+)
+def test_a_bad_answer_is_a_status_and_leaves_the_last_good_data(pair, tamper, expected):
+    bus, wire, clock = pair
+    bus.write(np.array([0.3, 0.4]), clock.now_ns() + BUDGET_NS)
+    assert read(bus, clock) is BusStatus.OK
+    before = bus.angle_rad.copy()
+    assert before.all(), "zeros would hide the zeros that the SDK returns"
+    bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
+    wire.tamper = tamper
+    start_ns = clock.now_ns()
+    assert read(bus, clock) is expected
+    assert clock.now_ns() - start_ns <= BUDGET_NS
+    assert bus.angle_rad.tolist() == before.tolist()
+    wire.tamper = lambda data: data
+    assert read(bus, clock) is BusStatus.OK
+    assert bus.angle_rad[0] == pytest.approx(0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\xff\xff\xfd\x00", bytes(range(40))])
+def test_noise_in_front_of_the_answers_does_no_harm(pair, noise):
+    bus, wire, clock = pair
+    wire.tamper = lambda data: noise + data
+    assert read(bus, clock) in (BusStatus.OK, BusStatus.CORRUPT, BusStatus.TIMEOUT)
+    wire.tamper = lambda data: data
+    assert read(bus, clock) is BusStatus.OK
+
+
+def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
+    bus, wire, clock = make(LEGACY, LEGACY)
+    _, wire_of_stranger, _ = make(LEGACY, LEGACY, LEGACY)
+    bus.connect()
+    bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
+    wire_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, 611 & 255, 611 >> 8, 12, 0, 3, 0, 0])
+    strange = wire_of_stranger._answers
+    wire.tamper = lambda data: strange + data[23:] + data[23:] + data[:23]
+    assert read(bus, clock) is BusStatus.OK
+    assert bus.angle_rad == pytest.approx([0.1, 0.2], abs=1e-4)
+
+
+def test_the_alert_bit_is_kept_and_its_cause_read_once():
+    bus, wire, clock = make(LEGACY, LEGACY)
+    bus.connect()
+    wire.put(2, Register.HARDWARE_ERROR, 0b100000)
+    packets = wire._packets
+
+    def alert(data):
+        out = b""
+        for k in range(0, len(data), 23):
+            frame = list(data[k : k + 23])
+            if len(frame) == 23 and frame[4] == 2:
+                frame[8] |= 0x80
+                crc = packets.updateCRC(0, frame, 21)
+                frame[-2:] = [crc & 0xFF, crc >> 8]
+            out += bytes(frame)
+        return out
+
+    wire.tamper = alert
+    assert read(bus, clock) is BusStatus.ALERT
+    assert BusStatus.ALERT.fresh
+    assert bus.alert == 0b100000
+    sent = len(wire.written)
+    assert read(bus, clock) is BusStatus.ALERT
+    assert len(wire.written) == sent + 1
+
+
+def test_a_servo_that_refuses_is_told_from_one_that_is_silent():
+    bus, wire, clock = make(LEGACY)
+    bus.connect()
+
+    def refuse(data):
+        frame = list(data)
+        frame[8] = 7
+        crc = wire._packets.updateCRC(0, frame, len(frame) - 2)
+        return bytes([*frame[:-2], crc & 0xFF, crc >> 8])
+
+    wire.tamper = refuse
+    assert read(bus, clock) is BusStatus.REFUSED
+    assert not BusStatus.REFUSED.fresh
+
+
+def test_a_port_that_is_gone_is_a_status_until_it_is_back(pair):
+    bus, wire, clock = pair
+    wire.gone = True
+    assert read(bus, clock) is BusStatus.PORT_GONE
+    assert bus.write(np.zeros(2), clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
+    wire.gone = False
+    assert read(bus, clock) is BusStatus.OK
+
+
+def test_the_goal_whose_bytes_look_like_a_header_arrives():
+    bus, wire, clock = make(LEGACY)
+    bus.connect()
+    goal = model_named("H54-200-S500-R").angle_rad(-131073)
+    bus.write(np.array([goal]), clock.now_ns() + BUDGET_NS)
+    wire.read(0, 0)
+    assert wire.get(1, Register.GOAL_POSITION) == -131073
+
+
+@pytest.mark.parametrize("goal", [np.nan, np.inf, 1e9])
+def test_a_goal_that_cannot_be_sent_never_leaves(goal):
+    bus, wire, clock = make(LEGACY)
+    bus.connect()
+    sent = len(wire.written)
+    with pytest.raises(ValueError):
+        bus.write(np.array([goal]), clock.now_ns() + BUDGET_NS)
+    assert len(wire.written) == sent
+
+
+def test_connecting_leaves_torque_off_and_a_tripped_watchdog_cleared():
+    bus, wire, _ = make(PRO_A, PRO_A)
+    for id_ in (1, 2):
+        wire.put(id_, Register.TORQUE_ENABLE, 1)
+        wire.put(id_, Register.BUS_WATCHDOG, -1)
+    bus.connect()
+    for id_ in (1, 2):
+        assert wire.get(id_, Register.TORQUE_ENABLE) == 0
+        assert wire.get(id_, Register.BUS_WATCHDOG) == 0
+
+
+@pytest.mark.parametrize(("period_s", "units"), [(0.017, 3), (0.020, 3), (0.030, 5), (0.004, 1)])
+def test_torque_arms_a_watchdog_of_at_least_three_periods(period_s, units):
+    bus, wire, _ = make(PRO_A, PRO_A, period_s=period_s)
+    bus.connect()
+    assert bus.torque(True) is BusStatus.OK
+    assert [wire.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [1, 1]
+    assert [wire.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [units, units]
+    bus.close()
+    assert [wire.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [0, 0]
+    assert [wire.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [0, 0]
+
+
+def test_torque_off_reaches_the_second_servo_though_the_first_is_silent():
+    bus, wire, _ = make(LEGACY, LEGACY)
+    bus.connect()
+    bus.torque(True)
+    wire.tamper = lambda data: b"" if data[4:5] == b"\x01" else data
+    assert bus.torque(False) is BusStatus.TIMEOUT
+    assert wire.get(2, Register.TORQUE_ENABLE) == 0
+
+
+def test_closing_a_dead_port_raises_nothing():
+    bus, wire, _ = make(LEGACY)
+    bus.connect()
+    bus.torque(True)
+    wire.gone = True
+    bus.close()
+
+
+@pytest.mark.parametrize(
+    ("register", "raw", "words"),
+    [
+        (Register.MODEL_NUMBER, 54025, "servo 1 is H54-200-S500-R.A., not H54-200-S500-R"),
+        (Register.MODEL_NUMBER, 7, "servo 1 is model number 7"),
+        (Register.HARDWARE_ERROR, 0b100, "overheating"),
+        (Register.OPERATING_MODE, 1, "operating mode 1"),
+        (Register.MAX_POSITION_LIMIT, 1000, "allows -3.142 to 0.013 rad"),
+    ],
+)
+def test_a_servo_that_is_unfit_is_named_with_what_is_wrong(register, raw, words):
+    bus, wire, _ = make(LEGACY)
+    wire.put(1, register, raw)
+    with pytest.raises(InputError, match=words):
+        bus.connect()
+
+
+def test_a_silent_servo_is_named():
+    bus, wire, _ = make(LEGACY, LEGACY)
+    wire.tamper = lambda data: b"" if data[4:5] == b"\x02" else data
+    with pytest.raises(InputError, match="servo 2 gives no good answer"):
+        bus.connect()
+
+
+def test_families_are_not_mixed_on_one_bus():
+    with pytest.raises(InputError, match="legacy PRO"):
+        make(LEGACY, PRO_A)
+
+
+def test_the_return_delay_is_written_only_where_it_differs():
+    bus, wire, _ = make(LEGACY, LEGACY, return_delay_s=20e-6)
+    wire.put(1, Register.RETURN_DELAY, 250)
+    wire.put(2, Register.RETURN_DELAY, 10)
+    bus.connect()
+    assert [wire.get(id_, Register.RETURN_DELAY) for id_ in (1, 2)] == [10, 10]
+    # A write is 12 bytes and the data; EEPROM wears out, so nothing is written without need.
+    writes = [w for w in wire.written if w[7] == 3 and w[8] == 9]
+    assert [w[4] for w in writes] == [1]
+
+
+@pytest.mark.parametrize(
+    ("baud", "dof", "published_ms"),
+    [(57_600, 1, 10.05), (57_600, 2, 15.24), (57_600, 4, 25.6), (1_000_000, 2, 1.82),
+     (3_000_000, 2, 1.27), (4_000_000, 4, 2.34)],
+)  # fmt: skip
+def test_the_wire_takes_as_long_as_measured(baud, dof, published_ms):
+    assert exchange_time_s(dof, 10, baud, 500e-6) * 1e3 == pytest.approx(published_ms, rel=3e-3)
