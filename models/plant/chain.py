@@ -185,6 +185,11 @@ class Link:
             (scope.payload_kg, payload_m),
         ]
 
+    def _seen_root(self, scope: Scope, joint: int) -> Expr:
+        """Root bend as it shows between the markers and a plate at the measured angle."""
+        bend = scope.bend["root", joint] - scope.rest_bend["root", joint]
+        return bend - scope.windup[joint] - scope.frame_delay_s * scope.rate[joint]
+
     def _deformation_index(self, scope: Scope) -> Expr:
         """Equation 1 over the 16 edge segments; opposite edges are strained alike."""
         segment_m = scope.p("link_length_m") / SEGMENTS
@@ -196,7 +201,7 @@ class Link:
                 lever
                 * (
                     share * (scope.bend["span", j] - scope.rest_bend["span", j])
-                    + (k == 0) * (scope.bend["root", j] - scope.rest_bend["root", j])
+                    + (k == 0) * self._seen_root(scope, j)
                 )
                 for j in scope.joints
             ]

@@ -15,7 +15,7 @@ from models.plant.effects import PORTS, Effect
 from models.plant.mechanics import solve
 from models.plant.scope import Expr, Scope
 from models.plant.servo import UNIT_OF, Drive
-from models.plant.step import StepModel, Variable
+from models.plant.step import StepModel, Variable, runge_kutta
 
 MAX_SUBSTEP_S: Final = 1e-3
 """Longest Runge–Kutta step: dry friction is stiff."""
@@ -25,12 +25,13 @@ def compose_twin(
     name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
 ) -> StepModel:
     """Plant in closed loop; see the module's text."""
+    serve(scope, ("sensor",), effects, load)
     drive.declare(scope)
     scope.payload_kg = scope.input(payload_variable())
     for j in scope.joints:
         declare_joint(scope, j, scope.start[j])
     load.declare(scope)
-    serve(scope, PORTS[: PORTS.index("servo_torque")], effects, load)
+    serve(scope, PORTS[1 : PORTS.index("servo_torque")], effects, load)
     load.transmit(scope)
     drive.drive(scope)
     serve(scope, ("servo_torque", "joint_torque"), effects, load)
@@ -44,14 +45,13 @@ def compose_twin(
     for key, value in zip(load.rates(scope), acceleration, strict=True):
         scope.states[key.name()].rate = value
     settle(scope, load, force)
-    serve(scope, ("sensor",), effects, load)
     outputs: dict[str, tuple[Variable, Expr]] = {}
     angle = scope.suffix["angle"]
     for j in scope.joints:
         variable = Variable(
             f"{JOINT[angle]}_{j}_{angle}", UNIT_OF[angle], 0.0, f"measured, joint {j}"
         )
-        outputs[variable.name] = (variable, scope.angle[j] + scope.angle_error[j])
+        outputs[variable.name] = (variable, scope.seen_angle(j))
     for j, current in scope.current.items():
         variable = current_variable(j)
         outputs[variable.name] = (variable, measured_current(scope, j, current))
@@ -172,15 +172,3 @@ def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) ->
         max_substep_s=MAX_SUBSTEP_S,
         rate=rate,
     )
-
-
-def runge_kutta(name: str, rate: Any) -> Any:
-    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p)."""
-    x, u, p = (ca.MX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
-    h = ca.MX.sym("h")
-    k1 = rate(x, u, p)
-    k2 = rate(x + h / 2 * k1, u, p)
-    k3 = rate(x + h / 2 * k2, u, p)
-    k4 = rate(x + h * k3, u, p)
-    step = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function(name, [x, u, p, h], [step], ["x", "u", "p", "h"], ["result"])

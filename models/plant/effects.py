@@ -17,9 +17,9 @@ from models.plant.scope import Expr, Scope
 from models.plant.step import Variable
 
 PORTS: Final[tuple[Port, ...]] = (
-    "command", "stiffness", "mass", "bend_torque", "servo_torque", "joint_torque", "sensor",
+    "sensor", "command", "stiffness", "mass", "bend_torque", "servo_torque", "joint_torque",
 )  # fmt: skip
-"""Order in which the ports are served; the equations of motion stand before `sensor`."""
+"""Order in which the ports are served: what the sensors show is what the drive sees."""
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class enters by being defined."""
@@ -203,3 +203,44 @@ class Prebend(Effect):
             scope.bend_torque["span", j] += (
                 scope.p("prebend_{j}_rad", j) * scope.stiffness["span", j]
             )
+
+
+class StribeckFriction(Effect):
+    """Extra dry friction near standstill, F_s exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902]."""
+
+    name = "stribeck_friction"
+    per_joint = (
+        Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
+                  role="effect", description="extra friction near standstill",
+                  source="assumed absent"),
+        Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.03, high=1.0,
+                  role="effect", description="rate at which it has faded to 37 %",
+                  source="assumed: a fifth of the study's peak rate"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Oppose the rate, the less the faster."""
+        for j in scope.joints:
+            fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
+            strength = scope.p("stribeck_friction_{j}_{torque}", j)
+            scope.friction[j] += strength * fade * direction(scope, j)
+
+
+class DirectionalStiffness(Effect):
+    """Stiffer towards one side: K (1 + d s), s = tanh(φ/φ_s) the smooth side of the bend.
+
+    φ_s = 10 mrad keeps the torque smooth where the bend changes side.
+    """
+
+    name = "directional_stiffness"
+    per_joint = (
+        Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.6, high=0.6,
+                  role="effect", description="stiffness gained for positive bend, lost for negative",
+                  source="FACTS §6: 0.2 where negative angles deform more"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale each hinge's stiffness by the side it is bent to."""
+        for (hinge, j), bend in scope.bend.items():
+            side = ca.tanh(bend / 0.01)
+            scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side

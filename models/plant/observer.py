@@ -1,23 +1,19 @@
 """The observer: the link driven by the measured angle, the payload estimated from the current.
 
-The angle is measured at the end of each step. Between two samples it is taken as a ramp, and a
-critically damped second-order filter follows it, so that the link's base has a smooth
-acceleration whatever the quantisation and the step (ω = `follow_rate_per_s`; it lags behind an
-acceleration a by a/ω², 0.1 mrad in the study).
+The current is predicted from the motion (`models.plant.driven`) for the payload m believed so far
+and for friction that differs from the plant's by a share s_j. What the measurement differs by
+corrects m and s (an extended Kalman filter of constants). The bends depend on m through their
+whole past, so their sensitivity S = ∂x/∂m runs along, Ṡ = f_x S + f_m, and a correction Δm moves
+the bends by S Δm: the link is always where it would be had m been known from the start, to first
+order. It is the recursive prediction error method [Ljung and Söderström 1983].
 
-At the end of a step the torque that the drive gives by its current is compared with the one that
-the motion of the link needs, which is affine in the payload m::
-
-    k_t i − J q̈ − F = (A + m B) + s F + noise
-
-with friction F of the plant's effects. Recursive least squares (a Kalman filter of constants)
-estimates m and, per joint, the share s by which friction differs from the plant's. A sample counts
-by q̇²/(q̇² + v²): at rest dry friction can take any value and nothing is learnt.
+A sample counts by q̇²/(q̇² + v²): at rest dry friction can take any value and nothing is learnt. A
+surprise beyond three of its standard deviations counts as three.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -28,24 +24,19 @@ from models.plant.compose import (
     current_variable,
     measured_current,
     payload_variable,
-    serve,
-    settle,
     substitute,
 )
-from models.plant.effects import PORTS, Effect
-from models.plant.mechanics import solve
+from models.plant.driven import follow, move
+from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope
-from models.plant.servo import UNIT_OF, Drive
+from models.plant.scope import Expr, Scope, State
+from models.plant.servo import Drive
 from models.plant.step import StepModel, Variable
 
 
 def observer_parameters() -> tuple[Parameter, ...]:
-    """Parameters of the follower and of the payload estimate."""
+    """Parameters of the payload estimate."""
     return (
-        Parameter(name="follow_rate_per_s", unit="1/s", value=120.0, low=20.0, high=400.0,
-                  description="bandwidth that follows the measured angle",
-                  source="ten times the first mode, a tenth of the internal rate"),
         Parameter(name="payload_known_kg", unit="kg", value=-1.0, low=-1.0, high=3.0,
                   description="payload where it is known, negative to estimate it",
                   source="unknown"),
@@ -61,51 +52,27 @@ def observer_parameters() -> tuple[Parameter, ...]:
         Parameter(name="friction_spread", unit="1", value=0.15, low=0.0, high=1.0,
                   description="relative standard deviation of friction between runs",
                   source="assumed"),
-        Parameter(name="torque_noise_nm", unit="N.m", value=1.5, low=0.01, high=20.0,
-                  description="standard deviation of the torque balance, correlation included",
-                  source="assumed"),
+        Parameter(name="current_noise_a", unit="A", value=0.4, low=0.001, high=5.0,
+                  description="standard deviation of the current's residual, correlation included",
+                  source="assumed: 0.12 A that hold for twelve samples"),
         Parameter(name="learning_rate_rad_s", unit="rad/s", value=0.1, low=0.001, high=2.0,
                   description="joint rate above which a sample counts",
                   source="numerical: a seventh of the study's peak rate"),
     )  # fmt: skip
 
 
-def compose_driven(
-    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
-) -> StepModel:
-    """Link driven by the measured angles, payload given, current as an output.
-
-    What `identify` fits the link with: no loop hides an error of the load from the load's own
-    parameters.
-    """
-    acceleration = [_follow(scope, j) for j in scope.joints]
-    scope.payload_kg = scope.input(payload_variable())
-    needed, bending = _move(scope, load, effects, acceleration)
-    needed = substitute(needed, [bending])
-    serve(scope, ("sensor",), effects, load)
-    outputs: dict[str, tuple[Variable, Expr]] = {}
-    for index, j in enumerate(scope.joints):
-        torque = needed[index] + drive.inertia(scope, j) * acceleration[index]
-        torque += scope.friction[j] - scope.joint_torque[j]
-        current = torque / (scope.torque_scale[j] * scope.p("torque_constant_{j}_nm_a", j))
-        variable = current_variable(j)
-        outputs[variable.name] = (variable, measured_current(scope, j, current))
-    return build(name, scope, outputs | load.outputs(scope))
-
-
 def compose_observer(
     name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
 ) -> StepModel:
-    """Link driven by the measured angles, payload estimated; see the module's text."""
-    acceleration = [_follow(scope, j) for j in scope.joints]
-    currents = [scope.input(current_variable(j)) for j in scope.joints]
+    """Link driven by measurement, payload estimated; see the module's text."""
+    follow(scope, effects)
+    measured = [scope.input(current_variable(j)) for j in scope.joints]
     payload = scope.state(payload_variable(), scope.p("payload_prior_kg"))
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a symbol of its own: to derive by it
-    needed, bending = _move(scope, load, effects, acceleration)
-    slope = ca.jacobian(needed, mass_kg)
-    affine = [substitute(part, [bending]) for part in (needed - mass_kg * slope, slope)]
-    _estimate(scope, drive, payload, affine, acceleration, currents)
-    serve(scope, ("sensor",), effects, load)
+    before = set(scope.states)
+    move(scope, drive, load, effects)
+    moved = {n: s for n, s in scope.states.items() if n not in before}
+    _estimate(scope, drive, payload, measured, _Sensitivity(scope, moved, mass_kg))
     outputs = load.outputs(scope)
     outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
 
@@ -119,65 +86,49 @@ def compose_observer(
     return build(name, scope, {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()})
 
 
-def _move(
-    scope: Scope, load: Any, effects: Sequence[Effect], acceleration: Sequence[Expr]
-) -> tuple[Expr, tuple[Expr, Expr]]:
-    """Let the load bend on joints that move as measured.
+class _Sensitivity:
+    """S = ∂x/∂m of the load's states x, as states of their own.
 
-    Returns the torque that each joint needs, and what stands in it for the acceleration of the
-    bends together with what that acceleration is.
+    Parameters
+    ----------
+    scope : Scope
+        Where the states are added.
+    moved : dict of str to State
+        The load's states and those of its effects.
+    mass_kg : SX
+        The symbol m in their rates.
     """
-    load.declare(scope)
-    serve(scope, PORTS[1 : PORTS.index("servo_torque")], effects, load)
-    load.transmit(scope)
-    serve(scope, ("servo_torque", "joint_torque"), effects, load)
-    mass, force = load.equations(scope)
-    count = len(scope.joints)
-    base, bending = ca.vertcat(*acceleration), ca.SX.sym("bending", len(scope.bend))
-    needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
-    own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
-    solution = solve(mass[count:, count:], own)
-    for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(solution), strict=True):
-        scope.states[rate.name()].rate = value
-    settle(scope, load, force)
-    return needed, (bending, solution)
 
+    def __init__(self, scope: Scope, moved: Mapping[str, State], mass_kg: Expr) -> None:
+        self._mass_kg, self._states = mass_kg, tuple(moved.values())
+        self._x = ca.vertcat(*(s.symbol for s in self._states))
+        slopes = []
+        for name, s in moved.items():
+            variable = Variable(f"{name}_per_kg", f"{s.variable.unit}/kg")
+            slopes.append(scope.state(variable, ca.jacobian(ca.SX(s.initial), mass_kg)))
+        self._slopes = ca.vertcat(*slopes)
+        for slope, s in zip(slopes, self._states, strict=True):
+            scope.states[slope.name()].rate = self.along(ca.SX(s.rate))
 
-def _follow(scope: Scope, joint: int) -> Expr:
-    """Wire angle and rate of a joint to the filtered measurement; returns the acceleration."""
-    angle = scope.suffix["angle"]
-    unit = UNIT_OF[angle]
-    sample = scope.input(Variable(f"angle_{joint}_{angle}", unit, 0.0, f"measured, joint {joint}"))
-    true = sample - scope.angle_error[joint]
-    ramp = scope.state(Variable(f"ramp_{joint}_{angle}", unit, nominal=0.5), true)
-    slope = scope.state(Variable(f"ramp_rate_{joint}_{angle}_s", f"{unit}/s"))
-    scope.angle[joint] = scope.state(Variable(f"joint_{joint}_{angle}", unit, nominal=0.5), true)
-    scope.start[joint] = true
-    scope.rate[joint] = scope.state(Variable(f"joint_rate_{joint}_{angle}_s", f"{unit}/s"))
-    omega = scope.p("follow_rate_per_s")
-    acceleration = omega**2 * (ramp - scope.angle[joint]) + 2 * omega * (slope - scope.rate[joint])
-    states = scope.states
-    states[slope.name()].begin = (true - ramp) / scope.step_s
-    states[ramp.name()].rate = slope
-    states[ramp.name()].finish = true
-    states[scope.angle[joint].name()].rate = scope.rate[joint]
-    states[scope.rate[joint].name()].rate = acceleration
-    return acceleration
+    def along(self, expression: Expr) -> Expr:
+        """Derivative of an expression by m along the run."""
+        direct = ca.jacobian(expression, self._mass_kg)
+        return ca.jtimes(expression, self._x, self._slopes) + direct
+
+    def correct(self, change_kg: Expr) -> None:
+        """Move the load to where it would be, had m been another."""
+        for slope, s in zip(ca.vertsplit(self._slopes), self._states, strict=True):
+            s.finish = s.symbol + slope * change_kg
 
 
 def _estimate(
     scope: Scope,
     drive: Drive,
     payload: Expr,
-    needed: Sequence[Expr],
-    acceleration: Sequence[Expr],
-    currents: Sequence[Expr],
+    measured: Sequence[Expr],
+    sensitivity: _Sensitivity,
 ) -> None:
-    """Update payload and friction shares at the end of a step, one joint after the other.
-
-    `needed` is the torque on each joint as offset and slope over the payload.
-    """
-    offset, slope = needed
+    """Update payload and friction shares at the end of a step, one joint after the other."""
     shares = [scope.state(Variable(f"friction_share_{j}", "1")) for j in scope.joints]
     spread = [scope.p("payload_spread_kg")] + [scope.p("friction_spread")] * len(shares)
     count = len(spread)
@@ -192,27 +143,26 @@ def _estimate(
             )
             entries[row, column] = covariance[row, column] = covariance[column, row] = entry
     covariance[0, 0] += scope.p("payload_drift_kg_s") ** 2 * scope.step_s
-    estimate = ca.vertcat(payload, *shares)
+    believed = ca.vertcat(payload, *shares)
+    change = ca.SX.zeros(count)
+    noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):
-        weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)
-        current = (currents[index] - scope.current_bias[j]) / (1 + scope.current_scale[j])
-        given = (
-            scope.torque_scale[j] * scope.p("torque_constant_{j}_nm_a", j) * current
-            + scope.joint_torque[j]
-            - drive.inertia(scope, j) * acceleration[index]
-            - scope.friction[j]
-        )
+        of_friction = scope.friction[j] / drive.torque_per_current(scope, j)
+        predicted = measured_current(scope, j, scope.current[j] + shares[index] * of_friction)
         regressor = ca.SX.zeros(count)
-        regressor[0], regressor[1 + index] = slope[index], scope.friction[j]
-        surprise = given - offset[index] - ca.dot(regressor, estimate)
+        regressor[0], regressor[1 + index] = sensitivity.along(predicted), of_friction
+        weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)
         gain = covariance @ regressor
-        noise = scope.p("torque_noise_nm") ** 2
-        scale = weight / (noise + weight * ca.dot(regressor, gain))
-        estimate = estimate + gain * (scale * surprise)
-        covariance = covariance - scale * (gain @ gain.T)
+        variance = noise + weight * ca.dot(regressor, gain)
+        surprise = measured[index] - predicted - ca.dot(regressor, change)
+        limit = 3 * ca.sqrt(variance)
+        change += gain * (weight / variance * ca.fmin(ca.fmax(surprise, -limit), limit))
+        covariance -= weight / variance * (gain @ gain.T)
     largest = scope.parameters["payload_known_kg"][0].maximum
-    scope.states[payload.name()].finish = ca.fmin(ca.fmax(estimate[0], 0), largest)
+    estimate = ca.fmin(ca.fmax(payload + change[0], 0), largest)
+    scope.states[payload.name()].finish = estimate
+    sensitivity.correct(ca.if_else(scope.p("payload_known_kg") >= 0, 0, estimate - payload))
     for index, share in enumerate(shares):
-        scope.states[share.name()].finish = estimate[1 + index]
+        scope.states[share.name()].finish = share + change[1 + index]
     for (row, column), entry in entries.items():
         scope.states[entry.name()].finish = covariance[row, column]

@@ -36,7 +36,8 @@ from models.plant.chain import Link
 from models.plant.compose import compose_twin
 from models.plant.effects import EFFECTS, Effect
 from models.plant.loads import Mass, Pendulum
-from models.plant.observer import compose_driven, compose_observer, observer_parameters
+from models.plant.driven import FOLLOW_RATE, compose_driven
+from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
 from models.plant.scope import Scope
 from models.plant.servo import DRIVES
@@ -290,5 +291,5 @@ def _declared(
         *DRIVES[drive]().parameters(scope),
         *LOADS[load]().parameters(scope),
         *(q for effect in effects for q in effect.parameters(scope)),
-        *(observer_parameters() if observer and load == "link" else ()),
+        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
     ]

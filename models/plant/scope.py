@@ -3,7 +3,7 @@
 Drive, load and effects know nothing of each other. Each reads and writes wires, symbolic
 expressions by joint or by hinge, in the order of the ports (`models.plant.compose`)::
 
-    command → stiffness → mass → bend_torque → servo_torque → joint_torque → motion → sensor
+    sensor → command → stiffness → mass → bend_torque → servo_torque → joint_torque → motion
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Scope:
         `ROTARY` or `LINEAR`.
     step_s : SX
         Length of the whole step, for discrete updates.
-    goal, start, angle, rate, holding : dict by joint
-        Goal after the command port; where the joint starts; its coordinate and rate; torque that
-        holds the load still at the start.
+    goal, start, angle, rate, acceleration, holding : dict by joint
+        Goal after the command port; where the joint starts; its coordinate and rate, and its
+        acceleration where it is driven; torque that holds the load still at the start.
     current, motor_torque, friction, joint_torque, transmitted : dict by joint
         Drive's current and torque; friction that opposes `rate`; other torque on the joint;
         torque that the load puts on the joint apart from its inertia.
@@ -82,6 +82,7 @@ class Scope:
     start: dict[int, Expr] = field(default_factory=dict)
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
+    acceleration: dict[int, Expr] = field(default_factory=dict)
     holding: dict[int, Expr] = field(default_factory=dict)
     current: dict[int, Expr] = field(default_factory=dict)
     motor_torque: dict[int, Expr] = field(default_factory=dict)
@@ -131,6 +132,10 @@ class Scope:
     def p(self, pattern: str, joint: int | None = None) -> Expr:
         """Symbol of a parameter."""
         return self.parameters[self.name(pattern, joint)][1]
+
+    def seen_angle(self, joint: int) -> Expr:
+        """Joint coordinate as the encoder shows it."""
+        return self.angle[joint] + self.angle_error[joint]
 
     def input(self, variable: Variable) -> Expr:
         """Add an input."""

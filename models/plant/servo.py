@@ -38,6 +38,10 @@ class Drive(Protocol):
         """Inertia of the drive seen from the joint."""
         ...
 
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque at the joint per ampere."""
+        ...
+
 
 def take_goal(scope: Scope, joint: int) -> None:
     """Make the goal of a joint an input, and where the joint starts."""
@@ -47,7 +51,8 @@ def take_goal(scope: Scope, joint: int) -> None:
             f"goal_{joint}_{angle}", UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
         )
     )
-    scope.goal[joint] = scope.start[joint] = goal
+    scope.goal[joint] = goal
+    scope.start[joint] = goal - scope.angle_error[joint]
 
 
 def friction_speed(scope: Scope, joint: int) -> Parameter:
@@ -118,20 +123,22 @@ class Cascade:
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
             error = (
-                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.angle[j])
+                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.seen_angle(j))
                 - scope.rate[j]
             )
             wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain
             scope.current[j] = current
-            scope.motor_torque[j] = (
-                scope.torque_scale[j] * scope.p("torque_constant_{j}_nm_a", j) * current
-            )
+            scope.motor_torque[j] = self.torque_per_current(scope, j) * current
 
     def inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
 
 class Duty:
@@ -174,9 +181,9 @@ class Duty:
     def drive(self, scope: Scope) -> None:
         """Current through the winding."""
         for j in scope.joints:
-            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.angle[j])
+            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.seen_angle(j))
             duty = ca.fmin(ca.fmax(duty, -1), 1)
-            constant = scope.p("torque_constant_{j}_nm_a", j) * scope.torque_scale[j]
+            constant = self.torque_per_current(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
             scope.current[j] = voltage / scope.p("winding_resistance_{j}_ohm", j)
             scope.motor_torque[j] = constant * scope.current[j]
@@ -184,6 +191,10 @@ class Duty:
     def inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
 
 class Force:
@@ -214,12 +225,15 @@ class Force:
     def drive(self, scope: Scope) -> None:
         """Force in proportion to the command; there is no current to report."""
         for j in scope.joints:
-            constant = scope.p("force_constant_{j}_{torque}_v", j) * scope.torque_scale[j]
-            scope.motor_torque[j] = constant * scope.goal[j]
+            scope.motor_torque[j] = self.torque_per_current(scope, j) * scope.goal[j]
 
     def inertia(self, scope: Scope, joint: int) -> Expr:
         """None: the moving mass is the load's."""
         return ca.SX(0)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Force per volt: the command stands for the current."""
+        return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
 
 
 DRIVES: Final[dict[str, type[Drive]]] = {d.kind: d for d in (Cascade, Duty, Force)}

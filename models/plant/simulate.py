@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from models.native import compile_library
-from models.plant.step import StepModel, names
+from models.plant.step import StepModel, names, runge_kutta
 from models.trial import Trial
 
 Array = NDArray[np.float64]
@@ -132,8 +132,6 @@ def sensitivity(model: StepModel, wrt: list[str], max_substep_s: float | None = 
         )
         for variables in (model.states, model.outputs)
     ]
-    from models.plant.compose import runge_kutta
-
     return dataclasses.replace(
         model,
         name=f"{model.name}_sensitivity",

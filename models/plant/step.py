@@ -151,3 +151,15 @@ class StepModel:
 def names(variables: Sequence[Variable]) -> list[str]:
     """Names of the variables, in order."""
     return [v.name for v in variables]
+
+
+def runge_kutta(name: str, rate: ca.Function) -> ca.Function:
+    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p)."""
+    x, u, p = (ca.MX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
+    h = ca.MX.sym("h")
+    k1 = rate(x, u, p)
+    k2 = rate(x + h / 2 * k1, u, p)
+    k3 = rate(x + h / 2 * k2, u, p)
+    k4 = rate(x + h * k3, u, p)
+    step = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function(name, [x, u, p, h], [step], ["x", "u", "p", "h"], ["result"])
