@@ -1,0 +1,290 @@
+"""The supervisor: every limit just inside, at and just outside, and no goal that jumps."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_py.bus import BusStatus
+from firmware_py.errors import InputError
+from firmware_py.motion import KINDS, Motion
+from firmware_py.safety import Limits, SafetySupervisor, State, check_motion
+
+PERIOD_S = 0.017
+TIP = np.array([0.1, 0.0, 1.0])
+# Powers of two, so that "at the limit" is exact.
+LIMITS = Limits(
+    angle_rad=(-0.5, 0.5), rate_rad_s=1.0, acceleration_rad_s2=64.0, current_a=4.0,
+    following_error_rad=0.25, jump_rad=0.125,
+    tip_min_m=(-1.0, -1.0, 0.0), tip_max_m=(1.0, 1.0, 1.5),
+    persistence_ticks=3, stale_ticks=3, blend_s=1.0, stop_deceleration_rad_s2=8.0, hold_s=0.5,
+)  # fmt: skip
+EXACT_S = 1 / 64
+INSIDE, AT, OUTSIDE = -1e-6, 0.0, 1e-6
+
+
+def started(limits=LIMITS, at=0.0, dof=1, period_s=EXACT_S, wished=None):
+    supervisor = SafetySupervisor(limits, dof, period_s)
+    supervisor.arm(np.full(dof, at))
+    assert supervisor.state is State.READY
+    supervisor.start()
+    supervisor.rebase(np.full(dof, at if wished is None else wished))
+    return supervisor
+
+
+def check(supervisor, angle=0.0, current=0.0, status=BusStatus.OK, **changed):
+    given_ = {"alert": 0, "tip_m": TIP, "di": 0.01, "missed": 0} | changed
+    return supervisor.check(status, given_["alert"], np.array([angle]), np.array([current]),
+                            given_["tip_m"], given_["di"], given_["missed"])  # fmt: skip
+
+
+def stopped_after(supervisor, ticks=3, **measured):
+    """States over some ticks with the same measurement."""
+    return [check(supervisor, **measured) is State.STOPPING for _ in range(ticks)]
+
+
+# --- measurements ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_current_at_its_limit(sign, beyond, stops):
+    measured = {"current": sign * (4.0 + beyond)}
+    assert stopped_after(started(), **measured) == [False, False, stops]
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_following_error_at_its_limit(sign, beyond, stops):
+    supervisor = started(msgspec.structs.replace(LIMITS, jump_rad=1.0))
+    assert stopped_after(supervisor, angle=sign * (0.25 + beyond)) == [False, False, stops]
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_measured_angle_at_its_limit(sign, beyond, stops):
+    supervisor = started(at=sign * 0.5)
+    # Goal at 0.5, so 0.75 is at both the following error's and the angle's limit; the angle
+    # speaks first.
+    supervisor._angle[0] = sign * 0.75
+    assert stopped_after(supervisor, angle=sign * (0.75 + beyond)) == [False, False, stops]
+    if stops:
+        assert "outside its limits" in supervisor.reason
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_encoder_jump_at_its_limit(sign, beyond, stops):
+    supervisor = started(msgspec.structs.replace(LIMITS, following_error_rad=1.0))
+    step = sign * (0.125 + beyond)
+    states = [check(supervisor, angle=k % 2 * step) for k in range(1, 4)]
+    assert [s is State.STOPPING for s in states] == [False, False, stops]
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", ["tip_min_m", "tip_max_m"])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_tip_at_the_wall_of_its_box(axis, side, beyond, stops):
+    tip_m = TIP.copy()
+    outwards = beyond if side == "tip_max_m" else -beyond
+    tip_m[axis] = getattr(LIMITS, side)[axis] + outwards
+    assert stopped_after(started(), tip_m=tip_m) == [False, False, stops]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("what", ["tip_m", "di", "angle", "current"])
+def test_a_value_that_is_no_number_stops_the_robot(what, bad):
+    value = np.array([bad, 0.0, 1.0]) if what == "tip_m" else bad
+    assert stopped_after(started(), **{what: value}) == [False, False, True]
+
+
+def test_a_single_wild_sample_is_forgiven():
+    supervisor = started()
+    for current in (9.0, 9.0, 0.0, 9.0, 9.0, 0.0):
+        assert check(supervisor, current=current) is State.RUNNING
+
+
+@pytest.mark.parametrize(("ticks", "stops"), [(1, False), (2, False), (3, True)])
+def test_stale_data_degrades_and_then_stops(ticks, stops):
+    supervisor = started()
+    for _ in range(ticks):
+        state = check(supervisor, status=BusStatus.TIMEOUT)
+    assert state is (State.STOPPING if stops else State.DEGRADED)
+    assert supervisor.stale_ticks == ticks
+    assert ("no fresh data" in supervisor.reason) is stops
+    if not stops:
+        assert check(supervisor) is State.RUNNING
+        assert supervisor.stale_ticks == 0
+
+
+def test_missed_slots_count_as_stale_ticks():
+    supervisor = started()
+    assert check(supervisor, status=BusStatus.CORRUPT) is State.DEGRADED
+    assert check(supervisor, status=BusStatus.CORRUPT, missed=1) is State.STOPPING
+
+
+@pytest.mark.parametrize(("missed", "stops"), [(1, False), (2, False), (3, True)])
+def test_a_long_stall_stops_the_robot(missed, stops):
+    assert (check(started(), missed=missed) is State.STOPPING) is stops
+
+
+def test_a_hardware_error_stops_at_once_and_is_named():
+    supervisor = started()
+    assert check(supervisor, status=BusStatus.ALERT, alert=0b100) is State.STOPPING
+    assert supervisor.tripped
+    assert "overheating" in supervisor.reason
+
+
+# --- goals ----------------------------------------------------------------------------------
+
+
+def first_goal_after(supervisor, *wished):
+    for value in wished:
+        goal = supervisor.admit(np.array([value]))
+    return goal[0]
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_goal_angle_at_its_limit(sign, beyond, stops):
+    supervisor = started(at=sign * 0.5)
+    first_goal_after(supervisor, sign * (0.5 + beyond))
+    assert (supervisor.state is State.STOPPING) is stops
+    assert abs(supervisor.goal_rad[0]) <= 0.5
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_goal_rate_at_its_limit(sign, beyond, stops):
+    supervisor = started()
+    step = EXACT_S  # 1 rad/s, reached with 64 rad/s2
+    first_goal_after(supervisor, sign * step * (1 + beyond))
+    assert (supervisor.state is State.STOPPING) is stops
+    assert ("rad/s," in supervisor.reason) is stops
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+def test_goal_acceleration_at_its_limit(sign, beyond, stops):
+    limits = msgspec.structs.replace(LIMITS, acceleration_rad_s2=32.0)
+    supervisor = started(limits)
+    first_goal_after(supervisor, sign * 32.0 * EXACT_S**2 * (1 + beyond))
+    assert (supervisor.state is State.STOPPING) is stops
+    assert ("rad/s2" in supervisor.reason) is stops
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_goal_that_is_no_number_is_never_admitted(bad):
+    supervisor = started()
+    first_goal_after(supervisor, 0.001, bad)
+    assert supervisor.state is State.STOPPING
+    assert np.all(np.isfinite(supervisor.goal_rad))
+
+
+angles = st.floats(-0.4, 0.4)
+
+
+@given(angles, angles)
+def test_goals_start_where_the_arm_stands_and_end_in_the_motion(stands, wished):
+    supervisor = started(at=stands, wished=wished)
+    before, velocity, ticks = stands, 0.0, 0
+    while abs(supervisor.goal_rad[0] - wished) > 1e-12 or ticks == 0:
+        goal = first_goal_after(supervisor, wished)
+        assert supervisor.state is State.RUNNING
+        rate = (goal - before) / EXACT_S
+        assert abs(rate) <= 0.25 * LIMITS.rate_rad_s * (1 + 1e-9)
+        assert abs(rate - velocity) / EXACT_S <= LIMITS.acceleration_rad_s2
+        before, velocity, ticks = goal, rate, ticks + 1
+        assert ticks <= 64 * 20
+
+
+def test_a_motion_that_starts_where_the_arm_stands_is_followed_to_the_bit():
+    goals = Motion(dof=2).table_rad()
+    supervisor = SafetySupervisor(Limits(), 2)
+    supervisor.arm(np.zeros(2))
+    supervisor.start()
+    supervisor.rebase(goals[0])
+    for row in goals:
+        assert supervisor.admit(row).tolist() == row.tolist()
+
+
+@given(st.integers(1, 2), st.integers(20, 200))
+def test_skipped_slots_make_no_jump_in_goal_or_speed(missed, slot):
+    goals = Motion().table_rad()
+    supervisor = started(Limits(), period_s=PERIOD_S)
+    rows = [k for k in range(400) if not slot <= k < slot + missed]
+    admitted = []
+    for k in rows:
+        if k == slot + missed:
+            supervisor.rebase(goals[k - 1])
+        admitted.append(supervisor.admit(goals[k])[0])
+    assert supervisor.state is State.RUNNING
+    rates = np.diff(admitted) / PERIOD_S
+    assert np.abs(rates).max() < 0.85, "the study's motion has 0.756 rad/s"
+    # The motion's own acceleration, gathered while slots were skipped, and the fading's.
+    own_rad_s2 = np.abs(np.diff(goals[:400, 0], 2)[1:]).max() / PERIOD_S**2
+    worst_rad_s2 = np.abs(np.diff(rates[1:])).max() / PERIOD_S
+    assert worst_rad_s2 < (missed + 1) * own_rad_s2 + 5.8 * missed * 0.756 * PERIOD_S
+    assert admitted[-1] == pytest.approx(goals[399, 0], abs=1e-12)
+
+
+@given(st.floats(-0.9, 0.9), st.floats(-0.4, 0.4))
+def test_a_controlled_stop_slows_down_holds_and_ends(rate, at):
+    supervisor = started(at=at)
+    supervisor._velocity[0] = rate
+    supervisor.request_stop("enough")
+    assert supervisor.state is State.STOPPING
+    positions = [at]
+    while supervisor.state is State.STOPPING:
+        positions.append(first_goal_after(supervisor, math.nan))
+        assert len(positions) < 200
+    rates = np.diff(positions) / EXACT_S
+    decelerations = -np.diff(np.abs([rate, *rates])) / EXACT_S
+    assert np.all((decelerations >= -1e-9) & (decelerations <= 8.0 + 1e-9))
+    still = np.flatnonzero(rates)[-1] if rates.any() else -1
+    assert (len(rates) - 1 - still) * EXACT_S >= 0.5, "held for hold_s"
+    assert supervisor.state is State.OFF
+    assert not supervisor.tripped
+
+
+def test_a_controlled_stop_does_not_leave_the_limits():
+    supervisor = started(at=0.49)
+    supervisor._velocity[0] = 0.9
+    supervisor.request_stop("enough")
+    while supervisor.state is State.STOPPING:
+        assert 0.49 <= first_goal_after(supervisor, 0.0) <= 0.5
+
+
+def test_the_first_reason_stands():
+    supervisor = started()
+    check(supervisor, status=BusStatus.ALERT, alert=1)
+    supervisor.request_stop("SIGTERM")
+    assert "input voltage" in supervisor.reason
+    assert supervisor.tripped
+
+
+@pytest.mark.parametrize(
+    ("at", "refused"), [(0.5, False), (0.5 + 1e-6, True), (-0.6, True), (math.nan, True)]
+)
+def test_a_robot_that_stands_outside_its_limits_does_not_start(at, refused):
+    supervisor = SafetySupervisor(LIMITS, 1, EXACT_S)
+    if refused:
+        with pytest.raises(InputError, match="by hand"):
+            supervisor.arm(np.array([at]))
+        assert supervisor.state is State.STARTING
+    else:
+        supervisor.arm(np.array([at]))
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("kind", [k for k in KINDS if k != "decay"])
+def test_the_default_limits_admit_the_motions(kind, dof):
+    check_motion(Motion(kind, dof=dof).table_rad(), Limits(), PERIOD_S, kind)
+
+
+def test_a_motion_beyond_the_limits_is_refused_before_it_starts():
+    with pytest.raises(InputError, match=r"motion decay: the goal of joint 1 moves at .* rad/s"):
+        check_motion(Motion("decay").table_rad(), Limits(), PERIOD_S, "motion decay")
