@@ -1,0 +1,379 @@
+"""The loop in simulated time: phase, missed slots, faults, ends; and no memory left behind."""
+
+import gc
+import signal
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_py.bus import BusStatus, DynamixelBus, ServoSetup
+from firmware_py.clock import SimClock
+from firmware_py.errors import InputError
+from firmware_py.estimator import Estimate, NoEstimator
+from firmware_py.loop import ControlLoop, Ended
+from firmware_py.loopback import LoopbackWire
+from firmware_py.motion import Motion
+from firmware_py.predictor import Prediction
+from firmware_py.registers import MODELS, Register
+from firmware_py.safety import Limits, SafetySupervisor, State
+from firmware_py.signals import STAGES, tick_dtype
+from firmware_py.timing import Cause
+
+PERIOD_NS = 17_000_000
+GOALS = Motion().table_rad()
+
+
+class Bus:
+    """A bus in memory whose reads take time and fail as a script says."""
+
+    def __init__(self, clock, dof=1):
+        self.dof, self.clock = dof, clock
+        self.angle_rad, self.current_a = np.zeros(dof), np.zeros(dof)
+        self.alert, self.wait_ns = 0, 0
+        self.script, self.reads = {}, 0
+        self.driven, self.calls, self.sent, self.deadlines = False, [], [], []
+        self._goal = np.zeros(dof)
+
+    def connect(self):
+        self.calls.append("connect")
+
+    def read(self, deadline_ns):
+        self.deadlines.append(deadline_ns - self.clock.now_ns())
+        event = self.script.get(self.reads, 0)
+        self.reads += 1
+        if isinstance(event, BaseException):
+            raise event
+        if isinstance(event, BusStatus):
+            return event
+        self.clock.advance(event)
+        self.wait_ns += event
+        self.angle_rad[:] = self._goal
+        return BusStatus.OK
+
+    def write(self, goal_rad, deadline_ns):
+        self.sent.append((self.clock.now_ns(), goal_rad.copy()))
+        self._goal[:] = goal_rad
+        return BusStatus.OK
+
+    def torque(self, on):
+        self.calls.append(f"torque {'on' if on else 'off'}")
+        self.driven = on
+        return BusStatus.OK
+
+    def close(self):
+        self.calls.append("close")
+
+
+class StillPredictor:
+    def __init__(self):
+        self.prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
+        self.fail_at, self.calls = None, 0
+
+    def predict(self, angle_rad, current_a, di):
+        self.calls += 1
+        if self.calls == self.fail_at:
+            raise RuntimeError("the graph is broken")
+        return self.prediction
+
+
+class Sent:
+    """Telemetry that keeps what it gets."""
+
+    def __init__(self, dof=1):
+        self.dtype, self.parts, self.drops = tick_dtype(dof), [], 0
+
+    def put(self, record):
+        self.parts.append(bytes(record))
+
+    @property
+    def records(self):
+        return np.frombuffer(b"".join(self.parts), self.dtype)
+
+
+def make(goals=GOALS, *, slots=None, bus=None, estimator=None, keep=4096, **options):
+    clock = SimClock(123)
+    bus = bus(clock) if bus else Bus(clock, goals.shape[1])
+    supervisor = SafetySupervisor(Limits(), goals.shape[1])
+    predictor, telemetry = StillPredictor(), Sent(goals.shape[1])
+    loop = ControlLoop(
+        bus, estimator or NoEstimator(), predictor, supervisor, goals, clock, slots=slots,
+        telemetry=telemetry, keep=keep, **options,
+    )  # fmt: skip
+    return loop, bus, predictor, supervisor, telemetry
+
+
+def test_every_slot_runs_at_its_time_and_the_goals_are_those_of_the_motion():
+    loop, bus, _, supervisor, _ = make()
+    summary = loop.run()
+    assert (summary.ended, supervisor.state) == (Ended.FINISHED, State.OFF)
+    running = summary.records[: len(GOALS)]
+    assert running["tick"].tolist() == list(range(len(GOALS)))
+    assert np.all(np.diff(running["deadline_ns"]) == PERIOD_NS)
+    assert running["goal_1_rad"].tolist() == GOALS[:, 0].tolist()
+    assert running["time_s"] == pytest.approx(0.017 * np.arange(len(GOALS)), abs=1e-12)
+    assert summary.timing.misses == 0
+    assert bus.calls == ["connect", "torque on", "torque off"]
+
+
+def test_a_row_holds_the_sample_and_the_goal_sent_after_it():
+    loop, *_ = make()
+    rows = loop.run().records
+    assert rows["angle_1_rad"][1:].tolist() == rows["goal_1_rad"][:-1].tolist()
+
+
+def test_the_motion_repeats_for_as_long_as_asked():
+    loop, *_ = make(slots=1000)
+    rows = loop.run().records
+    assert rows["goal_1_rad"][512:1000].tolist() == GOALS[:488, 0].tolist()
+    assert rows["state"][:1000].tolist() == [State.RUNNING] * 1000
+    assert rows["state"][1000] == State.STOPPING
+
+
+@pytest.mark.parametrize(
+    ("duration_ns", "missed"),
+    [(PERIOD_NS - 1, 0), (PERIOD_NS, 0), (PERIOD_NS + 1, 1), (2 * PERIOD_NS, 1),
+     (2 * PERIOD_NS + 1, 2)],
+)  # fmt: skip
+def test_slots_that_have_begun_are_skipped_and_phase_is_kept(duration_ns, missed):
+    loop, bus, *_ = make()
+    bus.script = {100: duration_ns}
+    summary = loop.run()
+    ticks = summary.records["tick"]
+    assert ticks[100] == 100
+    assert ticks[101] == 101 + missed
+    assert summary.records["missed"][101] == missed
+    start_ns = summary.records["deadline_ns"][0]
+    assert np.all(summary.records["deadline_ns"] == start_ns + ticks * PERIOD_NS)
+    assert np.all(summary.records["lateness_ns"][101:] == 0)
+    assert (summary.timing.misses, summary.timing.longest_run) == (missed, missed)
+    assert summary.timing.causes[Cause.BUS_WAIT] == missed
+    assert summary.ended is Ended.FINISHED
+
+
+@given(st.dictionaries(st.integers(1, 400), st.integers(0, 3 * PERIOD_NS), max_size=20))
+def test_no_two_ticks_share_a_slot_and_none_starts_early(delays):
+    loop, bus, *_ = make()
+    bus.script = delays
+    rows = loop.run().records
+    assert np.all(np.diff(rows["tick"]) >= 1)
+    assert rows["missed"].sum() == (np.diff(rows["tick"]) - 1).sum()
+    assert np.all(rows["lateness_ns"] >= 0)
+    assert np.all(np.diff(rows["deadline_ns"]) == np.diff(rows["tick"]) * PERIOD_NS)
+
+
+def test_a_stall_leaves_no_jump_in_the_goals():
+    loop, bus, *_ = make()
+    bus.script = {100: 2 * PERIOD_NS + 1}
+    rows = loop.run().records
+    steps = np.abs(np.diff(rows["goal_1_rad"]))
+    assert steps.max() <= np.abs(np.diff(GOALS[:, 0])).max() * 1.1
+
+
+def test_the_bus_gets_what_is_left_of_its_budget():
+    loop, bus, *_ = make(reply_timeout_s=0.008)
+    bus.script = {5: PERIOD_NS + 3_000_000}
+    loop.run()
+    assert set(bus.deadlines) == {8_000_000}
+    loop, bus, *_ = make(reply_timeout_s=0.017)
+    loop.run()
+    assert max(bus.deadlines) <= PERIOD_NS - 2_000_000, "time is left to the rest of the tick"
+
+
+def test_stale_data_degrades_and_three_in_a_row_stop_the_robot():
+    loop, bus, *_ = make()
+    bus.script = {50: BusStatus.TIMEOUT, 51: BusStatus.CORRUPT} | dict.fromkeys(
+        range(100, 103), BusStatus.TIMEOUT
+    )
+    summary = loop.run()
+    rows = summary.records
+    assert rows["state"][49:54].tolist() == [
+        State.RUNNING, State.DEGRADED, State.DEGRADED, State.RUNNING, State.RUNNING,
+    ]  # fmt: skip
+    assert rows["stale_ticks"][50:53].tolist() == [1, 2, 0]
+    assert rows["angle_1_rad"][50] == rows["angle_1_rad"][49], "the last good value, not zero"
+    assert rows["state"][101:104].tolist() == [State.DEGRADED, State.STOPPING, State.STOPPING]
+    assert summary.ended is Ended.TRIPPED
+    assert "no fresh data for 3 ticks" in summary.reason
+    assert summary.bus_faults == {"timeout": 4, "corrupt": 1}
+    assert not bus.driven
+
+
+def test_a_controlled_stop_holds_the_last_goal_before_the_torque_goes_off():
+    loop, bus, *_ = make()
+    bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
+    rows = loop.run().records
+    goals = rows["goal_1_rad"][102:]
+    assert np.all(np.abs(np.diff(goals, 2)) <= 6.0 * 0.017**2 * (1 + 1e-6))
+    held = np.flatnonzero(goals == goals[-1])
+    assert len(held) * 0.017 >= Limits().hold_s
+    assert bus.calls[-1] == "torque off"
+
+
+@pytest.mark.parametrize("place", ["read", "predict", "estimate"])
+@pytest.mark.parametrize("error", [RuntimeError("bug"), KeyboardInterrupt(), SystemExit(1)])
+def test_whatever_is_raised_leaves_no_servo_driven(place, error):
+    class Failing(NoEstimator):
+        calls = 0
+
+        def update(self, angle_rad, current_a, step_s):
+            self.calls += 1
+            if place == "estimate" and self.calls == 20:
+                raise error
+            return Estimate(0.0, 0.0)
+
+    loop, bus, predictor, _, telemetry = make(estimator=Failing())
+    if place == "read":
+        bus.script = {19: error}
+    elif place == "predict":
+        predictor.fail_at, error = 20, RuntimeError()
+    with pytest.raises(type(error)):
+        loop.run()
+    assert not bus.driven
+    assert bus.calls[-1] == "torque off"
+    assert telemetry.records["tick"].tolist() == list(range(19)), "what led there is not lost"
+
+
+def test_torque_that_cannot_be_switched_on_ends_with_torque_off():
+    loop, bus, *_ = make()
+    bus.torque = lambda on: bus.calls.append(f"torque {on}") or BusStatus.TIMEOUT
+    with pytest.raises(InputError, match="torque"):
+        loop.run()
+    assert bus.calls == ["connect", "torque True", "torque False"]
+
+
+def test_the_servos_get_their_own_position_as_first_goal_before_the_torque():
+    loop, bus, *_ = make()
+    bus.angle_rad[:] = 0.2
+    events = []
+    write, torque = bus.write, bus.torque
+    bus.write = lambda goal, deadline: events.append(float(goal[0])) or write(goal, deadline)
+    bus.torque = lambda on: events.append(on) or torque(on)
+    summary = loop.run()
+    assert events[:2] == [0.2, True]
+    assert np.abs(np.diff([0.2, *summary.records["goal_1_rad"]])).max() < 0.03
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_brings_a_controlled_stop(number):
+    class SignallingBus(Bus):
+        def read(self, deadline_ns):
+            if self.reads == 100:
+                signal.raise_signal(number)
+            return super().read(deadline_ns)
+
+    before = signal.getsignal(number)
+    loop, bus, *_ = make(bus=SignallingBus)
+    summary = loop.run()
+    assert (summary.ended, summary.reason) == (Ended.SIGNALLED, number.name)
+    assert summary.records["state"][100] == State.STOPPING
+    assert summary.ticks > 100 + Limits().hold_s / 0.017
+    assert not bus.driven
+    assert signal.getsignal(number) is before
+
+
+def test_a_hardware_error_stops_the_robot():
+    loop, bus, *_ = make()
+    bus.script, bus.alert = {30: BusStatus.ALERT}, 0b100000
+    summary = loop.run()
+    assert summary.ended is Ended.TRIPPED
+    assert "overload" in summary.reason
+    assert summary.records["alert"][30] == 0b100000
+
+
+def test_the_estimator_is_told_how_much_time_has_passed():
+    class Listening(NoEstimator):
+        steps_s, resets = (), 0
+
+        def reset(self):
+            self.resets += 1
+
+        def update(self, angle_rad, current_a, step_s):
+            self.steps_s = (*self.steps_s, step_s)
+            return Estimate(0.0, 0.0)
+
+    estimator = Listening()
+    loop, bus, *_ = make(estimator=estimator)
+    bus.script = {10: PERIOD_NS + 1}
+    loop.run()
+    assert estimator.resets == 1
+    assert estimator.steps_s[9:13] == pytest.approx([0.017, 0.017, 0.034, 0.017])
+
+
+def test_telemetry_gets_every_record_whole_and_in_order():
+    loop, _, _, _, telemetry = make(goals=Motion(dof=2).table_rad())
+    summary = loop.run()
+    assert telemetry.records.tobytes() == summary.records.tobytes()
+
+
+def test_the_summary_keeps_the_last_ticks():
+    loop, *_ = make(keep=10)
+    summary = loop.run()
+    assert len(summary.records) == 10
+    assert summary.records["tick"].tolist() == list(range(summary.ticks - 10, summary.ticks))
+
+
+def test_the_stages_add_up_to_the_tick():
+    class SlowEstimator(NoEstimator):
+        def update(self, angle_rad, current_a, step_s):
+            clock.advance(2_000)
+            return Estimate(0.0, 0.0)
+
+    loop, bus, *_ = make(estimator=SlowEstimator())
+    clock = bus.clock
+    bus.script = dict.fromkeys(range(600), 1_000_000)
+    rows = loop.run().records
+    assert np.all(rows["read_ns"] == 1_000_000)
+    assert np.all(rows["bus_wait_ns"] == 1_000_000)
+    assert np.all(rows["estimate_ns"] == 2_000)
+    assert np.all(sum(rows[f"{stage}_ns"] for stage in STAGES[1:]) == rows["busy_ns"])
+
+
+def test_goals_of_another_number_of_joints_are_refused():
+    with pytest.raises(InputError, match="1 joints"):
+        make(goals=np.zeros((10, 2)), bus=lambda clock: Bus(clock, 1))
+
+
+def test_the_same_run_twice_is_the_same_to_the_bit():
+    def rows():
+        loop, bus, *_ = make()
+        bus.script = {7: BusStatus.CORRUPT, 50: PERIOD_NS + 5}
+        return loop.run().records.tobytes()
+
+    assert rows() == rows()
+
+
+def test_a_tick_leaves_no_memory_behind():
+    clock = SimClock()
+    models = {1: MODELS[54024], 2: MODELS[54024]}
+    wire = LoopbackWire(models)
+    setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
+    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    sizes = []
+
+    class Measuring(NoEstimator):
+        ticks = 0
+
+        def update(self, angle_rad, current_a, step_s):
+            self.ticks += 1
+            if self.ticks in (700, 1700, 2700):
+                gc.collect()
+                sizes.append(tracemalloc.get_traced_memory()[0])
+            return Estimate(0.0, 0.0)
+
+    goals = Motion(dof=2).table_rad()
+    loop = ControlLoop(
+        bus, Measuring(), StillPredictor(), SafetySupervisor(Limits(), 2), goals, clock,
+        slots=2750, keep=64,
+    )  # fmt: skip
+    tracemalloc.start()
+    try:
+        loop.run()
+    finally:
+        tracemalloc.stop()
+    assert wire.get(1, Register.TORQUE_ENABLE) == 0
+    assert len(sizes) == 3
+    # A handful of counters outgrow a machine word's worth of digits or a cached integer.
+    assert abs(sizes[2] - sizes[1]) < 256, "less than a quarter of a byte per tick"
