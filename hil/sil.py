@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal, NamedTuple
@@ -24,18 +26,19 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.bundle import MANIFEST, ModelBundle, sha256_of
-from firmware_py.bus import DynamixelBus
+from firmware_py.bundle import ModelBundle
+from firmware_py.bus import DynamixelBus, ServoBus
 from firmware_py.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.loop import ControlLoop, RunSummary
-from firmware_py.port import Wire, open_wire
 from firmware_py.recorder import recording
 from firmware_py.registers import Model
+from firmware_py.robot import log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
-from firmware_py.telemetry import NoTelemetry, Telemetry
-from firmware_py.timing import KernelCounters, NoCounters
+from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
+from firmware_py.timing import Counters, KernelCounters, NoCounters
+from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
 from hil.host import Probe, Releases, Watch, cpu_load, environment, processors
 from hil.line import VirtualWire
@@ -45,6 +48,7 @@ LineKind = Literal["pty", "socket", "virtual"]
 LOG_NAME: Final = "ticks.mcap"
 _STOP_TICKS: Final = 200
 """Room for the ticks of the controlled stop."""
+_GEOMETRY: Final = ("base_offset_m", "link_length_m", "link_width_m")
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,8 @@ class Result(NamedTuple):
         Time that the run took.
     environment : dict
         Machine, scheduler, load, line.
+    geometry : dict of str to float
+        The link's base_offset_m, link_length_m and link_width_m, as far as the plant has them.
     """
 
     summary: RunSummary
@@ -129,28 +135,12 @@ class Result(NamedTuple):
     line_cpu: Watch
     wall_s: float
     environment: dict[str, Any]
+    geometry: dict[str, float] | None = None
 
     @property
     def records(self) -> NDArray[np.void]:
         """Every tick, in order."""
         return self.summary.records
-
-
-def robot_config(options: Options, port: str, cpu: int | None) -> RobotConfig:
-    """The configuration that the robot would have."""
-    return RobotConfig(
-        bundle=str(options.bundle.directory),
-        bus=BusConfig(port=port, baud=options.baud),
-        servos=tuple(ServoConfig(id=j, model=options.model.name) for j in _ids(options.dof)),
-        period_s=options.period_s,
-        payload_kg=options.payload_kg,
-        motion=options.motion,
-        real_time=RealTimeOptions(cpu=cpu),
-    )
-
-
-def _ids(dof: int) -> tuple[int, ...]:
-    return tuple(range(1, dof + 1))
 
 
 def run(options: Options) -> Result:
@@ -161,112 +151,158 @@ def run(options: Options) -> Result:
     InputError
         If bundle, unit or options cannot be used.
     """
-    if options.seconds <= 0:
+    if not 0 < options.seconds < math.inf:
         raise InputError("--seconds", f"is {options.seconds:g}", "give a positive duration")
-    options.out.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
-        unit = options.unit or build_twin(
-            _plant(options.bundle.directory), options.dof, Path(scratch)
-        )
+        unit = options.unit or build_twin(_plant(options), options.dof, Path(scratch))
         specification = Specification(
-            unit, options.model.number, _ids(options.dof), options.baud,
+            unit, options.model.number, _ids(options), options.baud,
             latency_s=options.latency_s, payload_kg=options.payload_kg,
             faults=options.faults, seed=options.seed,
         )  # fmt: skip
+        options.out.mkdir(parents=True, exist_ok=True)
         if options.line == "virtual":
-            return _run_virtual(options, specification)
-        return _run_in_real_time(options, specification, Path(scratch))
+            result = _run_virtual(options, specification)
+        else:
+            result = _run_in_real_time(options, options.line, specification, Path(scratch))
+        return result._replace(geometry=_geometry(unit))
 
 
-def _plant(bundle: Path) -> Path:
-    path = bundle / "plant.json"
+def _ids(options: Options) -> tuple[int, ...]:
+    return tuple(range(1, options.dof + 1))
+
+
+def _plant(options: Options) -> Path:
+    path = options.bundle.directory / "plant.json"
     if not path.is_file():
         raise InputError(path, "is missing", "copy the whole bundle, or name a twin with --fmu")
     return path
 
 
+def _geometry(unit: Path) -> dict[str, float]:
+    with FmiUnit(unit) as opened:
+        known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
+        return dict(
+            zip(known, opened.get([f"parameters.{n}" for n in known]).tolist(), strict=True)
+        )
+
+
+def robot_config(options: Options, port: str, cpu: int | None = None) -> RobotConfig:
+    """The configuration that the robot would have."""
+    return RobotConfig(
+        bundle=str(options.bundle.directory),
+        bus=BusConfig(port=port, baud=options.baud),
+        servos=tuple(ServoConfig(id=i, model=options.model.name) for i in _ids(options)),
+        period_s=options.period_s,
+        payload_kg=options.payload_kg,
+        motion=options.motion,
+        real_time=RealTimeOptions(cpu=cpu),
+    )
+
+
 def _run_virtual(options: Options, specification: Specification) -> Result:
     clock = SimClock()
-    line, log = assemble(specification)
-    config = robot_config(options, "virtual", None)
-    loop = _loop(options, config, VirtualWire(line, clock), clock, NoTelemetry())
+    line, truth = assemble(specification)
+    config = robot_config(options, "virtual")
+    bus = DynamixelBus(
+        VirtualWire(line, clock), config.setups(), clock,
+        period_s=config.period_s, name=config.bus.port, baud=config.bus.baud,
+    )  # fmt: skip
+    loop = _loop(options, config, bus, clock, NoTelemetry(), NoCounters())
     start_s = time.perf_counter()
     summary = loop.run()
     wall_s = time.perf_counter() - start_s
-    outcome = Outcome(log.truth(), Releases(), dict(line.faults.injected))
-    digest = hashlib.sha256(summary.records.tobytes() + outcome.truth.tip_m.tobytes()).hexdigest()
-    facts = (
-        environment()
-        | _line_facts(options)
-        | {
-            "scheduler": "simulated time",
-            "speed_up": clock.now_ns() * 1e-9 / wall_s,
-            "records_sha256": digest,
-        }
+    with _recording(options, config) as telemetry:  # afterwards: the recorder runs in real time
+        for record in summary.records:
+            _put(telemetry, record.tobytes())
+    outcome = Outcome(truth.truth(), Releases(), dict(line.faults.injected))
+    digest = hashlib.sha256(summary.records.tobytes() + outcome.truth.tip_m.tobytes())
+    facts = {
+        "scheduler": "none: simulated time",
+        "speed_up": clock.now_ns() * 1e-9 / wall_s,
+        "records_sha256": digest.hexdigest(),
+    }
+    return Result(
+        summary, outcome, Watch(), Watch(), wall_s, environment() | _line_facts(options) | facts
     )
-    return Result(summary, outcome, Watch(), Watch(), wall_s, facts)
 
 
-def _run_in_real_time(options: Options, specification: Specification, scratch: Path) -> Result:
-    assert options.line != "virtual"
+def _put(telemetry: SocketTelemetry, record: bytes) -> None:
+    """Hand a record over, again and again until the recorder has room for it."""
+    drops = telemetry.drops
+    telemetry.put(memoryview(record))
+    while telemetry.drops > drops:
+        time.sleep(1e-3)
+        drops = telemetry.drops
+        telemetry.put(memoryview(record))
+
+
+def _run_in_real_time(
+    options: Options,
+    kind: Literal["pty", "socket"],
+    specification: Specification,
+    scratch: Path,
+) -> Result:
     loop_cpu, other_cpus = processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
     with _kept_to(other_cpus), contextlib.ExitStack() as stack:
-        emulator = Emulator(specification, options.line, scratch, line_cpu)
+        emulator = Emulator(specification, kind, scratch, line_cpu)
         config = robot_config(options, emulator.name, loop_cpu)
-        telemetry = stack.enter_context(
-            recording(options.out / LOG_NAME, options.dof, time.time_ns(), _metadata(options))
-        )
+        telemetry = stack.enter_context(_recording(options, config))
         stack.enter_context(cpu_load(options.load, other_cpus))
         # On a single processor the emulator is a neighbour of the loop, else nobody is.
-        shared = (emulator.pid,) if line_cpu == loop_cpu else ()
-        probes = Probe(loop_cpu, shared), Probe(line_cpu)
-        with real_time(config.real_time) as refused:
-            wire = open_wire(emulator.name, options.baud, clock)
-            loop = _loop(options, config, wire, clock, telemetry, KernelCounters())
+        probes = (
+            Probe(loop_cpu, (emulator.pid,) if line_cpu == loop_cpu else ()),
+            Probe(line_cpu),
+        )
+        with (
+            open_bus(config, clock) as bus,
+            contextlib.closing(KernelCounters()) as counters,
+            real_time(config.real_time) as refused,
+        ):
+            loop = _loop(options, config, bus, clock, telemetry, counters)
             start_s = time.perf_counter()
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
             scheduler = _scheduler()
         seen, seen_line = (probe.stop() for probe in probes)
-        facts = (
-            environment()
-            | _line_facts(options)
-            | {
-                "scheduler": scheduler,
-                "refused": refused,
-                "loop_processor": loop_cpu,
-                "line_processor": line_cpu,
-                "load_processes": options.load,
-                "load_is": "declared host load, normal priority, on the emulator's processor",
-            }
-        )
-        outcome = emulator.stop()
-    return Result(summary, outcome, seen, seen_line, wall_s, facts)
+        facts = {
+            "scheduler": scheduler,
+            "refused": refused,
+            "loop_processor": loop_cpu,
+            "line_processor": line_cpu,
+            "load_processes": options.load,
+            "load_is": "declared host load, normal priority, on the emulator's processor",
+        }
+        facts = environment() | _line_facts(options) | facts
+        return Result(summary, emulator.stop(), seen, seen_line, wall_s, facts)
 
 
 def _loop(
     options: Options,
     config: RobotConfig,
-    wire: Wire,
+    bus: ServoBus,
     clock: Clock,
     telemetry: Telemetry,
-    counters: KernelCounters | None = None,
+    counters: Counters,
 ) -> ControlLoop:
-    goals_rad = config.goals_rad(repeated=True)
-    slots = round(options.seconds / options.period_s)
-    bus = DynamixelBus(
-        wire, config.setups(), clock,
-        period_s=options.period_s, name=config.bus.port, baud=config.bus.baud,
-    )  # fmt: skip
+    slots = round(options.seconds / config.period_s)
     return ControlLoop(
         bus, options.bundle.estimator, options.bundle.predictor,
-        SafetySupervisor(config.limits, options.dof, options.period_s),
-        goals_rad, clock,
-        slots=slots, period_s=options.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-        telemetry=telemetry, counters=counters or NoCounters(), keep=slots + _STOP_TICKS,
+        SafetySupervisor(config.limits, options.dof, config.period_s),
+        config.goals_rad(repeated=True), clock,
+        slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
+        telemetry=telemetry, counters=counters, keep=slots + _STOP_TICKS,
     )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _recording(options: Options, config: RobotConfig) -> Iterator[SocketTelemetry]:
+    metadata = log_metadata(config, options.bundle, datetime.now(UTC))
+    path = options.out / LOG_NAME
+    with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
+        yield telemetry
 
 
 @contextlib.contextmanager
@@ -281,9 +317,9 @@ def _kept_to(cpus: set[int]) -> Iterator[None]:
 
 
 def _scheduler() -> str:
-    policies = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
+    names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-    return f"{policies.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
+    return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
 
 
 def _line_facts(options: Options) -> dict[str, Any]:
@@ -294,13 +330,4 @@ def _line_facts(options: Options) -> dict[str, Any]:
         "servo": options.model.name,
         "faults": options.faults,
         "payload_kg": options.payload_kg,
-    }
-
-
-def _metadata(options: Options) -> dict[str, str]:
-    return {
-        "source": "sil",
-        "bundle_sha256": sha256_of(options.bundle.directory / MANIFEST),
-        "payload_kg": str(options.payload_kg),
-        "motion": options.motion.kind,
     }

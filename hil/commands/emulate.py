@@ -1,0 +1,65 @@
+"""Be servos for any Dynamixel program: prints the name of the port to open, until Ctrl-C.
+
+The servos stand on one bus with the plant behind them. A servo that is written to by a program
+moves the plant, and what the program reads comes from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
+
+from firmware_py.console import DONE, emit
+from firmware_py.errors import InputError
+from firmware_py.registers import model_named
+from hil.arguments import add_line_arguments
+from hil.emulator import Specification, serve_forever
+from hil.faults import parse_rates
+from hil.physics import build_twin
+
+EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--line", choices=("pty", "socket"), default="pty")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--plant", type=Path, help="plant document behind the servos")
+    source.add_argument("--fmu", type=Path, help="or a twin that was built from one")
+    parser.add_argument(
+        "--ids", type=int, nargs="+", default=[1], help="one per joint, 1 or 2 (default: 1)"
+    )
+    parser.add_argument(
+        "--path", type=Path, default=Path(gettempdir()) / f"dropstitch-{os.getpid()}",
+        help="of the socket",
+    )  # fmt: skip
+    add_line_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted."""
+    model = model_named(args.model)
+    if args.line == "socket" and args.path.exists():
+        raise InputError(args.path, "exists already", "name another --path, or remove it")
+    with TemporaryDirectory(prefix="dropstitch-emulate-") as scratch:
+        unit = args.fmu or build_twin(args.plant, len(args.ids), Path(scratch))
+        specification = Specification(
+            unit, model.number, tuple(args.ids), args.baud,
+            latency_s=args.latency_ms * 1e-3, payload_kg=args.payload_kg,
+            faults=parse_rates(args.faults), seed=args.seed,
+        )  # fmt: skip
+
+        def announce(name: str) -> None:
+            facts = {"port": name, "model": model.name, "ids": args.ids, "baud": args.baud}
+            who = " and ".join(map(str, args.ids))
+            emit(args, facts, f"{name}\n{model.name}, id {who}, {args.baud} baud; Ctrl-C ends it")
+            sys.stdout.flush()
+
+        try:
+            serve_forever(specification, args.line, args.path, announce)
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+    return DONE

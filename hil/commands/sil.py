@@ -1,0 +1,146 @@
+"""Run the robot's loop against emulated servos with a plant behind them, and judge its timing.
+
+Writes to OUT: timing.json and timing.xml (the verdict), ticks.mcap (the robot's own log),
+trial/sil.csv (the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed
+by our own doing, or stopped by the safety supervisor, 3 inconclusive: the host kept the processor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any, get_args
+
+from firmware_py.bundle import ModelBundle
+from firmware_py.config import MotionConfig
+from firmware_py.console import NEGATIVE, emit
+from firmware_py.motion import KINDS, STUDY_PERIOD_S
+from firmware_py.registers import model_named
+from hil import outcome, sil, verify
+from hil.arguments import add_line_arguments
+from hil.faults import parse_rates
+from models.trials import write_trial
+
+EXAMPLE = (
+    "python -m hil sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
+    "--seconds 60 --load 1"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--bundle", type=Path, required=True, help="what the robot runs")
+    parser.add_argument("--out", type=Path, required=True, help="directory for the results")
+    parser.add_argument(
+        "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
+    )
+    parser.add_argument(
+        "--line", choices=get_args(sil.LineKind), default="socket",
+        help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
+    )  # fmt: skip
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration (default: 10)")
+    parser.add_argument("--motion", choices=KINDS, default="sinusoid")
+    parser.add_argument("--amplitude-deg", type=float, default=30.0)
+    parser.add_argument("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
+    parser.add_argument("--phase-deg", type=float, default=0.0, help="of joint 2")
+    parser.add_argument(
+        "--load", type=int, default=0, metavar="N",
+        help="processes that load the other processor; declared host load",
+    )  # fmt: skip
+    add_line_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, judge, write."""
+    options = sil.Options(
+        bundle=ModelBundle.load(args.bundle),
+        model=model_named(args.model),
+        out=args.out,
+        unit=args.fmu,
+        line=args.line,
+        seconds=args.seconds,
+        baud=args.baud,
+        latency_s=args.latency_ms * 1e-3,
+        payload_kg=args.payload_kg,
+        motion=MotionConfig(
+            kind=args.motion,
+            amplitude_rad=math.radians(args.amplitude_deg),
+            period_s=args.period,
+            phase_2_rad=math.radians(args.phase_deg),
+        ),
+        load=args.load,
+        faults=parse_rates(args.faults),
+        seed=args.seed,
+    )
+    result = sil.run(options)
+    timing = write_results(result, options)
+    emit(args, timing, describe(timing, args.out))
+    return NEGATIVE if timing["run"]["ended"] == "tripped" else verify.exit_code(timing)
+
+
+def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
+    """Judge a run and write everything but the log, which the recorder wrote; return timing."""
+    summary, out = result.summary, options.out
+    timing = verify.judge(
+        result.records, options.period_s, result.loop_cpu, result.line_cpu,
+        result.outcome.releases, result.environment,
+    )  # fmt: skip
+    timing["run"] = {
+        "ended": summary.ended.value,
+        "reason": summary.reason,
+        "wall_s": result.wall_s,
+        "bus_faults": summary.bus_faults,
+        "faults_injected": result.outcome.faults,
+        "telemetry_drops": summary.telemetry_drops,
+    }
+    timing["prediction_error"] = outcome.prediction_error(result.records, result.outcome.truth)
+    (out / "timing.json").write_text(json.dumps(timing, indent=1), encoding="utf-8")
+    (out / "timing.xml").write_bytes(verify.junit_xml(timing))
+    if result.geometry and timing["prediction_error"]["n"]:
+        write_trial(outcome.as_trial(result, options), out / "trial")
+    outcome.draw(result, timing, out / "summary.svg")
+    return timing
+
+
+def describe(timing: dict[str, Any], out: Path) -> str:
+    """The result for people."""
+    run_, environment, error = timing["run"], timing["environment"], timing["prediction_error"]
+    lines = [
+        f"{timing['verdict']}: {timing['reason']}",
+        f"{run_['ended']}: {run_['reason']}; {timing['ticks']} ticks in {run_['wall_s']:.1f} s on "
+        f"the {environment['line']} line",
+    ]
+    if environment["line"] == "virtual":
+        lines.append(f"{environment['speed_up']:.0f} times real time")
+    else:
+        lines += [*_timing_lines(timing), *environment["refused"]]
+    if error["n"]:
+        lines.append(
+            f"predicted tip off by {error['mean_euclidean_distance_m'] * 1e3:.1f} mm on average, "
+            f"{error['max_m'] * 1e3:.1f} mm at most"
+        )
+    lines.append(f"see {out}/summary.svg and timing.json")
+    return "\n".join(lines)
+
+
+def _timing_lines(timing: dict[str, Any]) -> list[str]:
+    cost = timing["own_cost"]
+    met = "met" if cost["within_budget"] else "not met"
+    causes = ", ".join(f"{count} {cause}" for cause, count in timing["causes"].items())
+    rows = {
+        "own cost": cost,
+        "wake-up": timing["lateness"],
+        "beside it": timing["reference_jitter"],
+    }
+    shares = (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
+    return [
+        *(
+            f"{name:9} " + ", ".join(f"{label} {row[key] / 1e3:.0f} µs" for label, key in shares)
+            for name, row in rows.items()
+        ),
+        f"target for the own cost, p99 {verify.OWN_COST_P99_NS / 1e3:.0f} µs: {met}",
+        f"misses {timing['misses']} ({causes}); with 95 % confidence ours are fewer than 1 in "
+        f"{1 / timing['own_miss_rate_upper_bound_95']:.0f}",
+    ]
