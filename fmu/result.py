@@ -46,7 +46,7 @@ def draw(result: Result, path: Path) -> None:
                 )  # fmt: skip
         axis.set_ylabel(quantity if unit == "1" else f"{quantity} in {shown.name}")
         axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", loc="upper right", ncols=2)
+        axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes[0, 0].set_title(result.title)
     axes[-1, 0].set_xlabel("time in s")
     figure.savefig(path, metadata={"Date": None})

@@ -15,8 +15,7 @@ from models.onnx_power import to_onnx
 from models.plant.plant import read_plant
 from models.plant.step import names
 from models.predictors import GuardedPredictor
-
-from .toy import pendulum
+from tests.fmu.toy import pendulum
 
 GOAL_AMPLITUDE_RAD = math.radians(30.0)
 

@@ -1,0 +1,38 @@
+from fmu.interface import interface_of
+from models.plant.step import names
+
+
+def test_value_references_number_time_inputs_parameters_outputs(toy):
+    interface = interface_of(toy)
+    assert [v.reference for v in interface.variables] == list(range(len(interface.variables)))
+    assert [v.name for v in interface.variables] == [
+        "time",
+        *names(toy.inputs),
+        *(f"parameters.{name}" for name in names(toy.parameters)),
+        *names(toy.outputs),
+    ]
+
+
+def test_dependencies_are_those_of_the_equations(toy):
+    interface = interface_of(toy)
+    by_name = {v.name: v.reference for v in interface.variables}
+
+    def known(table, output):
+        return {interface.variables[r].name for r in table[by_name[output]]}
+
+    # read off tests/fmu/toy.py: the tip follows the angle and the length, the mass its input
+    assert known(interface.dependencies, "tip_x_m") == {"parameters.length_m"}
+    assert known(interface.dependencies, "mass_kg") == {"payload_kg"}
+    assert known(interface.dependencies, "steps") == set()
+    assert known(interface.initial_dependencies, "tip_x_m") == {
+        "payload_kg", "parameters.length_m", "parameters.rest_rad",
+    }  # fmt: skip
+    assert known(interface.initial_dependencies, "torque_filtered_nm") == {"torque_nm"}
+
+
+def test_a_truth_is_discrete_and_has_its_own_type(toy):
+    variables = {v.name: v for v in interface_of(toy).variables}
+    assert (variables["in_range"].type, variables["in_range"].variability) == (
+        "Boolean", "discrete",
+    )  # fmt: skip
+    assert variables["tip_x_m"].type == "Float64"
