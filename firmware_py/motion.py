@@ -60,7 +60,7 @@ class Motion:
         Time of one cycle of the sinusoid; the other motions scale with it.
     phase_2_rad : float
         By how much joint 2 leads joint 1 (the multisine has no common phase and ignores it).
-        Joint 2 still starts at zero: the lead fades in during the first half cycle.
+        Joint 2 still starts at zero: where it leads it fades in during half a period.
     dof : int
         Number of joints, 1 or 2.
     """
@@ -107,7 +107,7 @@ class Motion:
         clipped_s = np.clip(time_s, 0.0, self.duration_s)
         fade = 1.0 - _ease((time_s - self.duration_s) / GLIDE_S)
         joints = [self._joint(j, clipped_s) * fade for j in range(self.dof)]
-        return self.amplitude_rad * np.stack(joints, axis=-1)
+        return self.amplitude_rad * np.stack(joints, axis=-1) + 0.0  # no negative zeros
 
     def table_rad(self, step_s: float = PERIOD_S, rest_samples: int = 0) -> Array:
         """Goals of a whole run with a fixed period, `rest_samples` zeros in front.
@@ -126,11 +126,10 @@ class Motion:
             return _multisine(time_s / self.duration_s, _HARMONICS[joint])
         wave, cycles = _WAVES[self.kind]
         turn = time_s / self.duration_s * cycles
-        if joint == 0:
+        if joint == 0 or self.phase_2_rad == 0.0:
             return wave(turn % 1.0)
         lead = self.phase_2_rad / (2.0 * np.pi)
-        start = wave(np.asarray(lead % 1.0))
-        return wave((turn + lead) % 1.0) - start * (1.0 - _ease(2.0 * turn))
+        return wave((turn + lead) % 1.0) * _ease(2.0 * time_s / self.period_s)
 
 
 def _ease(share: Array) -> Array:
@@ -176,7 +175,7 @@ def _multisine(share: Array, harmonics: Sequence[int]) -> Array:
     """Sum of harmonics over the whole duration, peak 1, faded in and out over a tenth each."""
     fine = np.linspace(0.0, 1.0, 4097)
     scale = 1.0 / np.max(np.abs(_harmonic_sum(fine, harmonics)))
-    return np.asarray(scale * _harmonic_sum(share, harmonics))
+    return np.clip(scale * _harmonic_sum(share, harmonics), -1.0, 1.0)  # peaks between points
 
 
 def _harmonic_sum(share: Array, harmonics: Sequence[int]) -> Array:

@@ -2,7 +2,8 @@
 
 The rig hides an effect (`models.rig`), the plant holds it (`models.plant.effects`); both in their
 own equations. What they share is this table, which is a contract: `--hide NAME=STRENGTH` adds
-STRENGTH, in this unit, to what the rig has by default. Strength zero means absent.
+STRENGTH, in this unit, to what the rig has by default. Strength zero means absent. An effect of the
+servo, a joint or a sensor is the same in every driven joint.
 """
 
 from __future__ import annotations
@@ -55,12 +56,12 @@ CATALOGUE: Final[dict[str, EffectName]] = {
     "creep": EffectName("bend_torque", "1", "relaxing share of the bending stiffness"),
     "aerodynamic_drag": EffectName("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic"),
     "cross_axis_coupling": EffectName("bend_torque", "1", "torque of one plane per other plane's"),
-    "encoder_offset": EffectName("sensor", "rad", "constant error of the measured angle"),
+    "encoder_offset": EffectName("sensor", "rad", "constant error of the encoder, loop included"),
     "load_offset": EffectName("joint_torque", "N.m", "constant torque on the joint"),
     "current_bias": EffectName("sensor", "A", "constant error of the measured current"),
     "current_scale": EffectName("sensor", "1", "relative error of the measured current"),
     "marker_frame_tilt": EffectName("sensor", "rad", "tilt of the mocap frame about y"),
-    "sync_offset": EffectName("sensor", "s", "delay of the mocap clock behind the servo's"),
+    "sync_offset": EffectName("sensor", "s", "how late the mocap shows what the servo feels"),
 }
 
 

@@ -29,11 +29,7 @@ REFERENCE_BEND_RAD: Final = 0.1
 """Bend (of the root, or of the whole span) at which softening and hardening are given."""
 
 LEAK_TIME_S: Final = 10.0
-NOMINAL_PRESSURE_PA: Final = 41_300.0
-"""Pressure at which the stiffnesses of the TOML file hold; they are proportional to it."""
-
-_SKEW_SHARE: Final = 0.05
-"""Width of the rounding between softer and stiffer side, as a share of the yield bend."""
+"""Time over which a leak's share is given."""
 
 
 class BendLaw:
@@ -54,7 +50,7 @@ class BendLaw:
 
     def __init__(self, parameters: Parameters, step_s: float) -> None:
         p, hinges = parameters, SPAN_HINGES
-        pressure = p["stiffness.pressure_pa"] / NOMINAL_PRESSURE_PA
+        pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
         span_n_m = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
         self.stiffness_n_m = pressure * np.array([p["stiffness.root_n_m"], *[span_n_m] * hinges])
         limit_nm = np.array(
@@ -69,7 +65,7 @@ class BendLaw:
         self._rest_rad = np.zeros((hinges + 1, 2))
         self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / hinges
         self._skew = 0.5 * p["stiffness.directional_share"]
-        self._rounding_rad = _SKEW_SHARE * yield_rad[:, None]
+        self._rounding_rad = p["stiffness.directional_rounding"] * yield_rad[:, None]
         coupling = 0.5 * p["stiffness.coupling_share"]
         self._mix = np.array([[1.0, coupling], [coupling, 1.0]])
         per_reference = np.array([1.0, *[float(hinges)] * hinges]) / REFERENCE_BEND_RAD

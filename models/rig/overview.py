@@ -15,13 +15,19 @@ from models.deformation import deformation_index
 from models.kinematics import rigid_tip_m
 from models.trials import Trial, TrialSet, read_trials
 
+_LABELS = (
+    ("time in s", "tip deflection in mm"),
+    ("angle 1 in degrees", "tip deflection along x in mm"),
+    ("angle 1 in degrees", "current 1 in A"),
+    ("angle 1 in degrees", "Deformation Index in %"),
+)
+
 
 def draw_overview(directory: Path) -> Path:
     """Draw `overview.svg` from the first trial of every payload in a directory.
 
-    Rows: deflection of the tip from where a rigid link would be, over time; current over angle;
-    Deformation Index over angle; path of the tip seen from the side (1DOF) or above (2DOF).
-    One column per number of joints.
+    Rows: how far the tip is from where a rigid link would have it, over time; the part of that
+    along x, current and Deformation Index over angle 1. One column per motion.
     """
     columns = _first_of_each_payload(read_trials(directory))
     figure, axes = plt.subplots(
@@ -33,11 +39,10 @@ def draw_overview(directory: Path) -> Path:
         for trial in trials:
             colour = plt.get_cmap("viridis")(0.9 * trial.meta.payload_kg / largest)
             _draw(column, trial, {"color": colour, "lw": 0.9})
-        for axis, (x, y) in zip(column, _labels(trials[0].meta.dof), strict=True):
+        for axis, (x, y) in zip(column, _LABELS, strict=True):
             axis.set_xlabel(x)
             axis.set_ylabel(y)
             axis.grid(alpha=0.3)
-        column[3].set_aspect("equal", adjustable="datalim")
         column[0].legend(title="payload", fontsize="small", loc="upper right")
     path = directory / "overview.svg"
     figure.savefig(path)
@@ -57,20 +62,14 @@ def _first_of_each_payload(trials: TrialSet) -> dict[str, list[Trial]]:
 
 def _draw(column: Any, trial: Trial, style: dict[str, Any]) -> None:
     meta, angle = trial.meta, trial.angle_rad
-    rigid_m = rigid_tip_m(angle, meta.base_offset_m, meta.link_length_m)
-    deflection_m = np.linalg.norm(trial.tip_m - rigid_m, axis=1)
+    deflection_m = trial.tip_m - rigid_tip_m(angle, meta.base_offset_m, meta.link_length_m)
     degrees = np.degrees(angle[:, 0])
-    tip_m = trial.tip_m
-    column[0].plot(trial.time_s, 1e3 * deflection_m, **style, label=f"{meta.payload_kg:g} kg")
-    column[1].plot(degrees, trial.current_a[:, 0], **style)
-    column[2].plot(degrees, 100.0 * deformation_index(trial), **style)
-    column[3].plot(tip_m[:, 0], tip_m[:, 2 if meta.dof == 1 else 1], **style)
-
-
-def _labels(dof: int) -> list[tuple[str, str]]:
-    return [
-        ("time in s", "tip deflection in mm"),
-        ("angle 1 in degrees", "current 1 in A"),
-        ("angle 1 in degrees", "Deformation Index in %"),
-        ("tip x in m", "tip z in m" if dof == 1 else "tip y in m"),
-    ]
+    column[0].plot(
+        trial.time_s,
+        1e3 * np.linalg.norm(deflection_m, axis=1),
+        **style,
+        label=f"{meta.payload_kg:g} kg",
+    )
+    column[1].plot(degrees, 1e3 * deflection_m[:, 0], **style)
+    column[2].plot(degrees, trial.current_a[:, 0], **style)
+    column[3].plot(degrees, 100.0 * deformation_index(trial), **style)

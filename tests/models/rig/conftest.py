@@ -1,0 +1,33 @@
+import math
+
+import pytest
+
+from firmware_py.motion import Motion
+from models.rig.case import Case
+from models.rig.parameters import read_parameters
+from models.rig.protocol import run_case
+
+
+@pytest.fixture(scope="session")
+def parameters():
+    return read_parameters()
+
+
+@pytest.fixture(scope="session")
+def short(parameters):
+    """The laboratory with short pauses, for tests that need no rest afterwards."""
+    return parameters.changed(**{"world.settle_s": 0.3, "world.pause_s": 0.3})
+
+
+@pytest.fixture(scope="session")
+def short_case():
+    def make(dof=2, payload_kg=1.0, trial=1, seed=0, **motion):
+        motion = {"amplitude_rad": math.radians(8.0), "period_s": 0.8} | motion
+        return Case(Motion(dof=dof, **motion), payload_kg, trial, seed)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def default_trial(short, short_case):
+    return run_case(short, short_case())
