@@ -14,17 +14,15 @@ from pathlib import Path
 
 import msgspec
 
-from firmware_py import __version__
-from firmware_py.bundle import MANIFEST, ModelBundle, sha256_of
-from firmware_py.bus import DynamixelBus
-from firmware_py.clock import Clock, DeadlineClock, real_time
+from firmware_py.bundle import ModelBundle
+from firmware_py.clock import DeadlineClock, real_time
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.loop import ControlLoop, Ended, RunSummary
 from firmware_py.motion import KINDS
-from firmware_py.port import open_wire
 from firmware_py.recorder import recording
+from firmware_py.robot import load_bundle, log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
 from firmware_py.telemetry import NoTelemetry, Telemetry
 from firmware_py.timing import KernelCounters
@@ -83,37 +81,6 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     return msgspec.structs.replace(config, motion=motion)
 
 
-def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
-    """Load the bundle that a configuration names and check that the two fit together."""
-    bundle = ModelBundle.load(path.parent / config.bundle)
-    manifest = bundle.manifest
-    if manifest.dof != config.dof:
-        raise InputError(
-            path, f"bundle is for {manifest.dof} joints, servos has {config.dof}",
-            "name the bundle that was trained for these servos",
-        )  # fmt: skip
-    if manifest.estimator == "lagged" and not math.isclose(manifest.period_s, config.period_s):
-        raise InputError(
-            path, f"period_s is {config.period_s}, the lagged estimator was trained at "
-            f"{manifest.period_s}", "use its period, or a bundle with the observer",
-        )  # fmt: skip
-    return bundle
-
-
-@contextlib.contextmanager
-def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
-    """Open the bus that a configuration describes; torque off and closed at the end."""
-    wire = open_wire(config.bus.port, config.bus.baud, clock)
-    bus = DynamixelBus(
-        wire, config.setups(), clock, period_s=config.period_s,
-        return_delay_s=config.bus.return_delay_s, name=config.bus.port, baud=config.bus.baud,
-    )  # fmt: skip
-    try:
-        yield bus
-    finally:
-        bus.close()
-
-
 @contextlib.contextmanager
 def _telemetry(
     config: RobotConfig, args: argparse.Namespace, bundle: ModelBundle
@@ -128,19 +95,6 @@ def _telemetry(
     metadata = log_metadata(config, bundle, started)
     with recording(log, config.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry, log
-
-
-def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) -> dict[str, str]:
-    """What a log says about the run that it is of."""
-    return {
-        "started_utc": started.isoformat(),
-        "software": f"dropstitch {__version__}",
-        "bundle": str(bundle.directory.resolve()),
-        "manifest_sha256": sha256_of(bundle.directory / MANIFEST),
-        "period_s": repr(config.period_s),
-        "rest_samples": str(round(config.motion.rest_s / config.period_s)),
-        "config": msgspec.json.encode(config).decode(),
-    }
 
 
 def describe(summary: RunSummary, log: Path | None) -> str:
