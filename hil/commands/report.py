@@ -1,0 +1,30 @@
+"""Write one self-contained HTML page about everything that a build directory holds.
+
+A section whose inputs are missing is left out with one line that says which command makes them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, emit
+
+EXAMPLE = "python -m hil report --build build --out build/report.html"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("--build", type=Path, default=Path("build"), metavar="DIR", help="what 'make demo' built")
+    add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    from hil.report import write_report  # loads matplotlib
+
+    out = args.out or args.build / "report.html"
+    size = write_report(args.build, out)
+    emit(args, {"report": str(out), "bytes": size}, f"{out}: {size / 1e3:.0f} kB")
+    return DONE

@@ -1,0 +1,148 @@
+"""What a build directory holds for the report; anything may still be missing.
+
+::
+
+    bundle_1dof/study.json, manifest.json     python -m models train
+    evaluate_1dof.json                        python -m models evaluate … --json
+    check_twin_1dof.json                      python -m fmu check … --json
+    sil_1dof/timing.json, *.mcap              python -m hil sil
+    trials_phase90/                           python -m models simulate --phase-deg 90
+    commands.log                              make demo
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.recording import read_recording
+from models.deformation import deformation_index
+from models.kinematics import rigid_tip_m
+from models.trials import TrialSet, read_trials
+from models.validation import payload_key
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A judged run of the control loop.
+
+    Attributes
+    ----------
+    name : str
+        Directory that it came from.
+    timing : dict
+        `timing.json` (see `hil.verify.judge`).
+    ticks : dict of str to ndarray, or None
+        The recorded ticks by column, where the run kept them.
+    """
+
+    name: str
+    timing: Json
+    ticks: dict[str, NDArray[np.float64]] | None
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that was found; dictionaries are by dof."""
+
+    directory: Path
+    studies: dict[int, Json]
+    manifests: dict[int, Json]
+    evaluations: dict[int, Json]
+    checks: dict[str, Json]
+    loops: list[Loop]
+    rigid_tip_rms_m: dict[int, float]
+    mean_di_phase_90: dict[str, float]
+    commands: list[str]
+
+
+def read_inputs(directory: Path) -> Inputs:
+    """Read what there is.
+
+    Raises
+    ------
+    InputError
+        If the directory is missing or a file in it is damaged.
+    """
+    if not directory.is_dir():
+        raise InputError(directory, "is not a directory", "run 'make demo' first")
+    bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
+    trials = _trials(directory / "trials")
+    return Inputs(
+        directory=directory,
+        studies=_by_dof({dof: path / "study.json" for dof, path in bundles.items()}),
+        manifests=_by_dof({dof: path / "manifest.json" for dof, path in bundles.items()}),
+        evaluations=_by_dof({dof: directory / f"evaluate_{dof}dof.json" for dof in (1, 2)}),
+        checks={
+            path.stem.removeprefix("check_"): _read_json(path)
+            for path in sorted(directory.glob("check_*.json"))
+        },
+        loops=[_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))],
+        rigid_tip_rms_m=_rigid_tip_rms_m(trials) if trials else {},
+        mean_di_phase_90=_mean_di(_trials(directory / "trials_phase90")),
+        commands=_commands(directory / "commands.log"),
+    )
+
+
+def _read_json(path: Path) -> Json:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not JSON ({error})", "make it again") from None
+    if not isinstance(document, dict):
+        raise InputError(path, "is no JSON object", "make it again")
+    return document
+
+
+def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
+    return {dof: _read_json(path) for dof, path in paths.items() if path.is_file()}
+
+
+def _loop(directory: Path) -> Loop:
+    logs = sorted(directory.glob("*.mcap"))
+    return Loop(
+        directory.name,
+        _read_json(directory / "timing.json"),
+        read_recording(logs[0]).columns if logs else None,
+    )
+
+
+def _trials(directory: Path) -> TrialSet | None:
+    return read_trials(directory) if any(directory.glob("*.csv")) else None
+
+
+def _rigid_tip_rms_m(trials: TrialSet) -> dict[int, float]:
+    """Tip error of a link that does not bend, over the held-out trials of each dof."""
+    _, held_out = trials.split()
+    squares: dict[int, list[NDArray[np.float64]]] = {}
+    for t in held_out:
+        rigid_m = rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m)
+        square = np.sum((rigid_m - t.tip_m)[t.moving] ** 2, axis=1)
+        squares.setdefault(t.meta.dof, []).append(square)
+    return {dof: float(np.sqrt(np.mean(np.concatenate(s)))) for dof, s in squares.items()}
+
+
+def _mean_di(trials: TrialSet | None) -> dict[str, float]:
+    """Mean DI of the trials 1 over their moving rows, by payload."""
+    return {
+        payload_key(t.meta.payload_kg): float(np.nanmean(deformation_index(t)[t.moving]))
+        for t in sorted(trials.split()[0] if trials else (), key=lambda t: t.meta.payload_kg)
+    }
+
+
+def _commands(path: Path) -> list[str]:
+    """Commands of the last run, each once, in order."""
+    if not path.is_file():
+        return []
+    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    last = {line: k for k, line in enumerate(lines) if re.match(r"\S", line)}
+    return sorted(last, key=last.__getitem__)

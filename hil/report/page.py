@@ -1,0 +1,151 @@
+"""The page: sections from what was found, one line for each that was not."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from hil.report import tables
+from hil.report.estimator_figures import estimates, predictors_by_payload
+from hil.report.inputs import Inputs, Json
+from hil.report.loop_figures import loop_figures, stages
+from hil.report.study_figures import study_figures
+from hil.report.svg import Figure
+from hil.report.tables import Cell, Table
+
+HERE: Final = Path(__file__).parent
+LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
+
+
+@dataclass
+class Section:
+    """One section; empty where its inputs are missing, then `missing` says what makes them."""
+
+    id: str
+    title: str
+    intro: str = ""
+    figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    paragraphs: list[str] = field(default_factory=list)
+    missing: str = ""
+
+
+def render(inputs: Inputs) -> str:
+    """The whole page as HTML."""
+    environment = Environment(
+        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    page = environment.get_template("page.html")
+    return page.render(
+        style=(HERE / "style.css").read_text(encoding="utf-8"),
+        made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC"),
+        glance=tables.at_a_glance(inputs),
+        findings=_findings(inputs.studies),
+        sections=[_study(inputs), _estimators(inputs), _plant(inputs), _units(inputs),
+                  *_loops(inputs)],
+        commands=inputs.commands,
+        versions=_versions(inputs.manifests),
+    )  # fmt: skip
+
+
+def _study(inputs: Inputs) -> Section:
+    section = Section("study", "The study")
+    if not inputs.studies:
+        section.missing = "python -m models train"
+        return section
+    section.intro = (
+        "The paper's figures 7 to 15 on this build's trials: five payloads, two cycles of "
+        "256 steps, trained on trial 1 and tested on trial 2."
+    )
+    section.figures = study_figures(inputs.studies, inputs.mean_di_phase_90)
+    return section
+
+
+def _estimators(inputs: Inputs) -> Section:
+    section = Section("estimators", "Predictors and estimators")
+    if not inputs.studies:
+        section.missing = "python -m models train"
+        return section
+    section.intro = (
+        "On the robot nobody measures DI. The plant observer estimates it from angle and current; "
+        "a lagged regressor and no DI at all stand beside it, on trial 2 and on a motion that "
+        "neither training nor identification saw."
+    )
+    section.figures = [predictors_by_payload(inputs.studies), estimates(inputs.studies)]
+    section.tables = [tables.predictors(inputs.studies), tables.estimators(inputs.studies)]
+    return section
+
+
+def _plant(inputs: Inputs) -> Section:
+    section = Section("plant", "The plant")
+    if inputs.evaluations:
+        section.tables = [tables.plant(inputs)]
+    else:
+        section.missing = "python -m models evaluate build/trials --json > build/evaluate_1dof.json"
+    return section
+
+
+def _units(inputs: Inputs) -> Section:
+    section = Section("units", "The units")
+    if not inputs.checks:
+        section.missing = (
+            "python -m fmu check build/twin_1dof.fmu --json > build/check_twin_1dof.json"
+        )
+        return section
+    section.intro = "; ".join(
+        f"{name}: FMI {check['fmi']}, {check['bytes'] / 1e3:.0f} kB, "
+        f"{'sound' if check['passed'] else 'not sound'}"
+        + "".join(f", {us:.0f} µs per step {what.replace('_', ' ')}"
+                  for what, us in check["step_us"].items())
+        for name, check in inputs.checks.items()
+    ) + "."  # fmt: skip
+    section.tables = tables.unit_checks(inputs.checks)
+    return section
+
+
+def _loops(inputs: Inputs) -> list[Section]:
+    if not inputs.loops:
+        return [Section("loop", "The loop", missing="python -m hil sil")]
+    sections = []
+    for loop in inputs.loops:
+        facts = loop.timing["environment"]
+        section = Section(loop.name, f"The loop: {loop.name}", paragraphs=[tables.misses(loop)])
+        figure = loop_figures(loop)
+        section.figures = [figure] if figure else []
+        header = ["ms", "n", "p50", "p99", "p99.9", "max"]
+        rows = [[Cell(name), *map(Cell, values)] for name, values in stages(loop)]
+        note = "; ".join(f"{k} {v}" for k, v in facts.items() if not isinstance(v, dict | list))
+        section.tables = [Table("Where the time goes", header, rows, note)]
+        sections.append(section)
+    return sections
+
+
+def _findings(studies: dict[int, Json]) -> list[dict[str, Any]]:
+    """The paper's findings, those of both dof under one claim; the same words stand once."""
+    claims: dict[str, dict[str, Any]] = {}
+    for dof, study in studies.items():
+        for finding in study["findings"]:
+            claim = claims.setdefault(
+                finding["claim"],
+                {"claim": finding["claim"], "depends_on": finding["depends_on"], "verdicts": {}},
+            )
+            said = (finding["holds"], finding["text"])
+            claim["verdicts"].setdefault(said, []).append(f"{dof}DOF")
+    return list(claims.values())
+
+
+def _versions(manifests: dict[int, Json]) -> list[tuple[str, str]]:
+    versions = [("python", platform.python_version()), ("machine", platform.platform())]
+    versions += [(name, importlib.metadata.version(name)) for name in LIBRARIES]
+    versions += [
+        (f"training data {dof}DOF", manifest["training_data_sha256"][:16])
+        for dof, manifest in manifests.items()
+    ]
+    return versions

@@ -1,0 +1,147 @@
+"""Small figures as SVG to put into a page: one look, text as text, no external resources."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import matplotlib
+
+matplotlib.use("svg")
+from matplotlib import pyplot as plt
+from matplotlib.ticker import LogLocator, NullLocator
+
+INK: Final = "#1f2933"
+QUIET: Final = "#8a94a0"
+DOF_COLOUR: Final = {1: "#1d6a96", 2: "#b4532a"}
+ALARM: Final = "#b3261e"
+SIZE_IN: Final = (4.6, 3.0)
+"""At full width of a phone its 9 pt text measures about 9 px, in two columns about 13 px."""
+
+_STYLE: Final = {
+    "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,
+    "axes.edgecolor": QUIET, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
+    "ytick.color": INK, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5, "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.spines.top": False,
+    "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e8ec", "grid.linewidth": 0.7,
+    "axes.axisbelow": True, "lines.linewidth": 1.4, "lines.solid_capstyle": "round",
+    "figure.facecolor": "none", "axes.facecolor": "none", "path.simplify_threshold": 0.3,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One drawing.
+
+    Attributes
+    ----------
+    title : str
+        Above the drawing.
+    alt : str
+        What the drawing shows, for who cannot see it.
+    svg : str
+        The drawing.
+    """
+
+    title: str
+    alt: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels that belong together, under one heading and one legend.
+
+    Attributes
+    ----------
+    title, note : str
+        Heading; a sentence below.
+    paper : str
+        Number of the paper's figure, "" for none.
+    panels : list of Panel
+        Side by side where there is room.
+    legend : list of (colour, label, dash)
+        Dash is "solid", "dashed" or "dotted".
+    """
+
+    title: str
+    note: str
+    panels: list[Panel]
+    paper: str = ""
+    legend: list[tuple[str, str, str]] = field(default_factory=list)
+
+
+def ramp(count: int) -> list[str]:
+    """Colours of an ordered quantity, amber to navy, all dark enough on white."""
+    colours = matplotlib.colormaps["plasma_r"]
+    shares = [0.22 + 0.74 * k / max(count - 1, 1) for k in range(count)]
+    return [matplotlib.colors.to_hex(colours(share)) for share in shares]
+
+
+class Drawing:
+    """Axes in the page's look, drawn once the block is left.
+
+    ::
+
+        with Drawing() as (drawing, ax):
+            ax.plot(…)
+        panels.append(drawing.panel("1DOF", "what it shows"))
+    """
+
+    def __init__(self) -> None:
+        self._svg = ""
+        self._stack = ExitStack()
+        self._figure: Any = None
+
+    def __enter__(self) -> tuple[Drawing, Any]:
+        self._stack.enter_context(plt.rc_context(_STYLE))
+        self._figure, ax = plt.subplots(figsize=SIZE_IN, layout="constrained")
+        self._stack.callback(plt.close, self._figure)
+        return self, ax
+
+    def __exit__(self, kind: object, *rest: object) -> None:
+        with self._stack:
+            if kind is None:
+                self._svg = _to_svg(self._figure)
+
+    def panel(self, title: str, alt: str) -> Panel:
+        """What was drawn, with its title and its description."""
+        return Panel(title, alt, self._svg)
+
+
+def log_axis(ax: Any, values: Iterable[float]) -> None:
+    """Logarithmic y axis around `values`, labelled at 1, 2 and 5 in plain figures.
+
+    Give the values of every panel of a figure, and its panels share one scale.
+    """
+    positive = [v for v in values if v > 0]
+    ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _to_svg(figure: Any) -> str:
+    """Inline SVG: scales with its box, takes the page's font; ids are unique in the page."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
+    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough
+    text = re.sub(r"\n\s*", "\n", text)
+    head, end, body = text.partition(">")
+    head = re.sub(r' (width|height|version|xmlns)="[^"]*"', "", head)
+    # Definitions (markers, clips) are named by their content: the same name may come up in
+    # another figure, so each figure gets a prefix; other ids serve nobody.
+    prefix = hashlib.sha256(body.encode()).hexdigest()[:6]
+    used = set(re.findall(r'[("]#([\w.-]+)', body))
+    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", body)
+    body = re.sub(r'([("]#)', rf"\g<1>{prefix}", body)
+    return head + end + body

@@ -1,0 +1,244 @@
+"""Tables of the report: figures against their targets, estimators, plant, units, timing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from hil.report.estimator_figures import test_title
+from hil.report.inputs import Inputs, Json, Loop
+
+MM: Final = 1e3
+TIP_RMS_LIMIT_M: Final = {1: 6e-3, 2: 9e-3}
+BENEFIT_LIMIT: Final = {"trial_2": 0.9, "unseen_20deg": 0.8}
+BENEFIT_DEGREE: Final = "3"
+NO_VALUE: Final = "–"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of a cell, and whether it meets its target (None: there is none)."""
+
+    text: str
+    met: bool | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Header, rows (each starts with what the row is about) and a sentence below."""
+
+    title: str
+    header: list[str]
+    rows: list[list[Cell]]
+    note: str = ""
+    missing: list[str] = field(default_factory=list)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share in percent, with the space that SI asks for."""
+    return f"{100 * share:.{digits}f} %"
+
+
+def _row(*cells: str | Cell) -> list[Cell]:
+    return [cell if isinstance(cell, Cell) else Cell(cell) for cell in cells]
+
+
+def _judged(value: float | None, limit: float, text: str) -> Cell:
+    return Cell(NO_VALUE) if value is None else Cell(text.format(value), value <= limit)
+
+
+def at_a_glance(inputs: Inputs) -> Table:
+    """What was asked for beside what was measured."""
+    dofs = (1, 2)
+    rows = []
+    limits = " / ".join(f"{MM * TIP_RMS_LIMIT_M[dof]:.0f}" for dof in dofs)
+    rms = {dof: inputs.evaluations.get(dof, {}).get("tip_rms_m") for dof in dofs}
+    rows.append(
+        _row(
+            "Identified plant, tip error RMS", f"≤ {limits} mm",
+            *(_judged(_times(rms[dof], MM), MM * TIP_RMS_LIMIT_M[dof], "{:.1f} mm")
+              for dof in dofs),
+        )
+    )  # fmt: skip
+    for test, limit in BENEFIT_LIMIT.items():
+        shares = [_benefit(inputs.studies.get(dof), test) for dof in dofs]
+        rows.append(
+            _row(
+                f"Estimated DI, share of true DI's gain at degree {BENEFIT_DEGREE}, "
+                f"{test_title(test)}",
+                f"≥ {percent(limit)}",
+                *(
+                    Cell(NO_VALUE) if share is None else Cell(percent(share), share >= limit)
+                    for share in shares
+                ),
+            )
+        )
+    worst = {dof: _parity(inputs.checks.get(f"twin_{dof}dof")) for dof in dofs}
+    rows.append(
+        _row("Twin unit against the Python plant", "≤ 1e-9",
+             *(_judged(worst[dof], 1e-9, "{:.0e}") for dof in dofs))
+    )  # fmt: skip
+    loops = {dof: _loop_of(inputs, dof) for dof in dofs}
+    cost = {dof: loop.timing["own_cost"]["p99_ns"] / 1e6 if loop else None
+            for dof, loop in loops.items()}  # fmt: skip
+    rows.append(
+        _row("Tick, own cost p99", "≤ 1.5 ms", *(_judged(cost[d], 1.5, "{:.2f} ms") for d in dofs))
+    )
+    own = {dof: loop.timing["own_misses"] if loop else None for dof, loop in loops.items()}
+    rows.append(
+        _row("Deadlines missed by our own doing", "0", *(_judged(own[d], 0, "{:d}") for d in dofs))
+    )
+    return Table("", ["", "target", "1DOF", "2DOF"], rows)
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _benefit(study: Json | None, test: str) -> float | None:
+    if study is None or test not in study["estimators"]:
+        return None
+    return float(study["estimators"][test]["observer"]["benefit_recovered"][BENEFIT_DEGREE])
+
+
+def _parity(check: Json | None) -> float | None:
+    return max(check["parity"].values(), default=None) if check else None
+
+
+def _loop_of(inputs: Inputs, dof: int) -> Loop | None:
+    """The judged run that belongs to a dof; a run in real time goes before a virtual one."""
+    found = [loop for loop in inputs.loops if loop.timing["environment"].get("dof") == dof]
+    return min(found, key=lambda loop: loop.timing["environment"].get("line") == "virtual",
+               default=None)  # fmt: skip
+
+
+def predictors(studies: dict[int, Json]) -> Table:
+    """Mean Euclidean distance at the chosen degree, pooled over payloads."""
+    rows = []
+    for dof, study in studies.items():
+        degree = str(study["chosen_degree"])
+        for test, table in study["mean_euclidean_distance_m"].items():
+            pooled, base = table["pooled"], study["baselines"][test]
+            rows.append(
+                _row(
+                    f"{dof}DOF, {test_title(test)}", degree,
+                    *(f"{MM * v:.1f}" for v in (
+                        base["rigid_kinematics"]["pooled"], pooled["without_di"][degree],
+                        pooled["estimated_di"][degree], pooled["with_di"][degree],
+                        base["observer_tip"]["pooled"],
+                    )),
+                    percent(study["deployed"][test]["interval_coverage_mean"], 1),
+                )
+            )  # fmt: skip
+    return Table(
+        "Mean Euclidean distance in mm, all payloads",
+        ["", "degree", "rigid", "without DI", "estimated DI", "true DI", "observer's tip",
+         "interval covers"],
+        rows,
+        "The interval is the robot's 95 % prediction interval, per coordinate.",
+    )  # fmt: skip
+
+
+def estimators(studies: dict[int, Json]) -> Table:
+    """The three estimators of DI on every test."""
+    rows = []
+    for dof, study in studies.items():
+        for test, by_source in study["estimators"].items():
+            for source, result in by_source.items():
+                rows.append(
+                    _row(
+                        f"{dof}DOF, {test_title(test)}", source, f"{result['r2_di']:.2f}",
+                        f"{100 * result['rms_error_di']:.3f}",
+                        f"{MM * result['mean_euclidean_distance_m'][BENEFIT_DEGREE]:.1f}",
+                        percent(result["benefit_recovered"][BENEFIT_DEGREE]),
+                    )
+                )  # fmt: skip
+    return Table(
+        "Estimators of DI",
+        ["", "estimator", "R² of DI", "RMS error, % DI", f"distance at degree {BENEFIT_DEGREE}, mm",
+         "gain recovered"],
+        rows,
+        "Gain: what true DI takes off the mean Euclidean distance against no DI at all. Each "
+        "predictor was trained on the DI of its own estimator, on trial 1.",
+    )  # fmt: skip
+
+
+def plant(inputs: Inputs) -> Table:
+    """Errors of the identified plant by signal, with rigid kinematics for scale."""
+    dofs = sorted(inputs.evaluations)
+    names = list(dict.fromkeys(n for d in dofs for n in inputs.evaluations[d]["signals"]))
+    rows = []
+    for name in names:
+        cells: list[str | Cell] = []
+        for dof in dofs:
+            error = inputs.evaluations[dof]["signals"].get(name)
+            cells += (
+                [f"{error[k]:.3g} {_unit(error['unit'])}" for k in ("rms", "mae")]
+                if error else [NO_VALUE] * 2
+            )  # fmt: skip
+        rows.append(_row(name, *cells))
+    for label, values in (
+        ("tip, all axes", {d: inputs.evaluations[d]["tip_rms_m"] for d in dofs}),
+        ("the same by rigid kinematics", inputs.rigid_tip_rms_m),
+    ):
+        cells = []
+        for dof in dofs:
+            cells += [f"{MM * values[dof]:.1f} mm" if dof in values else NO_VALUE, NO_VALUE]
+        rows.append(_row(label, *cells))
+    header = [""] + [f"{dof}DOF {what}" for dof in dofs for what in ("RMS", "mean abs.")]
+    return Table(
+        "Identified plant against trials", header, rows,
+        "Rigid kinematics: the end effector of a link that does not bend, at the measured angles, "
+        "on the held-out trials.",
+    )  # fmt: skip
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def unit_checks(checks: dict[str, Json]) -> list[Table]:
+    """What `fmu check` found, and the parity of every output."""
+    names = list(checks)
+    kinds = list(dict.fromkeys(c["name"] for check in checks.values() for c in check["checks"]))
+    rows = []
+    for kind in kinds:
+        cells: list[str | Cell] = []
+        for name in names:
+            results = [c for c in checks[name]["checks"] if c["name"] == kind]
+            passed = all(c["passed"] for c in results)
+            text = "; ".join(dict.fromkeys(c["detail"] for c in results))
+            cells.append(Cell(text, passed) if results else Cell(NO_VALUE))
+        rows.append(_row(kind, *cells))
+    outputs = list(dict.fromkeys(o for check in checks.values() for o in check["parity"]))
+    parity = [
+        _row(
+            output,
+            *(
+                _judged(check["parity"].get(output), check["parity_limit"], "{:.1e}")
+                for check in checks.values()
+            ),
+        )
+        for output in outputs
+    ]
+    return [
+        Table("Checks", ["", *names], rows),
+        Table(
+            "Largest difference from the interpreted model", ["", *names], parity,
+            "Over fixed and varying steps of the study's motion, in each output's SI unit.",
+        ),
+    ]  # fmt: skip
+
+
+def misses(loop: Loop) -> str:
+    """The verdict on a run, in sentences."""
+    timing: dict[str, Any] = loop.timing
+    causes = ", ".join(f"{count} {cause}" for cause, count in timing["causes"].items() if count)
+    return (
+        f"{timing['reason'][0].upper()}{timing['reason'][1:]}. "
+        f"{timing['misses']} of {timing['slots']} slots missed"
+        + (f" ({causes}; longest run {timing['longest_run_of_misses']})" if causes else "")
+        + f"; with 95 % confidence the rate is below "
+        f"{percent(timing['miss_rate_upper_bound_95'], 2)}, by our own doing below "
+        f"{percent(timing['own_miss_rate_upper_bound_95'], 2)}."
+    )
