@@ -7,7 +7,9 @@ there, never by the loop's process while it runs.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +25,9 @@ TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"
 CHUNK_BYTES: Final = 64 * 1024
+
+_DAMAGE: Final = (EOFError, RuntimeError, ValueError, struct.error)
+"""What mcap and lz4 raise, beside their own errors, where a file ends or is damaged."""
 
 
 @dataclass(frozen=True)
@@ -97,19 +102,13 @@ def read_recording(path: Path | str) -> Recording:
     metadata: dict[str, str] = {}
     complete = False
     decode = msgspec.json.Decoder(dict[str, float | None]).decode
-    with path.open("rb") as stream:
-        try:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Message):
-                    rows.append(decode(record.data))
-                elif isinstance(record, Metadata) and record.name == METADATA:
-                    metadata = dict(record.metadata)
-            complete = True
-        except (McapError, msgspec.DecodeError, ValueError, RuntimeError, EOFError):
-            pass  # what came before the damage is good: chunks are checked as they are opened
-        except Exception as error:  # struct.error and lz4's own types for a file cut short
-            if not metadata:
-                raise InputError(path, f"is not a log ({error})", "name an MCAP log") from None
+    with path.open("rb") as stream, contextlib.suppress(McapError, *_DAMAGE):
+        for record in StreamReader(stream, validate_crcs=True).records:
+            if isinstance(record, Message):
+                rows.append(decode(record.data))
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                metadata = dict(record.metadata)
+        complete = True
     if "dof" not in metadata:
         raise InputError(path, "is not a log of ours", "name one that 'dropstitch run' has written")
     if not rows:
