@@ -1,0 +1,106 @@
+"""How the link resists bending beyond springs: memory, bias and stiffness that varies."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Scope
+from models.plant.step import Variable
+
+
+class Prebend(Effect):
+    """The unloaded link is bent: the span's torque vanishes at ψ_0 in place of zero."""
+
+    name = "prebend"
+    per_joint = (
+        Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
+                  role="effect", description="bend of the unloaded link",
+                  source="assumed straight"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Shift where the span is at ease."""
+        for j in scope.joints:
+            scope.bend_torque["span", j] += (
+                scope.p("prebend_{j}_rad", j) * scope.stiffness["span", j]
+            )
+
+
+class DirectionalStiffness(Effect):
+    """Stiffer towards one side: K (1 + d s), s = tanh(φ/φ_s) the smooth side of the bend.
+
+    φ_s = 10 mrad keeps the torque smooth where the bend changes side.
+    """
+
+    name = "directional_stiffness"
+    per_joint = (
+        Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.6, high=0.6,
+                  role="effect", description="share gained for positive bend, lost else",
+                  source="FACTS §6: 0.2 where negative angles deform more"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale each hinge's stiffness by the side it is bent to."""
+        for (hinge, j), bend in scope.bend.items():
+            side = ca.tanh(bend / 0.01)
+            scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
+
+
+class Hysteresis(Effect):
+    """Bouc–Wen in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
+
+    u_y ż_j = φ̇_j − z_j Σ_k ½ (|φ̇_k z_k| + φ̇_k z_k)
+    """
+
+    name = "hysteresis"
+    per_joint = (
+        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=2.0,
+                  role="effect", description="Bouc-Wen share of the root's stiffness",
+                  source="FACTS §6"),
+    )  # fmt: skip
+    shared = (
+        Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.001, high=0.1,
+                  role="effect", description="bend at which the patch slips",
+                  source="assumed: a fifth of the bend in the study"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the hysteretic torque."""
+        yield_rad = scope.p("hysteresis_yield_rad")
+        z = {j: scope.state(Variable(f"hysteresis_{j}", "1")) for j in scope.joints}
+        rate = {j: scope.bend_rate["root", j] for j in scope.joints}
+        slip = sum((ca.fabs(rate[j] * z[j]) + rate[j] * z[j]) / 2 for j in scope.joints)
+        for j in scope.joints:
+            scope.states[f"hysteresis_{j}"].rate = (rate[j] - z[j] * slip) / yield_rad
+            scope.bend_torque["root", j] -= (
+                scope.p("hysteresis_share_{j}", j) * scope.stiffness["root", j] * yield_rad * z[j]
+            )
+
+
+class Creep(Effect):
+    """Relaxing share of every hinge's stiffness: a Maxwell branch (standard linear solid).
+
+    τ = g K (φ − ε),   ε̇ = (φ − ε) / T   (FACTS §6)
+    """
+
+    name = "creep"
+    per_joint = (
+        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
+                  description="relaxing share of the stiffness", source="FACTS §6: 6 to 10 %"),
+    )  # fmt: skip
+    shared = (
+        Parameter(name="creep_time_s", unit="s", value=3.0, low=0.05, high=60.0, role="effect",
+                  description="relaxation time", source="FACTS §6: branches of 0.3, 5 and 120 s"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the relaxing torque."""
+        for (hinge, j), bend in scope.bend.items():
+            name = f"creep_{hinge}_{j}_rad"
+            crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
+            scope.states[name].rate = (bend - crept) / scope.p("creep_time_s")
+            scope.bend_torque[hinge, j] -= (
+                scope.p("creep_share_{j}", j) * scope.stiffness[hinge, j] * (bend - crept)
+            )

@@ -1,0 +1,88 @@
+"""Friction of the drive, by rate and by load."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+
+
+def direction(scope: Scope, joint: int) -> Expr:
+    """Smooth sign of a joint's rate, for dry friction."""
+    return ca.tanh(scope.rate[joint] / scope.p("friction_speed_{j}_{angle}_s", joint))
+
+
+class CoulombFriction(Effect):
+    """Dry friction F_c sign(q̇) [Armstrong-Hélouvry et al. 1994]."""
+
+    name = "coulomb_friction"
+    per_joint = (
+        Parameter(name="coulomb_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
+                  role="effect", description="dry friction at the output",
+                  source="FACTS §6: 4.5 N·m from the no-load current"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Oppose the rate with a constant."""
+        for j in scope.joints:
+            scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * direction(scope, j)
+
+
+class ViscousFriction(Effect):
+    """Friction B q̇."""
+
+    name = "viscous_friction"
+    per_joint = (
+        Parameter(name="viscous_friction_{j}_{torque}_s_{angle}", unit="N.m.s/rad", value=0.0,
+                  low=0.0, high=20.0, role="effect", description="friction per rate at the output",
+                  source="FACTS §6: 2.0 N·m·s/rad from the no-load current"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Oppose the rate in proportion."""
+        for j in scope.joints:
+            scope.friction[j] += (
+                scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
+            )
+
+
+class StribeckFriction(Effect):
+    """Extra dry friction near standstill, F_s exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902]."""
+
+    name = "stribeck_friction"
+    per_joint = (
+        Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
+                  role="effect", description="extra friction near standstill",
+                  source="assumed absent"),
+        Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.03, high=1.0,
+                  role="effect", description="rate at which it has faded to 37 %",
+                  source="assumed: a fifth of the study's peak rate"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Oppose the rate, the less the faster."""
+        for j in scope.joints:
+            fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
+            strength = scope.p("stribeck_friction_{j}_{torque}", j)
+            scope.friction[j] += strength * fade * direction(scope, j)
+
+
+class LoadDependentFriction(Effect):
+    """Gear friction μ |τ| sign(q̇) in proportion to the transmitted torque (BAM, model M4)."""
+
+    name = "load_dependent_friction"
+    per_joint = (
+        Parameter(name="load_dependent_friction_{j}", unit="1", value=0.0, low=0.0, high=0.5,
+                  role="effect", description="friction per transmitted torque",
+                  source="FACTS §6: 0.14"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Oppose the rate in proportion to the load."""
+        for j in scope.joints:
+            load = ca.fabs(scope.transmitted[j])
+            scope.friction[j] += (
+                scope.p("load_dependent_friction_{j}", j) * load * direction(scope, j)
+            )
