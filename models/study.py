@@ -3,6 +3,22 @@
 Trained on trial 1, tested on trial 2 and on a motion that no training saw. Degrees are compared
 by cross-validation on trial 1 alone; trial 2 chooses nothing. All tables are of the paper's plain
 polynomials; only the section `deployed` has the guard that clips inputs into the training box.
+
+`study.json` (distances in m, DI and shares dimensionless, TEST is trial_2, unseen_20deg, …, PART is
+pooled, a payload in kg or phase_90deg, VARIANT is with_di, without_di or estimated_di)::
+
+    chosen_degree                             by cross_validation[estimated_di][degree].blocks_m
+    cross_validation[VARIANT][degree]         blocks_m, leave_one_payload_out_m, …_fold_std_m
+    mean_di[payload], mean_di_other_dof[payload]
+    training, tests[TEST]                     trials, hash, payloads, amplitudes, phases
+    mean_euclidean_distance_m[TEST][PART][VARIANT][degree]      and std_euclidean_distance_m
+    estimators[TEST][observer|lagged|none]    r2_di, rms_error_di, mean_euclidean_distance_m[degree],
+                                              benefit_recovered[degree]
+    baselines[TEST]                           observer_tip[PART], rigid_kinematics[PART],
+                                              final_payload_error_kg[trial]
+    deployed[TEST]                            mean_euclidean_distance_m, interval_coverage[axis], …
+    series                                    curves of the figures (models.study_series)
+    findings                                  claim, holds, text, depends_on
 """
 
 from __future__ import annotations
@@ -18,6 +34,7 @@ from models.deformation import deformation_index
 from models.findings import findings
 from models.lagged import LaggedRegressor
 from models.observer import Observation, observe
+from models.plant.simulate import CompiledModel
 from models.plant.step import StepModel
 from models.predictors import (
     DEGREES,
@@ -95,7 +112,8 @@ def run_study(
     training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
     true_di = [deformation_index(t) for t in training]
     lagged = LaggedRegressor.fit(tuple(training), true_di)
-    fit, _ = _observed(training, observer, lagged)
+    compiled = CompiledModel(observer)
+    fit, _ = _observed(training, compiled, lagged)
     progress("DI")
     folds = _folds(fit)
     document: dict[str, Any] = {
@@ -121,7 +139,7 @@ def run_study(
     document |= {section: {} for section in sections}
     observed: dict[str, Samples] = {}
     for name, trials in tests.items():
-        samples, observations = _observed(trials, observer, lagged)
+        samples, observations = _observed(trials, compiled, lagged)
         distances = distances_m(samples, fitted)
         observed[name] = samples
         document["tests"][name] = _described(trials)
@@ -146,7 +164,7 @@ def by_payload(trials: TrialSet) -> TrialSet:
 
 
 def _observed(
-    trials: TrialSet, observer: StepModel, lagged: LaggedRegressor
+    trials: TrialSet, observer: CompiledModel, lagged: LaggedRegressor
 ) -> tuple[Samples, list[Observation]]:
     observations = [observe(observer, t) for t in trials]
     di = {

@@ -14,6 +14,7 @@ from models.deformation import deformation_index
 from models.findings import loop_share
 from models.lagged import LaggedRegressor, lagged_features
 from models.observer import observe
+from models.plant.simulate import CompiledModel
 from models.plant.step import names
 from models.samples import collect
 from models.study import run_study
@@ -100,7 +101,7 @@ def test_observer_over_a_trial_is_the_step_model_step_by_step(toy_trials, toy_ob
     trial, model = toy_trials(dof)[0], toy_observer(dof)
     u = np.column_stack([trial.columns[name] for name in names(model.inputs)])
     stepped = model.simulate(u, trial.step_s)[1:]
-    observation = observe(model, trial)
+    observation = observe(CompiledModel(model), trial)
     np.testing.assert_allclose(observation.di, stepped[:, 0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(observation.tip_m, stepped[:, 1:4], rtol=0, atol=1e-12)
     np.testing.assert_allclose(observation.payload_kg, stepped[:, 4], rtol=0, atol=1e-12)
