@@ -12,8 +12,8 @@ pooled, a payload in kg or phase_90deg, VARIANT is with_di, without_di or estima
     mean_di[payload], mean_di_other_dof[payload]
     training, tests[TEST]                     trials, hash, payloads, amplitudes, phases
     mean_euclidean_distance_m[TEST][PART][VARIANT][degree]      and std_euclidean_distance_m
-    estimators[TEST][observer|lagged|none]    r2_di, rms_error_di, mean_euclidean_distance_m[degree],
-                                              benefit_recovered[degree]
+    estimators[TEST][observer|lagged|none]    r2_di, rms_error_di, benefit_recovered[degree],
+                                              mean_euclidean_distance_m[degree]
     baselines[TEST]                           observer_tip[PART], rigid_kinematics[PART],
                                               final_payload_error_kg[trial]
     deployed[TEST]                            mean_euclidean_distance_m, interval_coverage[axis], …
