@@ -143,7 +143,6 @@ def _estimate(
             )
             entries[row, column] = covariance[row, column] = covariance[column, row] = entry
     covariance[0, 0] += scope.p("payload_drift_kg_s") ** 2 * scope.step_s
-    believed = ca.vertcat(payload, *shares)
     change = ca.SX.zeros(count)
     noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):

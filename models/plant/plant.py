@@ -34,9 +34,9 @@ import tomli_w
 from firmware_py.errors import InputError
 from models.plant.chain import Link
 from models.plant.compose import compose_twin
+from models.plant.driven import FOLLOW_RATE, compose_driven
 from models.plant.effects import EFFECTS, Effect
 from models.plant.loads import Mass, Pendulum
-from models.plant.driven import FOLLOW_RATE, compose_driven
 from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
 from models.plant.scope import Scope
