@@ -175,7 +175,8 @@ def _multisine(share: Array, harmonics: Sequence[int]) -> Array:
     """Sum of harmonics over the whole duration, peak 1, faded in and out over a tenth each."""
     fine = np.linspace(0.0, 1.0, 4097)
     scale = 1.0 / np.max(np.abs(_harmonic_sum(fine, harmonics)))
-    return np.clip(scale * _harmonic_sum(share, harmonics), -1.0, 1.0)  # peaks between points
+    peak_held = np.clip(scale * _harmonic_sum(share, harmonics), -1.0, 1.0)  # between the points
+    return np.asarray(peak_held)
 
 
 def _harmonic_sum(share: Array, harmonics: Sequence[int]) -> Array:

@@ -80,13 +80,12 @@ def run(args: argparse.Namespace) -> int:
     conditions = {
         "seed": args.seed,
         "hidden": hidden,
-        "laboratory": {name: parameters[name] for name in parameters},
+        "laboratory_sha256": parameters.sha256(),
     }
     runner.check_names(cases, conditions, args.out)
-    args.out.mkdir(parents=True, exist_ok=True)
+    runner.record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
     paths = runner.run_cases(cases, parameters, args.out, args.workers, progress.step)
-    runner.record_conditions(cases, conditions, args.out)
     overview = draw_overview(args.out)
     emit(
         args,

@@ -44,24 +44,26 @@ class BendLaw:
 
     Attributes
     ----------
-    stiffness_n_m : ndarray, shape (9,)
+    stiffness_nm_rad : ndarray, shape (9,)
         Of each hinge pair, root first; N·m/rad.
     """
 
     def __init__(self, parameters: Parameters, step_s: float) -> None:
         p, hinges = parameters, SPAN_HINGES
         pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
-        span_n_m = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
-        self.stiffness_n_m = pressure * np.array([p["stiffness.root_n_m"], *[span_n_m] * hinges])
+        span_nm_rad = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
+        self.stiffness_nm_rad = pressure * np.array(
+            [p["stiffness.root_nm_rad"], *[span_nm_rad] * hinges]
+        )
         limit_nm = np.array(
             [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * hinges]
         )
-        self._per_limit = self.stiffness_n_m / (pressure * limit_nm)
+        self._per_limit = self.stiffness_nm_rad / (pressure * limit_nm)
         yield_rad = np.array(
             [p["memory.root_yield_rad"], *[p["memory.span_yield_rad"] / hinges] * hinges]
         )
         self._per_yield = 1.0 / yield_rad
-        self._friction_nm = p["memory.hysteresis_share"] * self.stiffness_n_m * yield_rad
+        self._friction_nm = p["memory.hysteresis_share"] * self.stiffness_nm_rad * yield_rad
         self._rest_rad = np.zeros((hinges + 1, 2))
         self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / hinges
         self._skew = 0.5 * p["stiffness.directional_share"]
@@ -79,7 +81,7 @@ class BendLaw:
         self._decay = np.exp(-step_s / times_s)[:, None, None]
         # Exact for a bend that grows at a constant rate over the step.
         held = (times_s * -np.expm1(-step_s / times_s) / step_s)[:, None]
-        self._branch_n_m = (share * held * self.stiffness_n_m)[:, :, None]
+        self._branch_nm_rad = (share * held * self.stiffness_nm_rad)[:, :, None]
 
         self._branch_nm = np.zeros((len(times_s), hinges + 1, 2))
         self._z = np.zeros((hinges + 1, 2))
@@ -110,14 +112,14 @@ class BendLaw:
         u, slope = self.measure(angle_rad)
         du = u - self._bend
         self._bend = u
-        self._branch_nm = self._branch_nm * self._decay + self._branch_n_m * du
+        self._branch_nm = self._branch_nm * self._decay + self._branch_nm_rad * du
         along = (self._z * du).sum(axis=1)
         shed = 0.5 * self._per_yield * (np.abs(along) + along)
         self._z = (self._z + self._per_yield[:, None] * du) / (1.0 + shed)[:, None]
 
         size = np.sqrt((u * u).sum(axis=1)) + 1e-12
         level = size * self._per_limit
-        secant = self.stiffness_n_m * np.tanh(level) / level
+        secant = self.stiffness_nm_rad * np.tanh(level) / level
         secant = secant * (1.0 + self._hard * size * size) / (1.0 + self._soft * size)
         moment = secant[:, None] * u + self._branch_nm.sum(axis=0)
         moment = moment + self._friction_nm[:, None] * self._z

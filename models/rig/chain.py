@@ -56,7 +56,7 @@ class Chain:
 
 
 def build_chain(
-    parameters: Parameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_n_m: Array
+    parameters: Parameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_nm_rad: Array
 ) -> Chain:
     """Build the chain.
 
@@ -70,7 +70,7 @@ def build_chain(
         Payload at the tip.
     gravity_m_s2 : ndarray, shape (3,)
         In the world frame.
-    stiffness_n_m : ndarray, shape (9,)
+    stiffness_nm_rad : ndarray, shape (9,)
         Of the hinge pairs in N·m/rad; the damping is proportional to it.
     """
     p = parameters
@@ -88,7 +88,7 @@ def build_chain(
     if dof == 2:
         _joint(plate, "joint_y", "y")
     _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
-    _add_link(plate, p, stiffness_n_m, load)
+    _add_link(plate, p, stiffness_nm_rad, load)
     model = spec.compile()
     return Chain(
         model=model,
@@ -100,7 +100,7 @@ def build_chain(
     )
 
 
-def _add_link(plate: Any, p: Parameters, stiffness_n_m: Array, load: Load) -> None:
+def _add_link(plate: Any, p: Parameters, stiffness_nm_rad: Array, load: Load) -> None:
     width, damping_s = p["link.width_m"], p["stiffness.damping_s"]
     piece = p["link.length_m"] / SPAN_HINGES
     density = p["link.mass_kg"] / p["link.length_m"]
@@ -122,7 +122,7 @@ def _add_link(plate: Any, p: Parameters, stiffness_n_m: Array, load: Load) -> No
                 joint.stiffness[0], joint.damping[0] = shear, damping_s * shear
         for axis in "xy":
             joint = _joint(body, f"hinge{k}_{axis}", axis)
-            joint.damping[0] = damping_s * stiffness_n_m[k]
+            joint.damping[0] = damping_s * stiffness_nm_rad[k]
         if k > 0 and k % (SPAN_HINGES // MARKER_ROWS) == 0:
             _add_markers(body, k, 0.5 * piece, 0.5 * width)
         offset = long

@@ -58,7 +58,7 @@ class Laboratory:
             eccentricity_m[1],
         )
         down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
-        self.chain = build_chain(p, dof, load, down, self.law.stiffness_n_m)
+        self.chain = build_chain(p, dof, load, down, self.law.stiffness_nm_rad)
         self.data = mujoco.MjData(self.chain.model)
         mujoco.mj_forward(self.chain.model, self.data)
         self.servos = [Servo(p, self.step_s) for _ in range(dof)]

@@ -24,12 +24,12 @@ _LABELS = (
 
 
 def draw_overview(directory: Path) -> Path:
-    """Draw `overview.svg` from the first trial of every payload in a directory.
+    """Draw `overview.svg` from the first simulated trial of every payload in a directory.
 
     Rows: how far the tip is from where a rigid link would have it, over time; the part of that
     along x, current and Deformation Index over angle 1. One column per motion.
     """
-    columns = _first_of_each_payload(read_trials(directory))
+    columns = _first_of_each_payload(read_trials(directory).where(lambda t: t.meta.source == "rig"))
     figure, axes = plt.subplots(
         4, len(columns), figsize=(6.0 * len(columns), 14.0), squeeze=False, layout="constrained"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -72,6 +73,10 @@ class Parameters(Mapping[str, float]):
         for name, value in values.items():
             entries[name] = msgspec.structs.replace(entries[name], value=value)
         return Parameters(entries, self.path)
+
+    def sha256(self) -> str:
+        """Hash of all values, for provenance."""
+        return hashlib.sha256(msgspec.json.encode(dict(self))).hexdigest()
 
     def effects(self) -> dict[str, str]:
         """Effects that have a place in this laboratory, each with its parameter's name."""

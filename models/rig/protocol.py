@@ -70,13 +70,17 @@ def run_case(parameters: Parameters, case: Case) -> Trial:
     Raises
     ------
     InputError
-        If the link folds under what is asked of it.
+        If the link folds under what is asked of it, or the step does not fit the period.
     """
     rng = case.rng()
     variation = vary(parameters, case, rng)
     p = variation.parameters
     lab = Laboratory(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
     substeps = round(PERIOD_S / lab.step_s)
+    if abs(substeps * lab.step_s - PERIOD_S) > 1e-9:
+        raise InputError(
+            p.path, f"world.step_s is {lab.step_s}", f"choose a whole fraction of {PERIOD_S} s"
+        )
 
     # The motion rests before its start and glides back after its end: that is the whole warm-up.
     warm_up_s = np.arange(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -59,7 +60,8 @@ def run_cases(
     else:
         os.environ.update(dict.fromkeys(_THREADS, "1"))  # before the processes load numpy
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(workers, len(cases)), mp_context=context) as pool:
+        ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is this process's to handle
+        with ProcessPoolExecutor(min(workers, len(cases)), context, signal.signal, ignore) as pool:
             futures = {
                 pool.submit(_run_and_write, parameters, case, directory): case.name
                 for case in cases
@@ -95,7 +97,8 @@ def check_names(cases: Sequence[Case], conditions: Mapping[str, Any], directory:
 def record_conditions(
     cases: Sequence[Case], conditions: Mapping[str, Any], directory: Path
 ) -> None:
-    """Add the conditions of these trials to the directory's record."""
+    """Add the conditions of these trials to the directory's record, before they are run."""
+    directory.mkdir(parents=True, exist_ok=True)
     record = _read_record(directory) | {case.name: dict(conditions) for case in cases}
     text = msgspec.json.format(msgspec.json.encode(dict(sorted(record.items()))), indent=1)
     (directory / RECORD).write_bytes(text + b"\n")

@@ -41,25 +41,25 @@ class Servo:
     def __init__(self, parameters: Parameters, step_s: float) -> None:
         p = parameters
         self._step_s = step_s
-        self._position_gain = p["servo.position_gain_hz"]
+        self._position_gain = p["servo.position_gain_per_s"]
         self._speed_limit = p["servo.speed_limit_rad_s"]
         self._inertia = p["servo.inertia_kg_m2"]
         constant = p["servo.torque_constant_nm_a"]
         # The firmware's gains count on the rated torque constant; the motor has its own.
-        self._velocity_gain = p["servo.velocity_bandwidth_hz"] * self._inertia / constant
-        self._integral_gain = self._velocity_gain * p["servo.velocity_integral_hz"]
+        self._velocity_gain = p["servo.velocity_bandwidth_rad_s"] * self._inertia / constant
+        self._integral_gain = self._velocity_gain * p["servo.velocity_integral_rad_s"]
         self._torque_constant = constant * (1.0 - p["servo.torque_constant_loss"])
         self._limit_a = p["servo.current_limit_a"] - p["servo.current_limit_reduction_a"]
         self._coulomb = p["servo.coulomb_friction_nm"]
-        self._viscous = p["servo.viscous_friction_nm_s"]
+        self._viscous = p["servo.viscous_friction_nm_s_rad"]
         self._stribeck = p["servo.stribeck_friction_nm"]
         self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
         self._load_share = p["servo.load_friction_share"]
-        self._bristle = p["servo.bristle_stiffness_nm"]
-        self._bristle_damping = p["servo.bristle_damping_nm_s"]
+        self._bristle = p["servo.bristle_stiffness_nm_rad"]
+        self._bristle_damping = p["servo.bristle_damping_nm_s_rad"]
         self._half_play = 0.5 * p["servo.backlash_rad"]
         self._gear_stiffness = 1.0 / p["servo.gear_compliance_rad_nm"]
-        self._gear_damping = p["servo.gear_damping_nm_s"]
+        self._gear_damping = p["servo.gear_damping_nm_s_rad"]
         self._delay_s = p["servo.dead_time_s"]
         self._encoder_offset = p["sensor.encoder_offset_rad"]
         self._pending: deque[tuple[float, float]] = deque()

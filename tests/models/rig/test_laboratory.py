@@ -92,14 +92,14 @@ def test_a_symmetric_link_moves_symmetrically(parameters):
     assert abs(tip_m(right)[1]) < 1e-9  # and stayed in its plane
 
 
-@pytest.mark.parametrize("root_n_m", [350.0, 1e6])
-def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_n_m):
+@pytest.mark.parametrize("root_nm_rad", [350.0, 1e6])
+def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
     """Gravity along x, weak enough to stay linear: Timoshenko's beam on a root spring."""
     gravity, payload = 0.2, 0.5
     lab = Laboratory(
         parameters.changed(
             **MEMORYLESS, **EVEN,
-            **{"world.gravity_m_s2": gravity, "stiffness.root_n_m": root_n_m,
+            **{"world.gravity_m_s2": gravity, "stiffness.root_nm_rad": root_nm_rad,
                "stiffness.root_limit_nm": 1e6, "stiffness.span_limit_nm": 1e6,
                "stiffness.damping_s": 0.08},
         ), 1, payload, gravity=(1.0, 0.0, 0.0),
@@ -111,7 +111,7 @@ def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_n_m):
         tip_n * length**3 / (3 * bending)
         + line_n_m * length**4 / (8 * bending)
         + (tip_n * length + line_n_m * length**2 / 2) / shear
-        + (tip_n * length + line_n_m * length**2 / 2) / root_n_m * length
+        + (tip_n * length + line_n_m * length**2 / 2) / root_nm_rad * length
     )
     assert deflection_m(lab)[0] == pytest.approx(sag, rel=0.01)
 

@@ -52,7 +52,7 @@ def linear_loop(parameters, payload_kg):
     gear = 1.0 / parameters["servo.gear_compliance_rad_nm"]
     mass = widen(mass, parameters["servo.inertia_kg_m2"])
     stiffness = widen(stiffness, 0.0) + gear * tie @ tie.T
-    damping = widen(damping, 0.0) + parameters["servo.gear_damping_nm_s"] * tie @ tie.T
+    damping = widen(damping, 0.0) + parameters["servo.gear_damping_nm_s_rad"] * tie @ tie.T
     inverse, size = np.linalg.inv(mass), count + 1
     a = np.block(
         [[np.zeros((size, size)), np.eye(size)], [-inverse @ stiffness, -inverse @ damping]]
@@ -62,10 +62,10 @@ def linear_loop(parameters, payload_kg):
     rotor_rate[0, -1] = 1.0
     rotor_angle = np.zeros((1, 2 * size))
     rotor_angle[0, count] = 1.0
-    out = parameters["servo.position_gain_hz"] * rotor_angle + rotor_rate
+    out = parameters["servo.position_gain_per_s"] * rotor_angle + rotor_rate
     plant = control.ss(a, b, out, 0.0)
-    gain = parameters["servo.velocity_bandwidth_hz"] * parameters["servo.inertia_kg_m2"]
-    integral = parameters["servo.velocity_integral_hz"]
+    gain = parameters["servo.velocity_bandwidth_rad_s"] * parameters["servo.inertia_kg_m2"]
+    integral = parameters["servo.velocity_integral_rad_s"]
     return plant * control.tf2ss(control.tf([gain, gain * integral], [1.0, 0.0]))
 
 
