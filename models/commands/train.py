@@ -8,7 +8,7 @@ saw comes from --unseen, or from trials of a smaller amplitude in DIR. The plant
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
-from models.trials import Trial, TrialSet, read_trials
+from models.trials import STEP_TOLERANCE, Trial, TrialSet, read_trials
 
 EXAMPLE = (
     "python -m models train build/trials --dof 1 --plant build/plant.json "
@@ -43,14 +43,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Study, export, report."""
     everything = read_trials(args.trials)
-    trials = everything.where(lambda t: t.meta.dof == args.dof)
-    if not trials:
-        raise InputError(
-            args.trials, f"holds no trial of {args.dof}DOF", f"simulate with --dof {args.dof}"
-        )
-    training, held_out = trials.split()
-    unseen = read_trials(args.unseen).where(lambda t: t.meta.dof == args.dof) if args.unseen else ()
+    training, held_out = of_dof(everything, args.dof, args.trials).split()
+    unseen = of_dof(read_trials(args.unseen), args.dof, args.unseen) if args.unseen else ()
     tests = name_tests(training, (*held_out, *unseen))
+    refuse_mixed_steps((*training, *held_out, *unseen))
 
     from models.export import ParityError, write_bundle  # loads scikit-learn
     from models.plant.plant import read_plant
@@ -74,6 +70,37 @@ def run(args: argparse.Namespace) -> int:
     }
     emit(args, data | {"mean_euclidean_distance_m": tables}, _summary(args.out, study.document))
     return DONE
+
+
+def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
+    """Trials of one dof.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    chosen = trials.where(lambda t: t.meta.dof == dof)
+    if not chosen:
+        raise InputError(where, f"holds no trial of {dof}DOF", f"simulate with --dof {dof}")
+    return chosen
+
+
+def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
+    """Refuse trials of different time steps: the predictor has one period.
+
+    Raises
+    ------
+    InputError
+        Naming the first trial that differs.
+    """
+    step_s = trials[0].step_s
+    for t in trials:
+        if abs(t.step_s - step_s) > STEP_TOLERANCE * step_s:
+            raise InputError(
+                t.path, f"has a time step of {t.step_s:.6g} s, {trials[0].name} of {step_s:.6g} s",
+                "resample it with 'python -m models import --as table'",
+            )  # fmt: skip
 
 
 def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, TrialSet]:

@@ -9,7 +9,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.__main__ import main
-from models.commands.train import name_tests, refuse_fitted
+from models.commands.train import name_tests, refuse_fitted, refuse_mixed_steps
 from models.deformation import deformation_index
 from models.findings import loop_share
 from models.lagged import LaggedRegressor, lagged_features
@@ -175,6 +175,14 @@ def test_runs_too_short_for_blocks_are_refused(toy_trials, toy_observer):
     )
     with pytest.raises(InputError, match="too few"):
         run_study(short, {}, toy_observer(1))
+
+
+def test_trials_of_another_time_step_are_refused(toy_trials):
+    first, second, *_ = toy_trials(1)
+    slower = replace(second, columns=second.columns | {"time_s": 2 * second.columns["time_s"]})
+    refuse_mixed_steps((first, second))
+    with pytest.raises(InputError, match=r"0\.034 s.*0\.017 s"):
+        refuse_mixed_steps((first, slower))
 
 
 def test_train_writes_a_bundle_and_says_how_to_make_an_unseen_motion(toy_trials, tmp_path, capsys):
