@@ -1,8 +1,8 @@
 """The report of a whole run: one self-contained HTML page.
 
-`inputs` reads a build directory, `study_figures`, `estimator_figures` and `loop_figures` draw
-(`svg` gives them one look), `tables` counts, `page` puts it together with `page.html` and
-`style.css`.
+`inputs` reads a build directory; `motion_figures`, `error_figures`, `estimator_figures` and
+`loop_figures` draw (`svg` gives them one look); `tables` sets figures against targets; `page` puts
+it all together with `page.html` and `style.css`.
 """
 
 from __future__ import annotations

@@ -51,6 +51,22 @@ class Loop:
 
 
 @dataclass(frozen=True)
+class PhaseRun:
+    """2DOF with joint 2 a quarter turn ahead, by payload; empty where it was not run.
+
+    Attributes
+    ----------
+    path : dict
+        Payload to `tip_x_m` …, as `study.json` holds them.
+    mean_di : dict
+        Payload to mean DI.
+    """
+
+    path: Json
+    mean_di: dict[str, float]
+
+
+@dataclass(frozen=True)
 class Inputs:
     """Everything that was found; dictionaries are by dof."""
 
@@ -61,7 +77,7 @@ class Inputs:
     checks: dict[str, Json]
     loops: list[Loop]
     rigid_tip_rms_m: dict[int, float]
-    mean_di_phase_90: dict[str, float]
+    phase_90: PhaseRun
     commands: list[str]
 
 
@@ -88,7 +104,7 @@ def read_inputs(directory: Path) -> Inputs:
         },
         loops=[_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))],
         rigid_tip_rms_m=_rigid_tip_rms_m(trials) if trials else {},
-        mean_di_phase_90=_mean_di(_trials(directory / "trials_phase90")),
+        phase_90=_phase_run(_trials(directory / "trials_phase90")),
         commands=_commands(directory / "commands.log"),
     )
 
@@ -131,12 +147,17 @@ def _rigid_tip_rms_m(trials: TrialSet) -> dict[int, float]:
     return {dof: float(np.sqrt(np.mean(np.concatenate(s)))) for dof, s in squares.items()}
 
 
-def _mean_di(trials: TrialSet | None) -> dict[str, float]:
-    """Mean DI of the trials 1 over their moving rows, by payload."""
-    return {
-        payload_key(t.meta.payload_kg): float(np.nanmean(deformation_index(t)[t.moving]))
-        for t in sorted(trials.split()[0] if trials else (), key=lambda t: t.meta.payload_kg)
-    }
+def _phase_run(trials: TrialSet | None) -> PhaseRun:
+    """Moving rows of the trials 1."""
+    run = PhaseRun({}, {})
+    for t in sorted(trials.split()[0] if trials else (), key=lambda t: t.meta.payload_kg):
+        payload = payload_key(t.meta.payload_kg)
+        run.mean_di[payload] = float(np.nanmean(deformation_index(t)[t.moving]))
+        run.path[payload] = {
+            f"tip_{axis}_m": column[::2].tolist()
+            for axis, column in zip("xyz", t.tip_m[t.moving].T, strict=True)
+        }
+    return run
 
 
 def _commands(path: Path) -> list[str]:

@@ -12,10 +12,11 @@ from typing import Any, Final
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from hil.report import tables
+from hil.report.error_figures import error_figures
 from hil.report.estimator_figures import estimates, predictors_by_payload
 from hil.report.inputs import Inputs, Json
 from hil.report.loop_figures import loop_figures, stages
-from hil.report.study_figures import study_figures
+from hil.report.motion_figures import motion_figures
 from hil.report.svg import Figure
 from hil.report.tables import Cell, Table
 
@@ -64,7 +65,10 @@ def _study(inputs: Inputs) -> Section:
         "The paper's figures 7 to 15 on this build's trials: five payloads, two cycles of "
         "256 steps, trained on trial 1 and tested on trial 2."
     )
-    section.figures = study_figures(inputs.studies, inputs.mean_di_phase_90)
+    section.figures = [
+        *motion_figures(inputs.studies, inputs.phase_90),
+        *error_figures(inputs.studies),
+    ]
     return section
 
 
@@ -136,7 +140,7 @@ def _findings(studies: dict[int, Json]) -> list[dict[str, Any]]:
                 finding["claim"],
                 {"claim": finding["claim"], "depends_on": finding["depends_on"], "verdicts": {}},
             )
-            said = (finding["holds"], finding["text"])
+            said = (finding["holds"], finding["text"].replace("trial_2", "trial 2"))
             claim["verdicts"].setdefault(said, []).append(f"{dof}DOF")
     return list(claims.values())
 

@@ -20,8 +20,8 @@ INK: Final = "#1f2933"
 QUIET: Final = "#8a94a0"
 DOF_COLOUR: Final = {1: "#1d6a96", 2: "#b4532a"}
 ALARM: Final = "#b3261e"
-SIZE_IN: Final = (4.6, 3.0)
-"""At full width of a phone its 9 pt text measures about 9 px, in two columns about 13 px."""
+SIZE_IN: Final = (4.3, 2.9)
+"""On a phone its 9 pt text measures about 10 px, in two columns about 15 px."""
 
 _STYLE: Final = {
     "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,

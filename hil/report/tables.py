@@ -36,7 +36,7 @@ class Table:
 
 def percent(share: float, digits: int = 0) -> str:
     """A share in percent, with the space that SI asks for."""
-    return f"{100 * share:.{digits}f} %"
+    return f"{100 * share:.{digits}f}\u00a0%"
 
 
 def _row(*cells: str | Cell) -> list[Cell]:
@@ -51,12 +51,12 @@ def at_a_glance(inputs: Inputs) -> Table:
     """What was asked for beside what was measured."""
     dofs = (1, 2)
     rows = []
-    limits = " / ".join(f"{MM * TIP_RMS_LIMIT_M[dof]:.0f}" for dof in dofs)
+    limits = "\u00a0/\u00a0".join(f"{MM * TIP_RMS_LIMIT_M[dof]:.0f}" for dof in dofs)
     rms = {dof: inputs.evaluations.get(dof, {}).get("tip_rms_m") for dof in dofs}
     rows.append(
         _row(
-            "Identified plant, tip error RMS", f"≤ {limits} mm",
-            *(_judged(_times(rms[dof], MM), MM * TIP_RMS_LIMIT_M[dof], "{:.1f} mm")
+            "Identified plant, tip error RMS", f"≤\u00a0{limits}\u00a0mm",
+            *(_judged(_times(rms[dof], MM), MM * TIP_RMS_LIMIT_M[dof], "{:.1f}\u00a0mm")
               for dof in dofs),
         )
     )  # fmt: skip
@@ -66,7 +66,7 @@ def at_a_glance(inputs: Inputs) -> Table:
             _row(
                 f"Estimated DI, share of true DI's gain at degree {BENEFIT_DEGREE}, "
                 f"{test_title(test)}",
-                f"≥ {percent(limit)}",
+                f"≥\u00a0{percent(limit)}",
                 *(
                     Cell(NO_VALUE) if share is None else Cell(percent(share), share >= limit)
                     for share in shares
@@ -75,14 +75,18 @@ def at_a_glance(inputs: Inputs) -> Table:
         )
     worst = {dof: _parity(inputs.checks.get(f"twin_{dof}dof")) for dof in dofs}
     rows.append(
-        _row("Twin unit against the Python plant", "≤ 1e-9",
+        _row("Twin unit against the Python plant", "≤\u00a01e-9",
              *(_judged(worst[dof], 1e-9, "{:.0e}") for dof in dofs))
     )  # fmt: skip
     loops = {dof: _loop_of(inputs, dof) for dof in dofs}
     cost = {dof: loop.timing["own_cost"]["p99_ns"] / 1e6 if loop else None
             for dof, loop in loops.items()}  # fmt: skip
     rows.append(
-        _row("Tick, own cost p99", "≤ 1.5 ms", *(_judged(cost[d], 1.5, "{:.2f} ms") for d in dofs))
+        _row(
+            "Tick, own cost p99",
+            "≤\u00a01.5\u00a0ms",
+            *(_judged(cost[d], 1.5, "{:.2f}\u00a0ms") for d in dofs),
+        )
     )
     own = {dof: loop.timing["own_misses"] if loop else None for dof, loop in loops.items()}
     rows.append(
@@ -147,7 +151,8 @@ def estimators(studies: dict[int, Json]) -> Table:
             for source, result in by_source.items():
                 rows.append(
                     _row(
-                        f"{dof}DOF, {test_title(test)}", source, f"{result['r2_di']:.2f}",
+                        f"{dof}DOF, {test_title(test)}", source,
+                        f"{result['r2_di']:.2f}".replace("-", "−"),
                         f"{100 * result['rms_error_di']:.3f}",
                         f"{MM * result['mean_euclidean_distance_m'][BENEFIT_DEGREE]:.1f}",
                         percent(result["benefit_recovered"][BENEFIT_DEGREE]),

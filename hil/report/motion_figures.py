@@ -1,4 +1,4 @@
-"""The paper's figures 7 to 15, drawn from `study.json`, 1DOF beside 2DOF."""
+"""The paper's figures 7 to 11, drawn from `study.json`: how the link moves and deforms."""
 
 from __future__ import annotations
 
@@ -6,41 +6,33 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.report.svg import DOF_COLOUR, INK, QUIET, Drawing, Figure, Panel, log_axis, ramp
+from hil.report.inputs import PhaseRun
+from hil.report.svg import DOF_COLOUR, QUIET, Drawing, Figure, Panel, ramp
 
 Json = dict[str, Any]
 Studies = dict[int, Json]
 
-MM: Final = 1e3
 PERCENT: Final = 1e2
-TEST: Final = "trial_2"
+AHEAD: Final = "2DOF, joint 2 ahead by 90°"
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
-VARIANTS: Final = {
-    "with_di": ("true DI", "solid"),
-    "estimated_di": ("estimated DI (robot)", "dashed"),
-    "without_di": ("without DI", "dotted"),
-}
 
 
-def study_figures(studies: Studies, mean_di_phase_90: dict[str, float]) -> list[Figure]:
-    """Every figure of the study, in the paper's order.
+def motion_figures(studies: Studies, phase_90: PhaseRun) -> list[Figure]:
+    """Paths, poses and DI, 1DOF beside 2DOF.
 
     Parameters
     ----------
     studies : dict
         `study.json` by dof.
-    mean_di_phase_90 : dict
-        Mean DI by payload of 2DOF with joint 2 a quarter turn ahead; may be empty.
+    phase_90 : PhaseRun
+        2DOF with joint 2 a quarter turn ahead; may be empty.
     """
     return [
-        _paths(studies),
+        _paths(studies, phase_90.path),
         _poses(studies),
         _di_over_angle(studies),
-        _mean_di(studies, mean_di_phase_90),
-        _error_over_time(studies),
-        _error_over_degree(studies),
-        _gain_by_di(studies),
+        _mean_di(studies, phase_90.mean_di),
     ]
 
 
@@ -51,10 +43,12 @@ def _payload_legend(labels: list[str]) -> list[tuple[str, str, str]]:
     ]
 
 
-def _paths(studies: Studies) -> Figure:
+def _paths(studies: Studies, phase_90: Json) -> Figure:
+    motions = {f"{dof}DOF": study["series"]["path"] for dof, study in studies.items()}
+    if phase_90:
+        motions[AHEAD] = phase_90
     panels: list[Panel] = []
-    for dof, study in studies.items():
-        paths = study["series"]["path"]
+    for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
             with Drawing() as (drawing, ax):
                 for path, colour in zip(paths.values(), ramp(len(paths)), strict=True):
@@ -62,20 +56,19 @@ def _paths(studies: Studies) -> Figure:
                     ax.plot(*project(point_m).T, color=colour, linewidth=1.1)
                 if view == "from above":
                     ax.set(xlabel="x in m", ylabel="y in m", aspect="equal")
-                    ax.set(xlim=(-0.9, 0.9), ylim=(-0.6, 0.6))
+                    ax.set(xlim=(-0.9, 0.9), ylim=(-0.65, 0.65))
                 else:
                     _draw_axes(ax)
             panels.append(
                 drawing.panel(
-                    f"{dof}DOF, {view}",
-                    f"Path of the end effector in {dof}DOF motion seen {view}, one line per "
-                    f"payload; {_extent(paths)}.",
+                    f"{motion}, {view}",
+                    f"Path of the end effector, {motion}, seen {view}, one line per payload; "
+                    f"{_extent(paths)}.",
                 )
             )
-    labels = list(next(iter(studies.values()))["series"]["path"])
     return Figure(
         "Paths of the end effector", "The base joint stands at the origin, the link upright.",
-        panels, "7", _payload_legend(labels),
+        panels, "7", _payload_legend(list(next(iter(motions.values())))),
     )  # fmt: skip
 
 
@@ -137,8 +130,9 @@ def _poses(studies: Studies) -> Figure:
                 color=DOF_COLOUR[dof], marker="o", markersize=4,
             )  # fmt: skip
             ax.annotate(
-                f"{dof}DOF", (poses["time_s"][-1], PERCENT * poses["di"][-1]), color=DOF_COLOUR[dof],
-                xytext=(6, 0), textcoords="offset points", va="center",
+                f"{dof}DOF", (poses["time_s"][-1], PERCENT * poses["di"][-1]),
+                color=DOF_COLOUR[dof], xytext=(6, 0), textcoords="offset points",
+                va="bottom" if dof == 1 else "top",
             )  # fmt: skip
         ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
     panels.append(
@@ -188,7 +182,7 @@ def _mean_di(studies: Studies, phase_90: dict[str, float]) -> Figure:
         for dof, study in studies.items()
     ]  # fmt: skip
     if phase_90:
-        lines.append((phase_90, "2DOF, joint 2 ahead by 90°", DOF_COLOUR[2], "dashed"))
+        lines.append((phase_90, AHEAD, DOF_COLOUR[2], "dashed"))
     with Drawing() as (drawing, ax):
         for values, _, colour, dash in lines:
             ax.plot(
@@ -206,109 +200,4 @@ def _mean_di(studies: Studies, phase_90: dict[str, float]) -> Figure:
         if phase_90 else "Moving rows of trial 1.",
         [drawing.panel("1DOF and 2DOF", f"Mean DI over payload. {alt}.")], "11",
         [(colour, label, dash) for _, label, colour, dash in lines],
-    )  # fmt: skip
-
-
-def _error_over_time(studies: Studies) -> Figure:
-    panels = []
-    everything = [
-        MM * v
-        for study in studies.values()
-        for curve in study["series"]["error"][TEST]["euclidean_distance_m"].values()
-        for v in curve
-    ]
-    for dof, study in studies.items():
-        error = study["series"]["error"][TEST]
-        curves = error["euclidean_distance_m"]
-        with Drawing() as (drawing, ax):
-            for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
-                ax.plot(error["time_s"], MM * np.array(curve), color=colour, linewidth=1.0)
-            ax.set(xlabel="time in s", ylabel="distance in mm")
-            log_axis(ax, everything)
-        listed = ", ".join(f"degree {d} {MM * np.mean(c):.1f} mm" for d, c in curves.items())
-        panels.append(
-            drawing.panel(
-                f"{dof}DOF",
-                f"Euclidean distance over time in {dof}DOF, mean over payloads: {listed} on "
-                "average.",
-            )
-        )
-    degrees = list(next(iter(studies.values()))["series"]["error"][TEST]["euclidean_distance_m"])
-    legend = [(c, f"degree {d}", "solid") for d, c in zip(degrees, ramp(len(degrees)), strict=True)]
-    return Figure(
-        "Error of the predictors over time",
-        "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
-        panels, "12 and 13", legend,
-    )  # fmt: skip
-
-
-def _error_over_degree(studies: Studies) -> Figure:
-    panels = []
-    everything = [
-        MM * v
-        for study in studies.values()
-        for v in (
-            *study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"].values(),
-            *(fold["blocks_m"] for fold in study["cross_validation"]["with_di"].values()),
-        )
-    ]
-    for dof, study in studies.items():
-        mean = study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"]
-        std = study["std_euclidean_distance_m"][TEST]["pooled"]["with_di"]
-        folds = study["cross_validation"]["with_di"]
-        degrees = [int(d) for d in mean]
-        centre, band = (MM * np.array([table[d] for d in mean]) for table in (mean, std))
-        with Drawing() as (drawing, ax):
-            ax.fill_between(degrees, np.maximum(centre - band, 1e-3), centre + band,
-                            color=DOF_COLOUR[dof], alpha=0.15, linewidth=0)  # fmt: skip
-            ax.plot(degrees, centre, color=DOF_COLOUR[dof], marker="o", markersize=4)
-            ax.plot(degrees, [MM * folds[d]["blocks_m"] for d in mean], color=INK, linestyle=":")
-            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
-            log_axis(ax, everything)
-        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(centre, 1))
-        panels.append(
-            drawing.panel(f"{dof}DOF", f"Mean Euclidean distance on trial 2, {dof}DOF: {listed}.")
-        )
-    return Figure(
-        "Error over the degree",
-        "With true DI, pooled over payloads; the band is one standard deviation of the samples.",
-        panels, "14",
-        [*((DOF_COLOUR[dof], f"{dof}DOF on trial 2", "solid") for dof in studies),
-         (INK, "cross-validation on trial 1", "dotted")],
-    )  # fmt: skip
-
-
-def _gain_by_di(studies: Studies) -> Figure:
-    panels = []
-    everything = [
-        MM * v
-        for study in studies.values()
-        for by_degree in study["mean_euclidean_distance_m"][TEST]["pooled"].values()
-        for v in by_degree.values()
-    ]
-    for dof, study in studies.items():
-        table = study["mean_euclidean_distance_m"][TEST]["pooled"]
-        with Drawing() as (drawing, ax):
-            for variant, (_, dash) in VARIANTS.items():
-                degrees = [int(d) for d in table[variant]]
-                ax.plot(
-                    degrees, [MM * v for v in table[variant].values()],
-                    color=DOF_COLOUR[dof], linestyle=dash, marker="o", markersize=3.5,
-                )  # fmt: skip
-            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
-            log_axis(ax, everything)
-        listed = "; ".join(
-            f"{label} {', '.join(f'{MM * v:.1f}' for v in table[variant].values())} mm"
-            for variant, (label, _) in VARIANTS.items()
-        )
-        panels.append(
-            drawing.panel(
-                f"{dof}DOF", f"Mean Euclidean distance by degree 1 to 6, {dof}DOF: {listed}."
-            )
-        )
-    return Figure(
-        "What DI is worth",
-        "Trained on trial 1, tested on trial 2. The robot has no motion capture: it gets the "
-        "predictor that was trained on estimated DI.",
-        panels, "15", [(INK, label, dash) for label, dash in VARIANTS.values()],
     )  # fmt: skip

@@ -1,0 +1,136 @@
+"""The paper's figures 12 to 15, drawn from `study.json`: how well polynomials predict."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from hil.report.svg import DOF_COLOUR, INK, Drawing, Figure, log_axis, ramp
+
+Json = dict[str, Any]
+Studies = dict[int, Json]
+
+MM: Final = 1e3
+TEST: Final = "trial_2"
+VARIANTS: Final = {
+    "with_di": ("true DI", "solid"),
+    "estimated_di": ("estimated DI (robot)", "dashed"),
+    "without_di": ("without DI", "dotted"),
+}
+
+
+def error_figures(studies: Studies) -> list[Figure]:
+    """Error over time and degree, and what DI takes off it; by dof, from `study.json`.
+
+    Studies without a trial 2 have none of these figures.
+    """
+    tested = {dof: study for dof, study in studies.items() if TEST in study["tests"]}
+    if not tested:
+        return []
+    return [_error_over_time(tested), _error_over_degree(tested), _gain_by_di(tested)]
+
+
+def _error_over_time(studies: Studies) -> Figure:
+    panels = []
+    everything = [
+        MM * v
+        for study in studies.values()
+        for curve in study["series"]["error"][TEST]["euclidean_distance_m"].values()
+        for v in curve
+    ]
+    for dof, study in studies.items():
+        error = study["series"]["error"][TEST]
+        curves = error["euclidean_distance_m"]
+        with Drawing() as (drawing, ax):
+            for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
+                ax.plot(error["time_s"], MM * np.array(curve), color=colour, linewidth=1.0)
+            ax.set(xlabel="time in s", ylabel="distance in mm")
+            log_axis(ax, everything)
+        listed = ", ".join(f"degree {d} {MM * np.mean(c):.1f} mm" for d, c in curves.items())
+        panels.append(
+            drawing.panel(
+                f"{dof}DOF",
+                f"Euclidean distance over time in {dof}DOF, mean over payloads: {listed} on "
+                "average.",
+            )
+        )
+    degrees = list(next(iter(studies.values()))["series"]["error"][TEST]["euclidean_distance_m"])
+    legend = [(c, f"degree {d}", "solid") for d, c in zip(degrees, ramp(len(degrees)), strict=True)]
+    return Figure(
+        "Error of the predictors over time",
+        "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
+        panels, "12 and 13", legend,
+    )  # fmt: skip
+
+
+def _error_over_degree(studies: Studies) -> Figure:
+    panels = []
+    everything = [
+        MM * v
+        for study in studies.values()
+        for v in (
+            *study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"].values(),
+            *(fold["blocks_m"] for fold in study["cross_validation"]["with_di"].values()),
+        )
+    ]
+    for dof, study in studies.items():
+        mean = study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"]
+        std = study["std_euclidean_distance_m"][TEST]["pooled"]["with_di"]
+        folds = study["cross_validation"]["with_di"]
+        degrees = [int(d) for d in mean]
+        centre, band = (MM * np.array([table[d] for d in mean]) for table in (mean, std))
+        with Drawing() as (drawing, ax):
+            ax.fill_between(degrees, np.maximum(centre - band, 1e-3), centre + band,
+                            color=DOF_COLOUR[dof], alpha=0.15, linewidth=0)  # fmt: skip
+            ax.plot(degrees, centre, color=DOF_COLOUR[dof], marker="o", markersize=4)
+            ax.plot(degrees, [MM * folds[d]["blocks_m"] for d in mean], color=INK, linestyle=":")
+            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
+            log_axis(ax, everything)
+        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(centre, 1))
+        panels.append(
+            drawing.panel(f"{dof}DOF", f"Mean Euclidean distance on trial 2, {dof}DOF: {listed}.")
+        )
+    return Figure(
+        "Error over the degree",
+        "With true DI, pooled over payloads; the band is one standard deviation of the samples.",
+        panels, "14",
+        [*((DOF_COLOUR[dof], f"{dof}DOF on trial 2", "solid") for dof in studies),
+         (INK, "cross-validation on trial 1", "dotted")],
+    )  # fmt: skip
+
+
+def _gain_by_di(studies: Studies) -> Figure:
+    panels = []
+    everything = [
+        MM * v
+        for study in studies.values()
+        for by_degree in study["mean_euclidean_distance_m"][TEST]["pooled"].values()
+        for v in by_degree.values()
+    ]
+    for dof, study in studies.items():
+        table = study["mean_euclidean_distance_m"][TEST]["pooled"]
+        with Drawing() as (drawing, ax):
+            for variant, (_, dash) in VARIANTS.items():
+                degrees = [int(d) for d in table[variant]]
+                ax.plot(
+                    degrees, [MM * v for v in table[variant].values()],
+                    color=DOF_COLOUR[dof], linestyle=dash, marker="o", markersize=3.5,
+                )  # fmt: skip
+            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
+            log_axis(ax, everything)
+        listed = "; ".join(
+            f"{label} {', '.join(f'{MM * v:.1f}' for v in table[variant].values())} mm"
+            for variant, (label, _) in VARIANTS.items()
+        )
+        panels.append(
+            drawing.panel(
+                f"{dof}DOF", f"Mean Euclidean distance by degree 1 to 6, {dof}DOF: {listed}."
+            )
+        )
+    return Figure(
+        "What DI is worth",
+        "Trained on trial 1, tested on trial 2. The robot has no motion capture: it gets the "
+        "predictor that was trained on estimated DI.",
+        panels, "15", [(INK, label, dash) for label, dash in VARIANTS.values()],
+    )  # fmt: skip
