@@ -24,7 +24,7 @@ import casadi as ca
 
 from models.plant.mechanics import PointMass, equations, rod, rotation
 from models.plant.parameter import Parameter
-from models.plant.scope import ROTARY, Expr, Scope
+from models.plant.scope import ROTARY, Expr, Hinge, Scope
 from models.plant.step import Variable
 
 SEGMENTS: Final = 4
@@ -126,47 +126,65 @@ class Link:
         for j in scope.joints:
             scope.transmitted[j] = -scope.bend_torque["root", j]
 
-    def coordinates(self, scope: Scope) -> list[Expr]:
-        """Joint angles, then bends."""
-        return [*scope.angle.values(), *scope.bend.values()]
-
-    def rates(self, scope: Scope) -> list[Expr]:
-        """Rates of the coordinates."""
-        return [*scope.rate.values(), *scope.bend_rate.values()]
-
     def equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Mass matrix and force over the coordinates."""
-        gravity = ca.vertcat(0, 0, -scope.p("gravity_m_s2"))
+        """Mass matrix and force over the joints' coordinates and the bends."""
+        rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return equations(
             self._points(scope),
-            ca.vertcat(*self.coordinates(scope)),
-            ca.vertcat(*self.rates(scope)),
-            gravity,
+            ca.vertcat(*scope.angle.values(), *scope.bend.values()),
+            ca.vertcat(*rates, *scope.bend_rate.values()),
+            ca.vertcat(0, 0, -scope.p("gravity_m_s2")),
         )
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
         """Deformation Index, and end effector in the mocap's world frame."""
-        coordinates = ca.vertcat(*self.coordinates(scope))
-        tip_m = self._frames(scope)[2]
-        velocity = ca.jtimes(tip_m, coordinates, ca.vertcat(*self.rates(scope)))
-        seen = rotation(scope.frame_tilt_rad, 0) @ (tip_m - scope.frame_delay_s * velocity)
+        joint, bend = self._seen_late(scope)
+        tip_m = rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
         result = {
             "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
-                            nominal=0.01), self._deformation_index(scope)),
+                            nominal=0.01), self._deformation_index(scope, joint, bend)),
         }  # fmt: skip
-        for axis, value in zip("xyz", ca.vertsplit(seen), strict=True):
+        for axis, value in zip("xyz", ca.vertsplit(tip_m), strict=True):
             name = f"tip_{axis}_m"
             result[name] = (Variable(name, "m", 0.0, f"end effector, world frame, {axis}"), value)
         return result
 
-    def _frames(self, scope: Scope) -> tuple[Expr, Expr, Expr, Expr]:
+    def _standing(self, scope: Scope) -> dict[int, Expr]:
+        """Joint angles on the load's side of the gear."""
+        return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
+
+    def _seen_late(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
+        """Joint angles and bends as the mocap's clock shows them, to second order in its delay."""
+        delay_s = scope.frame_delay_s
+
+        def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
+            return value - delay_s * rate + delay_s**2 / 2 * acceleration
+
+        standing = self._standing(scope)
+        joint = {
+            j: late(
+                standing[j],
+                scope.rate[j] - scope.windup_rate[j],
+                scope.states[scope.rate[j].name()].rate - scope.windup_acceleration[j],
+            )
+            for j in scope.joints
+        }
+        bend = {
+            key: late(value, scope.bend_rate[key], scope.states[scope.bend_rate[key].name()].rate)
+            for key, value in scope.bend.items()
+        }
+        return joint, bend
+
+    def _frames(
+        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+    ) -> tuple[Expr, Expr, Expr, Expr]:
         """Root, span hinge and tip (3,), and the rotation of the last section."""
-        joint = [scope.angle[j] - scope.windup[j] for j in scope.joints]
-        root = [scope.bend["root", j] for j in scope.joints]
-        span = [scope.bend["span", j] for j in scope.joints]
-        base, first, second = (
-            rotation(*pair, *[0] * (2 - len(pair))) for pair in (joint, root, span)
+        turns = (
+            list(joint.values()),
+            [bend["root", j] for j in scope.joints],
+            [bend["span", j] for j in scope.joints],
         )
+        base, first, second = (rotation(*pair, *[0] * (2 - len(pair))) for pair in turns)
         length_m, position = scope.p("link_length_m"), scope.p("span_position")
         plate_m = base @ ca.vertcat(0, 0, scope.p("base_offset_m"))
         section = base @ first
@@ -176,7 +194,7 @@ class Link:
         return plate_m, hinge_m, tip_m, section
 
     def _points(self, scope: Scope) -> list[PointMass]:
-        plate_m, hinge_m, tip_m, section = self._frames(scope)
+        plate_m, hinge_m, tip_m, section = self._frames(scope, self._standing(scope), scope.bend)
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         payload_m = tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0)
         return [
@@ -186,13 +204,13 @@ class Link:
             (scope.payload_kg, payload_m),
         ]
 
-    def _seen_root(self, scope: Scope, joint: int) -> Expr:
-        """Root bend as it shows between the markers and a plate at the measured angle."""
-        bend = scope.bend["root", joint] - scope.rest_bend["root", joint]
-        return bend - scope.windup[joint] - scope.frame_delay_s * scope.rate[joint]
+    def _deformation_index(
+        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+    ) -> Expr:
+        """Equation 1 over the 16 edge segments; opposite edges are strained alike.
 
-    def _deformation_index(self, scope: Scope) -> Expr:
-        """Equation 1 over the 16 edge segments; opposite edges are strained alike."""
+        The base corners are taken where the measured angle puts them, not where the plate is.
+        """
         segment_m = scope.p("link_length_m") / SEGMENTS
         lever = scope.p("edge_gain") * scope.p("link_width_m") / 2 / segment_m
         total: Expr = 0
@@ -201,8 +219,9 @@ class Link:
             strain = [
                 lever
                 * (
-                    share * (scope.bend["span", j] - scope.rest_bend["span", j])
-                    + (k == 0) * self._seen_root(scope, j)
+                    share * (bend["span", j] - scope.rest_bend["span", j])
+                    + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
+                    + (k == 0) * (joint[j] - scope.angle[j])
                 )
                 for j in scope.joints
             ]

@@ -11,9 +11,9 @@ from typing import Any, Final
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
-from models.plant.effects import PORTS, Effect
+from models.plant.effects import Effect
 from models.plant.mechanics import solve
-from models.plant.scope import Expr, Scope
+from models.plant.scope import Expr, Scope, substitute
 from models.plant.servo import UNIT_OF, Drive
 from models.plant.step import StepModel, Variable, runge_kutta
 
@@ -25,25 +25,26 @@ def compose_twin(
     name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
 ) -> StepModel:
     """Plant in closed loop; see the module's text."""
-    serve(scope, ("sensor",), effects, load)
+    serve(scope, ("sensor",), effects)
     drive.declare(scope)
     scope.payload_kg = scope.input(payload_variable())
     for j in scope.joints:
         declare_joint(scope, j, scope.start[j])
     load.declare(scope)
-    serve(scope, PORTS[1 : PORTS.index("servo_torque")], effects, load)
-    load.transmit(scope)
+    serve(scope, ("command",), effects)
+    strain(scope, load, effects)
     drive.drive(scope)
-    serve(scope, ("servo_torque", "joint_torque"), effects, load)
     mass, force = load.equations(scope)
+    lost = mass[:, : len(scope.joints)] @ ca.vertcat(*scope.windup_acceleration.values())
     torque = []
     for index, j in enumerate(scope.joints):
         mass[index, index] += drive.inertia(scope, j)
         torque.append(scope.motor_torque[j] - scope.friction[j] + scope.joint_torque[j])
     torque = ca.vertcat(*torque, *scope.bend_torque.values())
-    acceleration = ca.vertsplit(solve(mass, torque - force))
-    for key, value in zip(load.rates(scope), acceleration, strict=True):
-        scope.states[key.name()].rate = value
+    acceleration = ca.vertsplit(solve(mass, torque - force + lost))
+    rates = (*scope.rate.values(), *scope.bend_rate.values())
+    for rate, value in zip(rates, acceleration, strict=True):
+        scope.states[rate.name()].rate = value
     settle(scope, load, force)
     outputs: dict[str, tuple[Variable, Expr]] = {}
     angle = scope.suffix["angle"]
@@ -86,14 +87,21 @@ def declare_joint(scope: Scope, joint: int, initial: Expr) -> None:
     scope.states[f"joint_{joint}_{angle}"].rate = scope.rate[joint]
 
 
-def serve(scope: Scope, ports: Iterable[str], effects: Sequence[Effect], load: Any) -> None:
-    """Let the effects of each port act, after the load has wired its own torque."""
+def serve(scope: Scope, ports: Iterable[str], effects: Sequence[Effect]) -> None:
+    """Let the effects of each port act, port by port."""
     for port in ports:
-        if port == "bend_torque":
-            load.load(scope)
         for effect in effects:
             if effect.port == port:
                 effect.apply(scope)
+
+
+def strain(scope: Scope, load: Any, effects: Sequence[Effect]) -> None:
+    """Wire every torque but the drive's: on the bends, through the gear and on the joint."""
+    serve(scope, ("stiffness", "mass"), effects)
+    load.load(scope)
+    serve(scope, ("bend_torque",), effects)
+    load.transmit(scope)
+    serve(scope, ("servo_torque", "joint_torque"), effects)
 
 
 def settle(scope: Scope, load: Any, force: Expr) -> None:
@@ -125,20 +133,13 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
     upright = equilibrium([ca.SX(0)] * count) if bends else ca.SX(0, 1)
     for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
         scope.rest_bend[key] = value
-    holding = substitute(at_rest(force[:count], start), [(symbols, first)])
+    holding = force[:count] - ca.vertcat(*scope.joint_torque.values())
+    holding = substitute(at_rest(holding, start), [(symbols, first)])
     for state, value in zip(bends, ca.vertsplit(first), strict=True):
         state.initial = value
     held = list(zip(scope.holding.values(), ca.vertsplit(holding), strict=True))
     for state in scope.states.values():
         state.initial = substitute(substitute(state.initial, [(symbols, first)]), held)
-
-
-def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
-    """Expression with the first of each pair replaced by the second, all at once."""
-    if not pairs:
-        return expression
-    old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))
-    return ca.substitute(ca.SX(expression), old, ca.densify(ca.SX(new)))
 
 
 def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) -> StepModel:

@@ -24,8 +24,9 @@ from models.plant.compose import (
     payload_variable,
     serve,
     settle,
+    strain,
 )
-from models.plant.effects import PORTS, Effect
+from models.plant.effects import Effect
 from models.plant.mechanics import solve
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
@@ -59,7 +60,7 @@ def compose_driven(
 
 def follow(scope: Scope, effects: Sequence[Effect]) -> None:
     """Wire angle, rate and acceleration of each joint to the filtered measurement."""
-    serve(scope, ("sensor",), effects, None)
+    serve(scope, ("sensor",), effects)
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
     unit = UNIT_OF[angle]
     for j in scope.joints:
@@ -82,12 +83,12 @@ def follow(scope: Scope, effects: Sequence[Effect]) -> None:
 def move(scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]) -> None:
     """Let the load bend on joints that move as measured; wire the current that it costs."""
     load.declare(scope)
-    serve(scope, PORTS[2 : PORTS.index("servo_torque")], effects, load)
-    load.transmit(scope)
-    serve(scope, ("servo_torque", "joint_torque"), effects, load)
+    strain(scope, load, effects)
     mass, force = load.equations(scope)
     count = len(scope.joints)
-    base = ca.vertcat(*scope.acceleration.values())
+    lost = ca.vertcat(*scope.windup_acceleration.values())
+    base: Expr = ca.vertcat(*scope.acceleration.values())
+    base = base - lost
     own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
     bending = solve(mass[count:, count:], own)
     for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(bending), strict=True):

@@ -22,10 +22,6 @@ class _Rigid:
     def load(self, scope: Scope) -> None:
         """Nothing bends."""
 
-    def rates(self, scope: Scope) -> list[Expr]:
-        """Rate of the joint."""
-        return list(scope.rate.values())
-
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
         """Nothing beyond the joint."""
         return {}
@@ -55,8 +51,8 @@ class Pendulum(_Rigid):
         )  # fmt: skip
 
     def transmit(self, scope: Scope) -> None:
-        """Wire the torque that holds the pendulum."""
-        scope.transmitted[1] = self._gravity(scope)
+        """Wire the torque of gravity."""
+        scope.transmitted[1] = -self._gravity(scope)
 
     def equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Inertia and gravity torque."""

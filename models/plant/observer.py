@@ -24,12 +24,11 @@ from models.plant.compose import (
     current_variable,
     measured_current,
     payload_variable,
-    substitute,
 )
 from models.plant.driven import follow, move
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope, State
+from models.plant.scope import Expr, Scope, State, substitute
 from models.plant.servo import Drive
 from models.plant.step import StepModel, Variable
 

@@ -58,9 +58,11 @@ class Scope:
     current, motor_torque, friction, joint_torque, transmitted : dict by joint
         Drive's current and torque; friction that opposes `rate`; other torque on the joint;
         torque that the load puts on the joint apart from its inertia.
-    torque_scale, current_limit_cut, windup : dict by joint
-        Factor on the drive's torque; reduction of its limit; lost motion between the measured
-        angle and the load.
+    torque_scale, current_limit_cut : dict by joint
+        Factor on the drive's torque; reduction of its limit.
+    windup, windup_rate, windup_acceleration : dict by joint
+        Lost motion between the drive's side of the gear and the load's: the load stands at
+        angle - windup.
     bend, bend_rate, stiffness, bend_torque, rest_bend : dict by hinge
         Bend of the load's hinges, their rates, stiffness, the torque acting on the bend, and the
         bend at rest upright.
@@ -92,6 +94,8 @@ class Scope:
     torque_scale: dict[int, Expr] = field(default_factory=dict)
     current_limit_cut: dict[int, Expr] = field(default_factory=dict)
     windup: dict[int, Expr] = field(default_factory=dict)
+    windup_rate: dict[int, Expr] = field(default_factory=dict)
+    windup_acceleration: dict[int, Expr] = field(default_factory=dict)
     bend: dict[Hinge, Expr] = field(default_factory=dict)
     bend_rate: dict[Hinge, Expr] = field(default_factory=dict)
     stiffness: dict[Hinge, Expr] = field(default_factory=dict)
@@ -111,6 +115,7 @@ class Scope:
             self.holding[j] = ca.SX.sym(f"holding_{j}")
             for wire in (
                 self.friction, self.joint_torque, self.current_limit_cut, self.windup,
+                self.windup_rate, self.windup_acceleration,
                 self.angle_error, self.current_bias, self.current_scale,
             ):  # fmt: skip
                 wire[j] = 0
@@ -137,6 +142,12 @@ class Scope:
         """Joint coordinate as the encoder shows it."""
         return self.angle[joint] + self.angle_error[joint]
 
+    def at_start(self, expression: Expr) -> Expr:
+        """Expression before anything moves, in terms of the bends, whose start is found last."""
+        bends = {b.name() for b in self.bend.values()}
+        still = [(s.symbol, s.initial) for n, s in self.states.items() if n not in bends]
+        return substitute(expression, still)
+
     def input(self, variable: Variable) -> Expr:
         """Add an input."""
         symbol = ca.SX.sym(variable.name)
@@ -148,3 +159,11 @@ class Scope:
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = State(variable, symbol, initial)
         return symbol
+
+
+def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
+    """Expression with the first of each pair replaced by the second, all at once."""
+    if not pairs:
+        return expression
+    old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))
+    return ca.substitute(ca.SX(expression), old, ca.densify(ca.SX(new)))

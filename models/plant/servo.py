@@ -108,19 +108,15 @@ class Cascade:
         """Goals as inputs, the integral of the velocity error as a state."""
         for j in scope.joints:
             take_goal(scope, j)
-            held = scope.holding[j] / scope.p("torque_constant_{j}_nm_a", j)
-            scope.state(
-                Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01),
-                held
-                * scope.p("velocity_integral_time_{j}_s", j)
-                / scope.p("velocity_gain_{j}_a_s_rad", j),
-            )
+            scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
     def drive(self, scope: Scope) -> None:
         """Run both loops."""
         for j in scope.joints:
             integral = scope.states[f"velocity_integral_{j}_rad"]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
+            held = scope.holding[j] / self.torque_per_current(scope, j)
+            integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
             error = (
                 scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.seen_angle(j))
