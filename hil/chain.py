@@ -82,6 +82,11 @@ class Chain:
         self._registered: dict[int, tuple[int, bytes]] = {}
         self._observe([0.0] * len(self.servos))
 
+    @property
+    def driven(self) -> bool:
+        """Whether the torque of any servo is on."""
+        return any(servo.torque_on for servo in self.servos)
+
     def advance(self, now_ns: int) -> None:
         """Bring plant and watchdogs up to a time."""
         while True:

@@ -35,6 +35,7 @@ USB_PACKET_BYTES: Final = 62
 """What an FTDI adapter sends up without waiting for its latency timer."""
 _IDLE_S: Final = 0.05
 _READ_SIZE: Final = 4096
+_NO_FAULTS: Final = FaultPlan()
 
 
 class Arrival(NamedTuple):
@@ -60,7 +61,8 @@ class Line:
     latency_s : float
         Period of the adapter's latency timer; 0 hands every byte over at once.
     faults : FaultPlan, optional
-        What befalls the status packets.
+        What befalls the status packets, from the moment that a servo's torque is on: a line on
+        which no robot gets ready shows nothing about the loop.
     """
 
     def __init__(self, chain: Chain, latency_s: float = 1e-3, faults: FaultPlan | None = None):
@@ -77,10 +79,11 @@ class Line:
         self._free_ns = heard_ns
         arrivals: list[Arrival] = []
         for packet in self._parser.feed(data):
+            faults = self.faults if self.chain.driven else _NO_FAULTS
             for reply in self.chain.execute(packet, heard_ns):
                 self._free_ns += reply.servo.return_delay_ns
                 byte_ns = _byte_ns(reply.servo.baud)
-                for delay_ns, damaged in self.faults.apply(reply.frame):
+                for delay_ns, damaged in faults.apply(reply.frame):
                     arrivals.append(Arrival(self._free_ns + delay_ns, damaged, byte_ns))
                 self._free_ns += len(reply.frame) * byte_ns
         return self._adapter(sorted(arrivals))

@@ -189,17 +189,7 @@ class Served:
         os.close(self._stop_w)
 
 
-def patient(call, *arguments):
-    """Repeat what the SDK gave up after its 34 ms: on a busy machine no proof of anything."""
-    for _ in range(20):
-        answer = call(*arguments)
-        results = answer if isinstance(answer, tuple) else (answer,)
-        if not {sdk.COMM_RX_TIMEOUT, sdk.COMM_RX_CORRUPT} & {r for r in results if type(r) is int}:
-            return answer
-    pytest.fail(f"{call.__name__} was never answered")
-
-
-def test_the_official_sdk_untouched_talks_to_the_pty(chain_of):
+def test_the_official_sdk_untouched_talks_to_the_pty(chain_of, patient):
     with Served(Line(chain_of(54024, (1, 2)), latency_s=0.0), lambda _: pty_endpoint()) as name:
         port, handler = sdk.PortHandler(name), sdk.PacketHandler(2.0)
         assert port.openPort() and port.setBaudRate(1_000_000)

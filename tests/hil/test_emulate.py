@@ -1,0 +1,67 @@
+"""`python -m hil emulate`, spoken to by the official SDK, untouched."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import dynamixel_sdk as sdk
+import pytest
+
+from hil.__main__ import main
+from models.plant.plant import NOMINAL
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    """Name of a port behind which two PH54 stand."""
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "hil", "emulate", "--model", "PH54-200-S500-R", "--line", "pty",
+            "--plant", str(NOMINAL), "--ids", "1", "2", "--baud", "1000000",
+        ],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    yield process.stdout.readline().strip()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=30) == 0
+    process.stdout.close()
+
+
+def test_the_sdk_moves_the_plant_and_sees_it_move(emulator, patient):
+    port, handler = sdk.PortHandler(emulator), sdk.PacketHandler(2.0)
+    assert port.openPort() and port.setBaudRate(1_000_000)
+    try:
+        assert patient(handler.ping, port, 2) == (2020, sdk.COMM_SUCCESS, 0)
+        assert patient(handler.write1ByteTxRx, port, 1, 512, 1) == (sdk.COMM_SUCCESS, 0)
+        goal = 20_000
+        assert patient(handler.write4ByteTxRx, port, 1, 564, goal) == (sdk.COMM_SUCCESS, 0)
+        position = 0
+        for _ in range(3000):  # as long as it takes: the plant runs in real time
+            position, result, _ = handler.read4ByteTxRx(port, 1, 580)
+            if result == sdk.COMM_SUCCESS and abs(position - goal) < 100:
+                break
+        assert abs(position - goal) < 100
+        still, result, _ = patient(handler.read4ByteTxRx, port, 2, 580)
+        assert min(still, 2**32 - still) < 100, "nobody told the second one to move"
+    finally:
+        port.closePort()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--model", "AX-12", "--plant", str(NOMINAL)], "AX-12"),
+        (["--plant", "missing.json"], "missing.json"),
+        (["--fmu", "missing.fmu"], "missing.fmu"),
+        (["--plant", str(NOMINAL), "--ids", "1", "1"], "--ids"),
+        (["--plant", str(NOMINAL), "--ids", "1", "2", "3"], "dof"),
+        (["--plant", str(NOMINAL), "--baud", "1"], "--baud"),
+        (["--plant", str(NOMINAL), "--faults", "gremlins=1"], "gremlins"),
+    ],
+)
+def test_what_cannot_be_emulated_is_refused_in_one_sentence(arguments, complaint, capsys):
+    assert main(["emulate", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error and error.count("\n") == 1

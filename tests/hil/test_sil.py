@@ -1,0 +1,228 @@
+"""The robot's loop against emulated servos with the nominal plant behind them."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from firmware_py.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.config import MotionConfig
+from firmware_py.errors import InputError
+from firmware_py.estimator import NoEstimator
+from firmware_py.loop import Ended
+from firmware_py.predictor import Prediction
+from firmware_py.recording import read_recording
+from firmware_py.registers import MODELS
+from firmware_py.signals import tick_dtype
+from fmu.build import build_unit
+from hil import outcome, sil
+from hil.commands.sil import describe, write_results
+from hil.emulator import Truth
+from hil.physics import build_twin
+from models.plant.plant import NOMINAL, read_plant
+from models.trials import read_trial
+
+BASE_M, LENGTH_M = 0.06, 0.95
+
+
+class RigidPredictor:
+    """Where a link that does not bend would be."""
+
+    def __init__(self) -> None:
+        self._prediction = Prediction(np.zeros(3), np.ones(1), np.full(3, 0.01))
+
+    def predict(self, angle_rad, current_a, di) -> Prediction:
+        angle_1, angle_2 = angle_rad[0], angle_rad[1] if len(angle_rad) > 1 else 0.0
+        axis = np.array([
+            math.sin(angle_1) * math.cos(angle_2), math.sin(angle_2),
+            math.cos(angle_1) * math.cos(angle_2),
+        ])  # fmt: skip
+        self._prediction.tip_m[:] = (BASE_M + LENGTH_M) * axis
+        return self._prediction
+
+
+@pytest.fixture(scope="session")
+def twins(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("twins")
+    return {dof: build_twin(NOMINAL, dof, directory) for dof in (1, 2)}
+
+
+@pytest.fixture(scope="session")
+def bundles(tmp_path_factory):
+    def bundle(dof: int) -> ModelBundle:
+        directory = tmp_path_factory.mktemp(f"bundle_{dof}dof")
+        manifest = Manifest(
+            dof=dof, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
+            lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
+            coefficients={}, files={},
+        )  # fmt: skip
+        write_manifest(directory, manifest)
+        return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor())
+
+    return {dof: bundle(dof) for dof in (1, 2)}
+
+
+@pytest.fixture
+def options(twins, bundles, tmp_path):
+    def build(dof: int = 1, **changes) -> sil.Options:
+        given = {"model": MODELS[54024], "line": "virtual", "seconds": 3.0} | changes
+        return sil.Options(bundle=bundles[dof], out=tmp_path, unit=twins[dof], **given)
+
+    return build
+
+
+@pytest.mark.parametrize("number", [54024, 54025, 1020])
+@pytest.mark.parametrize("dof", [1, 2])
+def test_a_virtual_run_is_bit_identical_twice(options, number, dof):
+    chosen = options(dof, model=MODELS[number], faults={"lost": 0.02, "late": 0.02})
+    first, second = sil.run(chosen), sil.run(chosen)
+    assert first.records.tobytes() == second.records.tobytes()
+    assert first.outcome.truth.tip_m.tobytes() == second.outcome.truth.tip_m.tobytes()
+    assert first.environment["records_sha256"] == second.environment["records_sha256"]
+    assert sum(first.outcome.faults.values()) > 0
+    other = sil.run(replace(chosen, seed=1))
+    assert other.environment["records_sha256"] != first.environment["records_sha256"]
+
+
+def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
+    result = sil.run(options(seconds=9.0, payload_kg=2.0))
+    records = result.records
+    assert result.summary.ended is Ended.FINISHED
+    assert np.all(np.diff(records["tick"]) == 1) and not records["missed"].any()
+    # The goal of a tick is what the servo heads for until the next: it lags by 1 / 12 s⁻¹ or so.
+    lag = records["goal_1_rad"] - records["angle_1_rad"]
+    assert np.max(np.abs(lag)) < 0.76 * 0.2
+    assert np.max(np.abs(records["angle_1_rad"])) == pytest.approx(math.radians(30), abs=0.03)
+    truth = outcome.true_tip_m(records, result.outcome.truth)
+    assert np.isfinite(truth).all()
+    lean = np.argmax(records["angle_1_rad"])
+    assert truth[lean, 0] > records["predicted_tip_x_m"][lean] + 5e-3, "gravity bends it outwards"
+    assert truth[lean, 2] < records["predicted_tip_z_m"][lean]
+
+
+def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
+    """The line adds delay and resolution, nothing else: step the plant itself beside it."""
+    result = sil.run(options(seconds=2.0, latency_s=0.0, payload_kg=1.0))
+    servo, plant = MODELS[54024], read_plant(NOMINAL).step_model(1, "twin")
+    p = plant.parameter_values()
+    u = np.array([0.0, 1.0])
+    x = np.asarray(plant.initial(u, p)).ravel()
+    now_ns = 0
+    for record in result.records:
+        # 15 bytes ask, after the return delay 23 answer, 19 bring the goal, at 10 µs each.
+        sample_ns = int(record["deadline_ns"]) + 150_000
+        x = plant.advance(x, u, p, (sample_ns - now_ns) * 1e-9)
+        angle_rad, current_a, *_ = np.asarray(plant.output(x, u, p)).ravel()
+        assert abs(angle_rad - record["angle_1_rad"]) <= servo.rad_per_pulse
+        assert abs(current_a - record["current_1_a"]) <= servo.current_a_per_lsb
+        now_ns = sample_ns + 500_000 + 230_000 + 190_000
+        x = plant.advance(x, u, p, (now_ns - sample_ns) * 1e-9)
+        u[0] = servo.angle_rad(servo.position_raw(float(record["goal_1_rad"])))
+
+
+@pytest.mark.parametrize(
+    ("faults", "ended"),
+    [
+        ({"lost": 0.05, "corrupt": 0.05, "noise": 0.05}, Ended.FINISHED),
+        ({"lost": 0.7}, Ended.TRIPPED),
+    ],
+)
+def test_faults_of_the_wire_are_survived_or_stop_the_robot(options, faults, ended):
+    result = sil.run(options(faults=faults, seed=4))
+    records = result.records
+    assert result.summary.ended is ended
+    assert records["stale_ticks"].max() > 0
+    # Stale data is repeated, never zero and never garbage.
+    steps = np.abs(np.diff(records["angle_1_rad"]))
+    assert steps.max() < 0.76 * 0.017 * (records["stale_ticks"].max() + 2)
+
+
+def test_a_run_leaves_log_trial_and_verdict(options):
+    chosen = options(2, motion=MotionConfig(phase_2_rad=math.pi / 2), faults={"lost": 0.01})
+    result = sil.run(chosen)
+    timing = write_results(result, chosen)
+    assert json.loads((chosen.out / "timing.json").read_text()) == timing
+    assert ET.parse(chosen.out / "timing.xml").getroot().tag == "testsuite"
+    assert b"<svg" in (chosen.out / "summary.svg").read_bytes()
+    log = read_recording(chosen.out / sil.LOG_NAME)
+    assert log.complete
+    np.testing.assert_array_equal(log.columns["angle_2_rad"], result.records["angle_2_rad"])
+    trial = read_trial(chosen.out / "trial" / "sil.csv")
+    fresh = result.records["stale_ticks"] == 0
+    np.testing.assert_array_equal(trial.angle_rad[fresh, 0], result.records["angle_1_rad"][fresh])
+    assert trial.meta.phase_2_rad == pytest.approx(math.pi / 2)
+    assert np.isnan(trial.markers_m).all()
+    assert "interpolated" in trial.meta.notes
+    assert timing["prediction_error"]["n"] == fresh.sum()
+    assert timing["verdict"] in describe(timing, chosen.out)
+
+
+@pytest.mark.parametrize("line", ["socket", "pty"])
+def test_a_run_in_real_time_comes_to_a_verdict(options, line):
+    chosen = options(line=line, seconds=1.0)
+    result = sil.run(chosen)
+    timing = write_results(result, chosen)
+    assert result.summary.ended is Ended.FINISHED
+    assert timing["verdict"] in ("pass", "fail", "inconclusive")
+    assert timing["environment"]["line"] == line
+    assert timing["reference_jitter"]["n"] > 0
+    assert len(result.outcome.releases.due_ns) >= len(result.records) - 10
+    assert np.isfinite(outcome.true_tip_m(result.records, result.outcome.truth)).mean() > 0.9
+    assert result.summary.telemetry_drops == 0
+    assert len(read_recording(chosen.out / sil.LOG_NAME).columns["tick"]) == len(result.records)
+
+
+def test_prediction_error_takes_fresh_ticks_only():
+    records = np.zeros(4, tick_dtype(1))
+    records["deadline_ns"], records["busy_ns"] = np.arange(4) * 100, 50
+    records["stale_ticks"] = (0, 0, 1, 0)
+    records["predicted_tip_x_m"] = 1.0
+    records["half_width_x_m"] = 0.15
+    truth = Truth(
+        np.array([10, 110, 210]), np.array([[1.1, 0.0, 0.0], [1.2, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    )
+    error = outcome.prediction_error(records, truth)
+    assert error["n"] == 2, "tick 2 is stale, tick 3 got no answer"
+    assert error["mean_euclidean_distance_m"] == pytest.approx(0.15)
+    assert error["max_m"] == pytest.approx(0.2)
+    assert error["interval_coverage"] == pytest.approx(5 / 6)
+    assert outcome.prediction_error(records[3:], truth)["rms_m"] is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"seconds": 0.0}, "--seconds"),
+        ({"seconds": math.inf}, "--seconds"),
+        ({"baud": 12345}, "--baud"),
+        ({"unit": None}, "plant.json"),
+        ({"motion": MotionConfig(amplitude_rad=1.2)}, "motion"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_in_one_sentence(options, changes, complaint):
+    with pytest.raises(InputError, match=complaint):
+        sil.run(replace(options(), **changes))
+
+
+def test_a_unit_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
+    with pytest.raises(InputError, match="2 joints, 1 are needed"):
+        sil.run(replace(options(), unit=twins[2]))
+    observer = read_plant(NOMINAL).step_model(1, "observer")
+    with pytest.raises(InputError, match="--unit twin"):
+        sil.run(replace(options(), unit=build_unit(observer, tmp_path / "observer.fmu")))
+
+
+def test_without_a_unit_the_bundles_plant_is_built(options, bundles):
+    plant = bundles[1].directory / "plant.json"
+    plant.write_text(json.dumps(tomllib.loads(NOMINAL.read_text())))
+    try:
+        built = sil.run(replace(options(), unit=None))
+    finally:
+        plant.unlink()
+    assert built.records.tobytes() == sil.run(options()).records.tobytes()
