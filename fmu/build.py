@@ -18,10 +18,11 @@ from typing import Final, NamedTuple
 
 import fmpy
 
-from fmu.codegen import write_model, write_variables
+from fmu.codegen import write_variables
 from fmu.description import FmiVersion, describe, document
 from fmu.interface import Interface, interface_of
 from models.native import compile_library
+from models.plant.codegen import write_model
 from models.plant.step import StepModel
 
 ROOT: Final = Path(__file__).parents[1]

@@ -1,37 +1,12 @@
-"""From a `StepModel` to C: the equations by CasADi, the table of variables beside them.
-
-::
-
-    model.c  model.h           initial, begin, flow, finish, output (CasADi)
-    variables.c  variables.h   the variable table of `fmu.interface`
-"""
+"""The table of variables as C; the equations beside it are `models.plant.codegen`'s."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
-
-import casadi as ca
 
 from fmu.interface import FmiVariable, Interface
 from models.plant.step import StepModel
-
-FUNCTIONS = ("initial", "begin", "flow", "finish", "output")
-
-
-def write_model(model: StepModel, directory: Path) -> Path:
-    """Write `model.c` and `model.h`; returns the former.
-
-    The functions take dense vectors, whatever the sparsity that CasADi found.
-    """
-    generator = ca.CodeGenerator(
-        "model.c", {"with_header": True, "main": False, "mex": False, "verbose": False}
-    )
-    for name in FUNCTIONS:
-        generator.add(_dense(getattr(model, name), f"model_{name}"))
-    generator.generate(f"{directory}/")
-    return directory / "model.c"
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
@@ -51,12 +26,6 @@ def write_variables(model: StepModel, interface: Interface, token: str, director
     (directory / "variables.h").write_text(_header(model, interface, token), encoding="utf-8")
     (directory / "variables.c").write_text(_table(interface), encoding="utf-8")
     return directory / "variables.c"
-
-
-def _dense(function: ca.Function, name: str) -> ca.Function:
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(function(*arguments))])
 
 
 def _header(model: StepModel, interface: Interface, token: str) -> str:

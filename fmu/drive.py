@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, PERIOD_S, feature_names
 from fmu.units import Parts
 from models.deformation import deformation_index
+from models.plant.simulate import trial_inputs as inputs_from
 from models.plant.step import StepModel, names
 from models.trial import Trial
 
@@ -57,10 +59,9 @@ def trial_inputs(parts: Parts, model: StepModel, trial: Trial) -> Array:
             trial.path, f"is of {trial.meta.dof}DOF, the unit of {parts.dof}DOF",
             "choose a trial of the unit's own dof",
         )  # fmt: skip
-    columns = {**trial.columns, PAYLOAD.name: np.full(len(trial), trial.meta.payload_kg)}
     if parts.kind == "predictor":
-        columns[DI.name] = deformation_index(trial)
-    return _columns(model, columns)
+        trial = replace(trial, columns={**trial.columns, DI.name: deformation_index(trial)})
+    return inputs_from(model, trial)
 
 
 def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:

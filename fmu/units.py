@@ -119,9 +119,10 @@ def parts_inside(resources: Path) -> Parts | None:
     """Parts that an unpacked unit carries; None where it is not one of ours."""
     try:
         card = json.loads((resources / CARD).read_bytes())
-        return parts_of(card["kind"], card["dof"], resources)
-    except (OSError, ValueError, KeyError):
+        kind, dof = card["kind"], int(card["dof"])
+    except (OSError, ValueError, KeyError, TypeError):
         return None
+    return parts_of(kind, dof, resources) if kind in KINDS else None
 
 
 def _given(part: _T | None) -> _T:

@@ -199,7 +199,9 @@ int unit_save(Unit *unit, Saved **saved)
 int unit_check_saved(Unit *unit, const void *bytes, size_t size)
 {
     Saved saved;
-    if (!bytes || size != sizeof saved)
+    if (!bytes)
+        return unit_refuse(unit, "There is no saved state.");
+    if (size != sizeof saved)
         return unit_refuse(unit, "A saved state of this unit has %u bytes, not %u.",
                            (unsigned)sizeof saved, (unsigned)size);
     memcpy(&saved, bytes, sizeof saved); /* the importer's bytes may lie unaligned */

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from models.native import compile_library
+from models.plant.codegen import write_model
 from models.plant.step import StepModel, names, runge_kutta
 from models.trial import Trial
 
 Array = NDArray[np.float64]
-FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 _DRIVER: Final = Path(__file__).with_name("run.c")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)
 
@@ -46,12 +46,8 @@ class CompiledModel:
         sizes = {"N_X": len(model.states), "N_U": len(model.inputs), "N_Y": len(model.outputs)}
         with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
             directory = Path(scratch)
-            generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
-            for name in FUNCTIONS:
-                generator.add(_dense(getattr(model, name), f"model_{name}"))
-            generator.generate(f"{directory}/")
             path = compile_library(
-                [directory / "model.c", _DRIVER],
+                [write_model(model, directory), _DRIVER],
                 directory / "model.so",
                 include=[directory],
                 flags=[f"-D{name}={size}" for name, size in sizes.items()],
@@ -80,13 +76,6 @@ class CompiledModel:
         pointers = [a.ctypes.data_as(_POINTER) for a in arrays]
         if getattr(self._library, function)(*before, *pointers):
             raise MemoryError(f"{self.model.name}: {function}")
-
-
-def _dense(function: Any, name: str) -> Any:
-    """Function with full results, whatever sparsity CasADi found."""
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
-    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(function(*arguments))])
 
 
 def sensitivity(model: StepModel, wrt: list[str], max_substep_s: float | None = None) -> StepModel:

@@ -17,6 +17,7 @@ from fmu.units import parts_of
 from models.native import CACHE
 from models.observer import observe
 from models.plant.plant import read_plant
+from models.plant.simulate import CompiledModel
 from models.plant.step import names
 
 
@@ -69,7 +70,7 @@ def test_golden_ticks_are_those_of_the_study(completed, bundle):
 
     columns = zip(names(model.inputs), [*golden.angle_rad.T, *golden.current_a.T], strict=True)
     trial = SimpleNamespace(step_s=golden.step_s, columns=dict(columns))  # all that it looks at
-    observation = observe(model, trial)
+    observation = observe(CompiledModel(model), trial)
     np.testing.assert_allclose(golden.di, observation.di, atol=1e-9, rtol=0)
     np.testing.assert_allclose(golden.payload_kg, observation.payload_kg, atol=1e-9, rtol=0)
     assert np.ptp(golden.di) > 1e-4

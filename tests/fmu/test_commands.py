@@ -8,7 +8,10 @@ import zipfile
 import numpy as np
 import pytest
 
+from firmware_py.signals import tip_names
 from fmu.__main__ import main
+from models.kinematics import base_corners_m
+from models.trials import Trial, TrialMeta, write_trial
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +59,59 @@ def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
         assert main(["simulate", str(twin), "--out", str(out), "--payload", payload]) == 0
         di[payload] = _read(out / "result.csv")["di"].mean()
     assert di["2"] > di["0"]
+
+
+def _trial_of(columns, directory):
+    """A trial whose servo and tip are a run's, with the markers of a straight link."""
+    angle_rad = columns["angle_1_rad"][:, None]
+    markers_m = np.concatenate(
+        [base_corners_m(angle_rad, 0.06 + 0.95 * row / 4, 0.15) for row in (1, 2, 3, 4)], axis=1
+    )
+    named = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
+    kept = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
+    trial = Trial(
+        "run",
+        TrialMeta(
+            dof=1, payload_kg=1.0, pressure_pa=41.3e3, trial=1, motion="sinusoid", source="twin",
+            period_s=4.352, amplitude_rad=0.5236, base_offset_m=0.06, link_length_m=0.95,
+            link_width_m=0.15, rest_samples=1,
+        ),
+        {name: columns[name] for name in kept}
+        | dict(zip(named, markers_m.reshape(len(angle_rad), 48).T, strict=True)),
+    )  # fmt: skip
+    return write_trial(trial, directory)
+
+
+def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
+    """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--payload", "1"]) == 0
+    trial = str(_trial_of(_read(tmp_path / "result.csv"), tmp_path))
+    observer = tmp_path / "observer.fmu"
+    assert main(["build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
+    capsys.readouterr()
+    options = ["--out", str(tmp_path / "again"), "--trial", trial, "--json"]
+    assert main(["simulate", str(twin), *options]) == 0
+    rms = json.loads(capsys.readouterr().out)["rms"]
+    for name in ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m"):
+        assert rms[name] < 1e-9
+    known = ["--set", "parameters.payload_known_kg=1"]
+    assert main(["simulate", str(observer), *options, *known]) == 0
+    rms = json.loads(capsys.readouterr().out)["rms"]
+    assert rms["payload_kg"] == 0.0
+    assert rms["tip_x_m"] < 0.005
+
+
+def test_a_trial_that_does_not_fit_is_refused(tmp_path, bundle_1dof, twin, capsys):
+    assert main(["simulate", str(twin), "--out", str(tmp_path)]) == 0
+    path = _trial_of(_read(tmp_path / "result.csv"), tmp_path)
+    toml = path.with_suffix(".toml")
+    columns = path.read_text().replace("goal_1_rad,angle_1_rad,current_1_a", "x_rad,y_rad,z_a", 1)
+    path.write_text(columns)
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert "column goal_1_rad is missing" in capsys.readouterr().err
+    toml.unlink()
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert "run.toml: is missing" in capsys.readouterr().err
 
 
 def test_a_parameter_is_set_before_the_start(twin, tmp_path, capsys):
