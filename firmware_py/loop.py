@@ -189,19 +189,21 @@ class ControlLoop:
         bus, supervisor = self._bus, self._supervisor
         bus.connect()
         supervisor.arm(bus.angle_rad)
-        try:
-            with _signals_to(self.stop):
+        self._estimator.reset()
+        with _signals_to(self.stop):  # around the torque, so that no second Ctrl-C can leave it on
+            try:
                 bus.write(supervisor.goal_rad, self._clock.now_ns() + self._period_ns)
                 if (status := bus.torque(True)) != BusStatus.OK:
-                    raise InputError("torque", f"cannot be switched on ({status.name})",
-                                     "check cabling and power of the servos")  # fmt: skip
-                self._estimator.reset()
+                    raise InputError(
+                        "torque", f"cannot be switched on ({status.name})",
+                        "check cabling and power of the servos",
+                    )  # fmt: skip
                 supervisor.start()
                 supervisor.rebase(self._goals[0])
                 self._run_slots()
-        finally:
-            bus.torque(False)
-            self._hand_over()
+            finally:
+                bus.torque(False)
+                self._hand_over()
         return self._summary()
 
     def _run_slots(self) -> None:

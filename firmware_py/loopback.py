@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from dynamixel_sdk.robotis_def import BROADCAST_ID
+
 from firmware_py.port import PacketHandler
 from firmware_py.registers import POSITION_MODE, Model, Register
 
 _HEADER: Final = [0xFF, 0xFF, 0xFD, 0x00]
 _READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x02, 0x03, 0x82, 0x83, 0x55
+_LENGTH_END: Final = 7
 _MEMORY_BYTES: Final = 1024
 
 
@@ -34,7 +37,7 @@ class LoopbackWire:
     def __init__(self, models: Mapping[int, Model]) -> None:
         self._models = models
         self._packets = PacketHandler()
-        self._pending: list[bytes] = []
+        self._pending = b""
         self._answers = b""
         self.memory = {id_: bytearray(_MEMORY_BYTES) for id_ in models}
         for id_, model in models.items():
@@ -61,14 +64,17 @@ class LoopbackWire:
 
     def write(self, data: bytes) -> int:
         """Take an instruction; it is carried out when somebody reads."""
-        self._pending.append(data)
+        self._pending += data
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """Carry out what was written and return the answers."""
-        for packet in self._pending:
+        while len(self._pending) > _LENGTH_END:
+            end = _LENGTH_END + int.from_bytes(
+                self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
+            )
+            packet, self._pending = self._pending[:end], self._pending[end:]
             self._execute(self._packets.removeStuffing(list(packet)))
-        self._pending.clear()
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 
@@ -82,6 +88,8 @@ class LoopbackWire:
 
     def _execute(self, packet: list[int]) -> None:
         id_, instruction, parameters = packet[4], packet[7], packet[8:-2]
+        if id_ not in self.memory and id_ != BROADCAST_ID:
+            return
         address = parameters[0] | parameters[1] << 8
         if instruction == _WRITE:
             self._store(id_, address, parameters[2:])

@@ -1,0 +1,221 @@
+"""The commands as a user runs them, against servos in memory behind a socket."""
+
+import json
+import shutil
+import socket
+import subprocess
+import threading
+
+import numpy as np
+import pytest
+
+from firmware_py.__main__ import main
+from firmware_py.loopback import LoopbackWire
+from firmware_py.recording import read_recording
+from firmware_py.registers import MODELS, Register
+
+CONFIG = """
+bundle = "{bundle}"
+[bus]
+port = "unix:{port}"
+reply_timeout_s = 0.017
+[[servos]]
+id = 1
+model = "H54-200-S500-R"
+[motion]
+amplitude_rad = 0.02
+period_s = 0.4
+rest_s = 0.2
+[limits]
+hold_s = 0.05
+stale_ticks = 100 # the servos share a busy machine with the tests
+[real_time]
+priority = 0
+lock_memory = false
+"""
+
+
+@pytest.fixture
+def servos(tmp_path):
+    """A servo in memory behind `tmp_path/line`."""
+    wire = LoopbackWire({1: MODELS[54024]})
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(tmp_path / "line"))
+    listener.listen()
+
+    def serve():
+        connection, _ = listener.accept()
+        with connection:
+            while data := connection.recv(4096):
+                wire.write(data)
+                if answer := wire.read(4096, 0):
+                    connection.sendall(answer)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield wire
+    listener.close()
+
+
+@pytest.fixture
+def config(tmp_path, toy_bundle):
+    path = tmp_path / "robot.toml"
+    path.write_text(CONFIG.format(bundle=toy_bundle, port=tmp_path / "line"), encoding="utf-8")
+    return path
+
+
+def call(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    return code, capsys.readouterr()
+
+
+def test_a_run_is_logged_replayed_and_imported_as_a_trial(
+    tmp_path, servos, config, toy_bundle, capsys
+):
+    code, output = call(capsys, "run", "--config", config, "--json")
+    assert code == 0, output.err
+    result = json.loads(output.out)
+    assert result["ended"] == "finished"
+    log = read_recording(result["log"])
+    assert len(log.columns["tick"]) == result["ticks"] - result["telemetry_drops"]
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+    timing = json.loads((tmp_path / result["log"]).with_suffix(".timing.json").read_text())
+    assert timing == result
+
+    code, output = call(capsys, "replay", result["log"], "--json")
+    assert (code, json.loads(output.out)["agree"]) == (0, True)
+    assert json.loads(output.out)["bundle"] == str(toy_bundle)
+
+    from models.__main__ import main as models
+    from models.trials import read_trial
+
+    mapping = tmp_path / "map.toml"
+    mapping.write_text(
+        "[trial]\npayload_kg = 1.0\npressure_pa = 41300.0\ntrial = 1\nbase_offset_m = 0.06\n"
+        "link_length_m = 0.95\nlink_width_m = 0.15\n"
+    )
+    out = tmp_path / "trials"
+    arguments = ["import", result["log"], "--as", "recording", "--map", mapping, "--out", out]
+    assert models([*map(str, arguments), "--name", "run"]) == 0, capsys.readouterr().err
+    trial = read_trial(out / "run.csv")
+    fresh = log.columns["stale_ticks"] == 0
+    if fresh.all() and not log.columns["missed"].any() and not result["telemetry_drops"]:
+        assert np.array_equal(trial.angle_rad[:, 0], log.columns["angle_1_rad"])
+        assert np.array_equal(trial.goal_rad[:, 0], log.columns["goal_1_rad"])
+    assert (trial.meta.motion, trial.meta.period_s, trial.meta.source) == (
+        "sinusoid", 0.4, "recording",
+    )  # fmt: skip
+    assert trial.step_s == pytest.approx(0.017)
+    assert np.isnan(trial.tip_m).all()
+    assert np.isfinite(trial.columns["predicted_tip_z_m"]).all()
+
+
+def test_a_replay_through_another_bundle_disagrees(
+    tmp_path, servos, config, toy_bundle, capsys, monkeypatch
+):
+    _, output = call(capsys, "run", "--config", config, "--json")
+    log = json.loads(output.out)["log"]
+    from firmware_py.estimator import LaggedEstimator
+
+    update = LaggedEstimator.update
+
+    def shifted(self, angle_rad, current_a, step_s):
+        estimate = update(self, angle_rad, current_a, step_s)
+        return estimate._replace(di=estimate.di + 1e-6)
+
+    from firmware_py import bundle
+
+    monkeypatch.setattr(bundle, "verify", lambda *_: None)
+    monkeypatch.setattr(LaggedEstimator, "update", shifted)
+    code, output = call(capsys, "replay", log, "--json")
+    result = json.loads(output.out)
+    assert (code, result["agree"]) == (1, False)
+    assert result["largest_difference"]["di"] == pytest.approx(1e-6)
+
+
+def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
+    config.write_text(
+        config.read_text().replace("hold_s = 0.05", "hold_s = 0.05\ntip_max_m = [1.2, 1.2, 0.1]")
+    )
+    code, output = call(capsys, "run", "--config", config)
+    assert code == 1
+    assert "tripped" in output.out
+    assert "the predicted tip has z" in output.err
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("id = 1", "id = 2"), "servo 2 gives no good answer"),
+        (("H54-200-S500-R", "H42-20-S300-R"), "servo 1 is H54-200-S500-R, not H42-20-S300-R"),
+        (("unix:", "unix:/no"), "cannot be connected to"),
+        (("amplitude_rad = 0.02", "amplitude_rad = 0.5"), "motion sinusoid"),
+        (("[motion]", "[[servos]]\nid = 2\nmodel = 'H54-200-S500-R'\n[motion]"), "is for 1 joints"),
+        (('bundle = "', 'bundle = "/no'), "is missing"),
+        (("[bus]", "period_s = 0.02\n[bus]"), "lagged estimator"),
+    ],
+)
+def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, change, words):
+    config.write_text(config.read_text().replace(*change, 1))
+    code, output = call(capsys, "run", "--config", config)
+    assert code == 2
+    assert words in output.err
+    assert len(output.err.splitlines()) == 1
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
+def test_a_senseless_time_is_refused(config, capsys, seconds):
+    code, output = call(capsys, "run", "--config", config, "--seconds", seconds)
+    assert (code, "--seconds" in output.err) == (2, True)
+
+
+def test_the_golden_ticks_of_a_bundle_are_replayed(toy_bundle, tmp_path, capsys):
+    code, output = call(capsys, "replay", "--bundle", toy_bundle)
+    assert (code, "golden ticks agree" in output.out) == (0, True)
+    broken = shutil.copytree(toy_bundle, tmp_path / "bundle")
+    (broken / "golden.npz").unlink()
+    code, output = call(capsys, "replay", "--bundle", broken)
+    assert (code, "golden.npz" in output.err) == (2, True)
+
+
+def test_replaying_nothing_is_refused(capsys):
+    assert call(capsys, "replay")[0] == 2
+
+
+def test_bench_measures_every_stage_and_judges_its_own_cost(toy_bundle, capsys):
+    code, output = call(capsys, "bench", "--bundle", toy_bundle, "--seconds", "0.2", "--json")
+    result = json.loads(output.out)
+    assert code == (0 if result["good"] else 1)
+    stages = result["timing"]["stages"]
+    assert result["good"] is (stages["own"]["p99_ns"] <= result["limit_own_p99_ns"])
+    assert {stage["n"] for stage in stages.values()} == {result["ticks"]}
+
+
+def test_doctor_answers_for_people_and_machines(capsys):
+    code, output = call(capsys, "doctor", "--json")
+    report = json.loads(output.out)
+    spoilt = [f for f in report["findings"] if f["verdict"] == "spoils"]
+    assert (code, report["good"]) == ((1, False) if spoilt else (0, True))
+    people = call(capsys, "doctor")[1].out
+    assert all(finding["name"] in people for finding in report["findings"])
+
+
+def test_the_service_is_shown_before_it_is_written(config, tmp_path, capsys):
+    root = tmp_path / "root"
+    code, output = call(capsys, "install-service", "--config", config, "--root", root, "--dry-run")
+    assert (code, root.exists()) == (0, False)
+    shown = output.out
+    assert call(capsys, "install-service", "--config", config, "--root", root)[0] == 0
+    written = [path for path in root.rglob("*") if path.is_file()]
+    assert sorted(path.name for path in written) == ["99-dropstitch.rules", "dropstitch.service"]
+    assert all(path.read_text() in shown for path in written)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_systemd_accepts_the_unit(config, tmp_path, capsys):
+    call(capsys, "install-service", "--config", config, "--root", tmp_path / "root")
+    unit = tmp_path / "root/etc/systemd/system/dropstitch.service"
+    verdict = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    assert verdict.returncode == 0, verdict.stderr

@@ -1,0 +1,136 @@
+"""robot.toml: the commented example says every default, and each wrong input gets its sentence."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.config import RobotConfig, read_config
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+
+EXAMPLE = Path(__file__).parents[2] / "robot.toml"
+
+MINIMAL = """
+bundle = "bundle"
+[bus]
+port = "/dev/ttyUSB0"
+[[servos]]
+id = 1
+model = "H54-200-S500-R"
+"""
+
+
+def config_of(text, tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_config(path)
+
+
+def uncommented(text):
+    """The example with its commented-out keys put in force."""
+    return re.sub(r"^# (?=\w+ = |\[\[)", "", text, flags=re.MULTILINE)
+
+
+def test_the_example_is_right_and_its_values_are_the_defaults(tmp_path):
+    example = read_config(EXAMPLE)
+    minimal = config_of(MINIMAL, tmp_path)
+    assert (
+        msgspec.structs.replace(
+            minimal, bundle=example.bundle, bus=example.bus, servos=example.servos
+        )
+        == example
+    )
+    assert minimal.bus == msgspec.structs.replace(example.bus, port="/dev/ttyUSB0")
+
+
+def test_the_example_shows_every_key():
+    def keys(struct, prefix=""):
+        for field in msgspec.structs.fields(struct):
+            name = f"{prefix}{field.name}"
+            inner = field.type
+            if name == "servos":
+                inner = field.type.__args__[0]
+            yield name
+            if isinstance(inner, type) and issubclass(inner, msgspec.Struct):
+                yield from keys(inner, f"{name}.")
+
+    document = tomllib.loads(uncommented(EXAMPLE.read_text(encoding="utf-8")))
+    shown = set(document)
+    for name, table in document.items():
+        for part in table if isinstance(table, list) else [table]:
+            if isinstance(part, dict):
+                shown |= {f"{name}.{key}" for key in part}
+    assert shown == set(keys(RobotConfig))
+
+
+def test_a_second_joint_is_one_entry_more(tmp_path):
+    config = config_of(uncommented(EXAMPLE.read_text(encoding="utf-8")), tmp_path)
+    assert config.dof == 2
+    assert [setup.id for setup in config.setups()] == [1, 2]
+
+
+WRONG = {
+    "unknown key": (MINIMAL + "[limts]\n", "limts"),
+    "unknown key in a table": (MINIMAL.replace("port", "baudd = 1\nport"), r"baudd.*\$\.bus"),
+    "missing key": (MINIMAL.replace("port", "# port"), r"port.*\$\.bus"),
+    "wrong type": (MINIMAL.replace("id = 1", "id = 'one'"), r"int.*servos"),
+    "no TOML": (MINIMAL + "[bus", "is not TOML"),
+    "another schema": ("schema = 2\n" + MINIMAL, "schema is 2"),
+    "unknown servo": (MINIMAL.replace("H54-200", "H55-200"), "XM430-W350"),
+    "three servos": (MINIMAL + "[[servos]]\nid = 2\nmodel = 'x'\n" * 2, "3 entries"),
+    "one id twice": (MINIMAL + "[[servos]]\nid = 1\nmodel = 'H54-200-S500-R'\n", r"\[1, 1\]"),
+    "id too large": (MINIMAL.replace("id = 1", "id = 253"), "253"),
+    "odd baud rate": (MINIMAL.replace("[bus]", "[bus]\nbaud = 1000"), "1000000"),
+    "too slow a bus": (MINIMAL.replace("[bus]", "[bus]\nbaud = 57600"), "need 10.4 ms"),
+    "a period of zero": ("period_s = 0.0\n" + MINIMAL, "period_s is 0.0"),
+    "limits the wrong way round": (MINIMAL + "[limits]\nangle_rad = [0.5, -0.5]\n", "low < high"),
+    "limits in degrees": (MINIMAL + "[limits]\nangle_rad = [-30, 30]\n", "in rad"),
+    "a tip box without room": (MINIMAL + "[limits]\ntip_min_m = [0, 0, 2]\n", "along z"),
+    "not a number": (MINIMAL + "[limits]\nrate_rad_s = nan\n", "rate_rad_s is nan"),
+    "a time-out beyond the period": (
+        MINIMAL.replace("[bus]", "[bus]\nreply_timeout_s = 0.1"), "reply_timeout_s",
+    ),
+    "an unknown motion": (MINIMAL + "[motion]\nkind = 'circle'\n", "circle"),
+    "another priority": (MINIMAL + "[real_time]\npriority = 100\n", "real_time.priority"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_refused_naming_file_and_key(case, tmp_path):
+    text, words = WRONG[case]
+    with pytest.raises(InputError, match=words) as error:
+        config_of(text, tmp_path)
+    assert "robot.toml" in str(error.value) or "servo model" in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="missing"):
+        read_config(tmp_path / "none.toml")
+
+
+def test_goals_are_the_motion_with_rest_in_front(tmp_path):
+    goals = config_of(MINIMAL, tmp_path).goals_rad()
+    rest = round(1.0 / 0.017)
+    assert not goals[:rest].any()
+    assert np.array_equal(goals, Motion().table_rad(0.017, rest))
+
+
+def test_a_repeated_motion_comes_back_to_where_it_starts(tmp_path):
+    text = MINIMAL + (
+        "[[servos]]\nid = 2\nmodel = 'H54-200-S500-R'\n[motion]\nphase_2_rad = 1.5707963\n"
+    )
+    goals = config_of(text, tmp_path).goals_rad(repeated=True)
+    steps = np.abs(np.diff(np.vstack([goals, goals[:1]]), axis=0))
+    assert steps.max() < 2.0 * 0.017
+    assert np.abs(goals[-1]).max() < 1e-3
+
+
+def test_a_motion_beyond_the_limits_is_refused(tmp_path):
+    config = config_of(MINIMAL + "[motion]\namplitude_rad = 0.7\n", tmp_path)
+    with pytest.raises(InputError, match="motion sinusoid: the goal of joint 1"):
+        config.goals_rad()
