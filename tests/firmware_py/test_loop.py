@@ -377,3 +377,17 @@ def test_a_tick_leaves_no_memory_behind():
     assert len(sizes) == 3
     # A handful of counters outgrow a machine word's worth of digits or a cached integer.
     assert abs(sizes[2] - sizes[1]) < 256, "less than a quarter of a byte per tick"
+
+
+def test_an_impatient_second_signal_does_not_leave_the_torque_on():
+    loop, bus, *_ = make(slots=10)
+    torque = bus.torque
+
+    def interrupted(on):
+        if not on:
+            signal.raise_signal(signal.SIGINT)
+        return torque(on)
+
+    bus.torque = interrupted
+    loop.run()
+    assert not bus.driven
