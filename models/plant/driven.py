@@ -51,10 +51,13 @@ def compose_driven(
     follow(scope, effects)
     scope.payload_kg = scope.input(payload_variable())
     move(scope, drive, load, effects)
+    step_s = scope.state(Variable("step_s", "s", nominal=0.017), 1.0)
+    scope.states[step_s.name()].begin = scope.step_s
     outputs: dict[str, tuple[Variable, Expr]] = {}
     for j in scope.joints:
+        sampled = drive.sampled_current(scope, j, step_s)
         variable = current_variable(j)
-        outputs[variable.name] = (variable, measured_current(scope, j, scope.current[j]))
+        outputs[variable.name] = (variable, measured_current(scope, j, sampled))
     return build(name, scope, outputs | load.outputs(scope))
 
 
@@ -86,9 +89,7 @@ def move(scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]) -> No
     strain(scope, load, effects)
     mass, force = load.equations(scope)
     count = len(scope.joints)
-    lost = ca.vertcat(*scope.windup_acceleration.values())
-    base: Expr = ca.vertcat(*scope.acceleration.values())
-    base = base - lost
+    base = ca.vertcat(*(scope.acceleration[j] - scope.windup_acceleration[j] for j in scope.joints))
     own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
     bending = solve(mass[count:, count:], own)
     for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(bending), strict=True):

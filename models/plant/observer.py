@@ -146,7 +146,11 @@ def _estimate(
     noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):
         of_friction = scope.friction[j] / drive.torque_per_current(scope, j)
-        predicted = measured_current(scope, j, scope.current[j] + shares[index] * of_friction)
+        predicted = measured_current(
+            scope,
+            j,
+            drive.sampled_current(scope, j, scope.step_s) + shares[index] * of_friction,
+        )
         regressor = ca.SX.zeros(count)
         regressor[0], regressor[1 + index] = sensitivity.along(predicted), of_friction
         weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)

@@ -42,6 +42,10 @@ class Drive(Protocol):
         """Torque at the joint per ampere."""
         ...
 
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step that costs `scope.current` on the mean."""
+        ...
+
 
 def take_goal(scope: Scope, joint: int) -> None:
     """Make the goal of a joint an input, and where the joint starts."""
@@ -136,6 +140,20 @@ class Cascade:
         """Torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step: the goal's staircase makes it a saw-tooth.
+
+        Each step the goal jumps by q̇h and the current by k_v k_p q̇h; from there it decays with
+        the velocity loop, τ = J / (k_t k_v). What the end of the step shows differs from the mean
+        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ): less than the mean by a share of the rate,
+        which looks like negative viscous friction.
+        """
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        decay_s = self.inertia(scope, joint) / (self.torque_per_current(scope, joint) * gain)
+        left = ca.exp(-step_s / decay_s)
+        jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
+        return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)
+
 
 class Duty:
     """DC motor under a proportional duty cycle, as small Dynamixels run position control (BAM).
@@ -192,6 +210,10 @@ class Duty:
         """Torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Without a velocity loop the current follows the motion: its mean."""
+        return scope.current[joint]
+
 
 class Force:
     """A commanded voltage that is a force (EMPS): F = k u, nothing else in between."""
@@ -230,6 +252,10 @@ class Force:
     def torque_per_current(self, scope: Scope, joint: int) -> Expr:
         """Force per volt: the command stands for the current."""
         return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Without a velocity loop the current follows the motion: its mean."""
+        return scope.current[joint]
 
 
 DRIVES: Final[dict[str, type[Drive]]] = {d.kind: d for d in (Cascade, Duty, Force)}

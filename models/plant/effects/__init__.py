@@ -1,16 +1,20 @@
 """Effects: what a plant can hold beyond its nominal drive and load.
 
-An effect is one small class: its name in the catalogue, its parameters (the first one is its
-strength: at zero the plant is exactly the one without it), the states that it adds, and the wires
-that it changes at its port. Deriving from `Effect` is all it takes to make one known.
+An effect is one small class in one of the files beside this one: its name in the catalogue, its
+parameters (the first one is its strength: at zero the plant is exactly the one without it), the
+states that it adds, and the wires that it changes at its port. Deriving from `Effect` is all it
+takes to make one known; docs/add-an-effect.md shows how.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from typing import Any, ClassVar, Final
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, ClassVar, Final, Literal
 
+from firmware_py.errors import InputError
 from models.catalogue import CATALOGUE, Port
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
@@ -22,6 +26,9 @@ PORTS: Final[tuple[Port, ...]] = (
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class enters by being defined."""
+
+Need = Literal["bend", "gear load", "tip", "current", "current limit"]
+"""What an effect may act on that not every drive and load has."""
 
 
 class Effect:
@@ -37,12 +44,15 @@ class Effect:
         With patterns as names ({j}, {angle}, {torque}); one of each for every joint.
     shared : tuple of Parameter
         One for all joints.
+    needs : tuple of str
+        What the drive or the load must have for the effect to make sense.
     """
 
     name: ClassVar[str]
     port: ClassVar[Port]
     per_joint: ClassVar[tuple[Parameter, ...]] = ()
     shared: ClassVar[tuple[Parameter, ...]] = ()
+    needs: ClassVar[tuple[Need, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -57,17 +67,55 @@ class Effect:
         ]
         return (*named, *self.shared)
 
+    @classmethod
+    def strengths(cls, scope: Scope) -> tuple[str, ...]:
+        """Names of the strength: one for every joint of `scope`, or one for all."""
+        if cls.per_joint:
+            return tuple(scope.name(cls.per_joint[0].name, j) for j in scope.joints)
+        return (cls.shared[0].name,)
+
     def apply(self, scope: Scope) -> None:
         """Change the wires of the port."""
         raise NotImplementedError
 
 
 def _renamed(q: Parameter, name: str, scope: Scope) -> Parameter:
-    unit = q.unit if scope.suffix["angle"] == "rad" else q.unit.replace("N.m", "N")
+    unit = q.unit
+    if scope.suffix["angle"] == "m":
+        unit = unit.replace("N.m", "N").replace("rad", "m")
     return Parameter(
         name=name, unit=unit, value=q.value, low=q.low, high=q.high, role=q.role,
         description=q.description, source=q.source,
     )  # fmt: skip
+
+
+def applicable(*parts: Any) -> list[str]:
+    """Names of the effects that a plant of these parts (its drive, its load) can hold."""
+    has = {have for part in parts for have in part.has}
+    return [name for name, effect in EFFECTS.items() if has.issuperset(effect.needs)]
+
+
+def check_effects(where: Path | str, names: Iterable[str], *parts: Any) -> None:
+    """Refuse effects that nobody knows, or that make no sense for a drive and a load.
+
+    Raises
+    ------
+    InputError
+        For the first such name, with the names that can be held.
+    """
+    known = applicable(*parts)
+    for name in names:
+        if name not in EFFECTS:
+            raise InputError(
+                where, f"{name!r} is no effect", "choose from " + ", ".join(sorted(known))
+            )
+        if name not in known:
+            kinds = " or ".join(f"{part.kind!r}" for part in parts)
+            needs = " and a ".join(EFFECTS[name].needs)
+            raise InputError(
+                where, f"effect {name!r} acts on a {needs}, which {kinds} does not have",
+                "choose from " + ", ".join(sorted(known)),
+            )  # fmt: skip
 
 
 for _module in pkgutil.iter_modules(__path__):
