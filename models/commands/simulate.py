@@ -56,16 +56,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--gravity", type=float, nargs=3, default=list(DOWN), metavar=("X", "Y", "Z"),
         help="direction of gravity in the world frame (0 0 -1)",
     )  # fmt: skip
-    add(
-        "--rig", type=Path, default=RIG_TOML, metavar="TOML", help="another laboratory's parameters"
-    )
-    add(
-        "--workers",
-        type=int,
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="processes (all cores)",
-    )
+    add("--rig", type=Path, default=RIG_TOML, metavar="TOML", help="parameters of another rig")
+    cores = os.cpu_count() or 1
+    add("--workers", type=int, default=cores, metavar="N", help="processes (all cores)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -123,8 +116,6 @@ def _check(args: argparse.Namespace, parameters: Parameters) -> None:
     ranges: list[tuple[str, float, float, float]] = [
         ("--trials", args.trials, 1, _LARGEST_TRIALS),
         ("--seed", args.seed, 0, 2**32 - 1),
-        ("--amplitude-deg", args.amplitude_deg, 0, 90),
-        ("--period", args.period, 0.1, 600),
         ("--phase-deg", args.phase_deg, -360, 360),
         ("--pressure-pa", args.pressure_pa, pressure.minimum, pressure.maximum),
         ("--workers", args.workers, 1, 1024),

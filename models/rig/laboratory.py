@@ -75,7 +75,11 @@ class Laboratory:
 
     @property
     def markers_m(self) -> Array:
-        """True markers in the world frame, shape (16, 3); a view that the next step changes."""
+        """True markers in the world frame, shape (16, 3), as the last step found them.
+
+        MuJoCo places what is fixed to the bodies before it moves them: the markers belong to the
+        start of the last step. This is a view that the next step changes.
+        """
         return np.asarray(self.data.site_xpos)
 
     def start_leak(self) -> None:

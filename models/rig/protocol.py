@@ -101,9 +101,9 @@ def run_case(parameters: Parameters, case: Case) -> Trial:
             current_a[tick - first] = [s.current_a for s in lab.servos]
         lab.send(goal)
         for _ in range(substeps):
+            lab.step()
             if tick >= first - _MARGIN:
                 log.append(lab.markers_m.copy())
-            lab.step()
         _check_shape(lab, case)
 
     time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)

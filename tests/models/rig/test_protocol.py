@@ -7,6 +7,7 @@ import pytest
 
 from firmware_py.console import BAD_INPUT, DONE
 from models.__main__ import main
+from models.kinematics import rigid_tip_m
 from models.rig.protocol import run_case
 from models.trials import read_trial, read_trials, write_trial
 
@@ -79,6 +80,21 @@ def test_same_seed_same_bits_whoever_computes(written, tmp_path):
         assert again == (written / f"{trial.name}.csv").read_bytes()
 
 
+def test_markers_and_encoder_share_one_clock(parameters, short_case):
+    """Without delay, noise and play, and hardly any bend, the tip is where the angle says."""
+    stiff = parameters.changed(
+        **{f"variation.{n}": 0.0 for n in ("mocap_delay_s", "frame_shift_m", "eccentricity_m")},
+        **{f"sensor.{n}": 0.0 for n in ("mocap_jitter_s", "marker_noise_m")},
+        **{"servo.backlash_rad": 0.0, "servo.load_friction_share": 0.0, "world.pause_s": 0.2,
+           "stiffness.prebend_rad": 0.0, "link.mass_kg": 0.01, "link.tip_mass_kg": 0.001},
+    )  # fmt: skip
+    trial = run_case(stiff, short_case(dof=1, payload_kg=0.0, period_s=1.5))
+    rigid_m, rows = rigid_tip_m(trial.angle_rad, 0.06, 0.95), slice(90, None)
+    speed = np.gradient(rigid_m[:, 0], trial.step_s)[rows]
+    lag_s = -np.polyfit(speed, (trial.tip_m - rigid_m)[rows, 0], 1)[0]
+    assert abs(lag_s) < 3e-4
+
+
 def test_seeds_and_repetitions_differ(short, short_case, default_trial):
     for case in (short_case(seed=1), short_case(trial=2)):
         other = run_case(short, case)
@@ -128,7 +144,7 @@ def test_what_is_hidden_is_not_told_by_the_trial(tmp_path):
         (["--trials", "0"], "--trials 0"),
         (["--seed", "-1"], "--seed -1"),
         (["--amplitude-deg", "120"], "choose 0 to 90"),
-        (["--period", "0"], "--period 0"),
+        (["--period", "0"], "period: is 0 s"),
         (["--phase-deg", "1000"], "--phase-deg 1000"),
         (["--pressure-pa", "0"], "--pressure-pa 0"),
         (["--gravity", "0", "0", "0"], "direction"),
