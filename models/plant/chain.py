@@ -42,6 +42,7 @@ class Link:
     kind: ClassVar[str] = "link"
     suffix: ClassVar[dict[str, str]] = ROTARY
     max_dof: ClassVar[int] = 2
+    has: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
     hinges: ClassVar[tuple[str, ...]] = ("root", "span")
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

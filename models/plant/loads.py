@@ -35,6 +35,7 @@ class Pendulum(_Rigid):
     """
 
     kind: ClassVar[str] = "pendulum"
+    has: ClassVar[tuple[str, ...]] = ("gear load",)
     suffix: ClassVar[dict[str, str]] = ROTARY
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -69,6 +70,7 @@ class Mass(_Rigid):
     """A mass on a straight guide: m q̈ = F."""
 
     kind: ClassVar[str] = "mass"
+    has: ClassVar[tuple[str, ...]] = ()
     suffix: ClassVar[dict[str, str]] = LINEAR
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

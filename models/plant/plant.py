@@ -35,7 +35,7 @@ from firmware_py.errors import InputError
 from models.plant.chain import Link
 from models.plant.compose import compose_twin
 from models.plant.driven import FOLLOW_RATE, compose_driven
-from models.plant.effects import EFFECTS, Effect
+from models.plant.effects import EFFECTS, Effect, check_effects
 from models.plant.loads import Mass, Pendulum
 from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
@@ -235,7 +235,6 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     for what, kind, known in (
         ("drive", document.drive.kind, DRIVES),
         ("load", document.load.kind, LOADS),
-        *(("effect", effect.name, EFFECTS) for effect in document.effects),
     ):
         if kind not in known:
             raise InputError(path, f"{kind!r} is no {what}", "choose from " + ", ".join(known))
@@ -248,6 +247,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
 
 def _complete(plant: Plant, where: Path | str, entries: Mapping[str, float | _Entry]) -> Plant:
     """Plant with every parameter that its parts declare, the document's put over theirs."""
+    check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
     scope = _scope(plant.load, LOADS[plant.load].max_dof)
     parameters = {
         q.name: plant.parameters.get(q.name, q)

@@ -21,6 +21,7 @@ class Drive(Protocol):
     """What turns commands into torque."""
 
     kind: ClassVar[str]
+    has: ClassVar[tuple[str, ...]]
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Parameters for the joints of `scope`."""
@@ -81,6 +82,7 @@ class Cascade:
     """
 
     kind: ClassVar[str] = "cascade"
+    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Gains, torque constant, inertia and limit of each joint."""
@@ -164,6 +166,7 @@ class Duty:
     """
 
     kind: ClassVar[str] = "duty"
+    has: ClassVar[tuple[str, ...]] = ("current",)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Duty per error, winding and inertia of each joint."""
@@ -219,6 +222,7 @@ class Force:
     """A commanded voltage that is a force (EMPS): F = k u, nothing else in between."""
 
     kind: ClassVar[str] = "force"
+    has: ClassVar[tuple[str, ...]] = ()
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Force (or torque) per volt of each joint."""

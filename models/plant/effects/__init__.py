@@ -89,13 +89,13 @@ def _renamed(q: Parameter, name: str, scope: Scope) -> Parameter:
     )  # fmt: skip
 
 
-def applicable(*parts: Any) -> list[str]:
-    """Names of the effects that a plant of these parts (its drive, its load) can hold."""
-    has = {have for part in parts for have in part.has}
+def applicable(drive: Any, load: Any) -> list[str]:
+    """Names of the effects that a plant of this drive and this load can hold."""
+    has = {*drive.has, *load.has}
     return [name for name, effect in EFFECTS.items() if has.issuperset(effect.needs)]
 
 
-def check_effects(where: Path | str, names: Iterable[str], *parts: Any) -> None:
+def check_effects(where: Path | str, names: Iterable[str], drive: Any, load: Any) -> None:
     """Refuse effects that nobody knows, or that make no sense for a drive and a load.
 
     Raises
@@ -103,19 +103,19 @@ def check_effects(where: Path | str, names: Iterable[str], *parts: Any) -> None:
     InputError
         For the first such name, with the names that can be held.
     """
-    known = applicable(*parts)
+    known = applicable(drive, load)
     for name in names:
         if name not in EFFECTS:
             raise InputError(
                 where, f"{name!r} is no effect", "choose from " + ", ".join(sorted(known))
             )
         if name not in known:
-            kinds = " or ".join(f"{part.kind!r}" for part in parts)
-            needs = " and a ".join(EFFECTS[name].needs)
             raise InputError(
-                where, f"effect {name!r} acts on a {needs}, which {kinds} does not have",
+                where,
+                f"effect {name!r} acts on a {EFFECTS[name].needs[0]}, "
+                f"which a {load.kind} on a {drive.kind} drive has not",
                 "choose from " + ", ".join(sorted(known)),
-            )  # fmt: skip
+            )
 
 
 for _module in pkgutil.iter_modules(__path__):

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Scope
+from models.plant.scope import Expr, Scope
 from models.plant.step import Variable
+
+REFERENCE_RAD: Final = 0.1
+"""Bend of a hinge at which softening and hardening are given."""
+
+EASE_RAD: Final = 2e-3
+"""Bend within which softening starts smoothly."""
+
+LEAK_TIME_S: Final = 10.0
+"""Time in which the leak's share is lost."""
 
 
 class Prebend(Effect):
     """The unloaded link is bent: the span's torque vanishes at ψ_0 in place of zero."""
 
     name = "prebend"
+    needs = ("bend",)
     per_joint = (
         Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
                   role="effect", description="bend of the unloaded link",
@@ -35,6 +47,7 @@ class DirectionalStiffness(Effect):
     """
 
     name = "directional_stiffness"
+    needs = ("bend",)
     per_joint = (
         Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.6, high=0.6,
                   role="effect", description="share gained for positive bend, lost else",
@@ -48,6 +61,94 @@ class DirectionalStiffness(Effect):
             scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
 
 
+class StiffnessSoftening(Effect):
+    """The secant stiffness falls with the bend, K / (1 + a ‖φ‖), a such that s is lost at 0.1 rad.
+
+    a = s / ((1 − s) 0.1 rad). The torque still grows with the bend, so the link cannot snap.
+    """
+
+    name = "stiffness_softening"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="softening_share", unit="1", value=0.0, low=0.0, high=0.8, role="effect",
+                  description="stiffness lost at 0.1 rad of bend", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Divide each hinge's stiffness."""
+        share = scope.p("softening_share")
+        for hinge, j in scope.stiffness:
+            size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
+            scope.stiffness[hinge, j] /= 1 + share / (1 - share) * size / REFERENCE_RAD
+
+
+class StiffnessHardening(Effect):
+    """The secant stiffness grows with the bend's square, K (1 + s (‖φ‖ / 0.1 rad)²) [Duffing]."""
+
+    name = "stiffness_hardening"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="hardening_share", unit="1", value=0.0, low=0.0, high=5.0, role="effect",
+                  description="stiffness gained at 0.1 rad of bend", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Multiply each hinge's stiffness."""
+        share = scope.p("hardening_share")
+        for hinge, j in scope.stiffness:
+            scope.stiffness[hinge, j] *= 1 + share * _square(scope, hinge) / REFERENCE_RAD**2
+
+
+class PressureLeak(Effect):
+    """Stiffness falls with the pressure, K (1 − s)^(t / 10 s), from the start of the run.
+
+    Outflow through a small hole is proportional to the pressure left [orifice, laminar], and the
+    stiffness to the pressure (FACTS §6).
+    """
+
+    name = "pressure_leak"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="leak_share", unit="1", value=0.0, low=0.0, high=0.8, role="effect",
+                  description="share of stiffness lost per 10 s", source="assumed tight"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale each hinge's stiffness by the pressure left."""
+        left = scope.state(Variable("pressure_left", "1"), 1.0)
+        scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
+        for key in scope.stiffness:
+            scope.stiffness[key] *= left
+
+
+class CrossAxisCoupling(Effect):
+    """A bend in one plane strains the other too: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
+
+    Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
+    there is no other plane.
+    """
+
+    name = "cross_axis_coupling"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
+                  description="torque of one plane per other plane's", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the other plane's torque."""
+        own = dict(scope.bend_torque)
+        for hinge, j in own:
+            for other in scope.joints:
+                if other != j:
+                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+
+
+def _square(scope: Scope, hinge: str) -> Expr:
+    """Square of a hinge's bend over its planes."""
+    return sum(scope.bend[hinge, j] ** 2 for j in scope.joints)
+
+
 class Hysteresis(Effect):
     """Bouc–Wen in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
 
@@ -55,6 +156,7 @@ class Hysteresis(Effect):
     """
 
     name = "hysteresis"
+    needs = ("bend",)
     per_joint = (
         Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=2.0,
                   role="effect", description="Bouc-Wen share of the root's stiffness",
@@ -86,6 +188,7 @@ class Creep(Effect):
     """
 
     name = "creep"
+    needs = ("bend",)
     per_joint = (
         Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
                   description="relaxing share of the stiffness", source="FACTS §6: 6 to 10 %"),

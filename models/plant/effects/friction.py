@@ -73,6 +73,7 @@ class LoadDependentFriction(Effect):
     """Gear friction μ |τ| sign(q̇) in proportion to the transmitted torque (BAM, model M4)."""
 
     name = "load_dependent_friction"
+    needs = ("gear load",)
     per_joint = (
         Parameter(name="load_dependent_friction_{j}", unit="1", value=0.0, low=0.0, high=0.5,
                   role="effect", description="friction per transmitted torque",

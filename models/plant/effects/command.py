@@ -1,0 +1,87 @@
+"""What happens to the goal, and to the torque that the drive can give for it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Scope
+from models.plant.step import Variable
+
+SHORTEST_S: Final = 2e-3
+"""Shortest delay whose states the internal step of 1 ms integrates stably (|pole| ≤ 4.1 / D)."""
+
+
+class DeadTime(Effect):
+    """The goal takes effect θ later, by the Padé approximant of order 2/3.
+
+    e^−x ≈ (1 − 2x/5 + x²/20) / (1 + 3x/5 + 3x²/20 + x³/60),  x = s D  [Baker & Graves-Morris 1996]
+
+    Its relative error is 1.4e-4 (ωD)⁶, 1e-4 for 80 ms at 2 Hz; a chain of three lags is off by
+    (ωD)²/6. Being strictly proper it passes no step at once. States of a delay of zero would be
+    infinitely fast: the states delay by D = √(θ² + D_0²) and their output counts by θ/D, so that
+    the mean delay is θ exactly, at zero the goal passes untouched, and all is smooth in θ.
+    """
+
+    name = "dead_time"
+    per_joint = (
+        Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
+                  description="delay of the goal on its way to the servo's loop",
+                  source="FACTS §2: wire time and return delay, 1 to 26 ms"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Put the goal's delayed share in its place."""
+        for j in scope.joints:
+            goal, dead_s = scope.goal[j], scope.p("dead_time_{j}_s", j)
+            delay_s = ca.sqrt(dead_s**2 + SHORTEST_S**2)
+            first = scope.state(Variable(f"delayed_{j}_1", "1"), goal)
+            second = scope.state(Variable(f"delayed_{j}_2", "1"))
+            third = scope.state(Variable(f"delayed_{j}_3", "1"))
+            scope.states[first.name()].rate = second / delay_s
+            scope.states[second.name()].rate = third / delay_s
+            scope.states[third.name()].rate = (
+                60 * (goal - first) - 36 * second - 9 * third
+            ) / delay_s
+            delayed = first - 2 * second / 5 + third / 20
+            scope.goal[j] = goal + dead_s / delay_s * (delayed - goal)
+
+
+class CurrentSaturation(Effect):
+    """The limit of the current lies lower than rated: |i| ≤ i_max − Δ.
+
+    Nothing changes before the limit is met, and neither do derivatives: start a fit where the cut
+    is the rated limit less the largest current seen.
+    """
+
+    name = "current_saturation"
+    needs = ("current limit",)
+    per_joint = (
+        Parameter(name="current_saturation_{j}_a", unit="A", value=0.0, low=0.0, high=9.5,
+                  role="effect", description="how far the limit lies below the rated one",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Lower the limit."""
+        for j in scope.joints:
+            scope.current_limit_cut[j] += scope.p("current_saturation_{j}_a", j)
+
+
+class TorqueConstantDrift(Effect):
+    """Less torque per ampere than rated, τ = (1 − d) k_t i: magnets lose flux as they warm up."""
+
+    name = "torque_constant_drift"
+    per_joint = (
+        Parameter(name="torque_constant_drift_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
+                  role="effect", description="relative loss of torque per ampere",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale the drive's torque."""
+        for j in scope.joints:
+            scope.torque_scale[j] *= 1 - scope.p("torque_constant_drift_{j}", j)

@@ -1,0 +1,93 @@
+"""Errors of what is measured: encoder, current, and the mocap's frame and clock."""
+
+from __future__ import annotations
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Scope
+
+
+class EncoderOffset(Effect):
+    """The encoder shows q + δ; the servo's own loop sees no other angle and holds q + δ."""
+
+    name = "encoder_offset"
+    per_joint = (
+        Parameter(name="encoder_offset_{j}_{angle}", unit="rad", value=0.0, low=-0.2, high=0.2,
+                  role="effect", description="constant error of the measured angle",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add it to what is seen."""
+        for j in scope.joints:
+            scope.angle_error[j] += scope.p("encoder_offset_{j}_{angle}", j)
+
+
+class CurrentBias(Effect):
+    """The measured current is off by a constant: i_seen = i + b."""
+
+    name = "current_bias"
+    needs = ("current",)
+    per_joint = (
+        Parameter(name="current_bias_{j}_a", unit="A", value=0.0, low=-2.0, high=2.0,
+                  role="effect", description="constant error of the measured current",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add it to what is seen."""
+        for j in scope.joints:
+            scope.current_bias[j] += scope.p("current_bias_{j}_a", j)
+
+
+class CurrentScale(Effect):
+    """The measured current is off by a factor: i_seen = (1 + s) i."""
+
+    name = "current_scale"
+    needs = ("current",)
+    per_joint = (
+        Parameter(name="current_scale_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
+                  role="effect", description="relative error of the measured current",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale what is seen."""
+        for j in scope.joints:
+            scope.current_scale[j] += scope.p("current_scale_{j}", j)
+
+
+class MarkerFrameTilt(Effect):
+    """The mocap's frame is tilted about y: r_seen = R_y(α) r. Distances, so DI, stay."""
+
+    name = "marker_frame_tilt"
+    needs = ("tip",)
+    shared = (
+        Parameter(name="marker_frame_tilt_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
+                  role="effect", description="tilt of the mocap's frame about y",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Tilt the frame."""
+        scope.frame_tilt_rad += scope.p("marker_frame_tilt_rad")
+
+
+class SyncOffset(Effect):
+    """The mocap lags behind the servo's clock by δ: at time t it shows what was at t − δ.
+
+    q(t − δ) ≈ q − δ q̇ + δ²/2 q̈ of joints and bends, for a mocap ahead of the servo too (δ < 0).
+    What is left is (ωδ)³/6: 2e-5 of the study's motion at 40 ms, 5 % of a vibration at 2.5 Hz.
+    """
+
+    name = "sync_offset"
+    needs = ("tip",)
+    shared = (
+        Parameter(name="sync_offset_s", unit="s", value=0.0, low=-0.08, high=0.08, role="effect",
+                  description="delay of the mocap's clock behind the servo's",
+                  source="assumed absent; 10 ms count as synchronised"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Delay the mocap."""
+        scope.frame_delay_s += scope.p("sync_offset_s")
