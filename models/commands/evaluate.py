@@ -1,0 +1,49 @@
+"""Compare a plant with trials: the twin runs each trial's goals, signal by signal.
+
+Beside the end effector's error stands that of a rigid link at the measured angles, for scale.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from firmware_py.console import DONE, emit
+from models.plant.evaluate import evaluation
+from models.plant.plant import read_plant
+from models.trials import read_trials
+
+EXAMPLE = "python -m models evaluate build/unseen_20deg --plant build/plant.json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
+    parser.add_argument("--plant", type=Path, required=True, help="plant document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare and print."""
+    result = evaluation(read_plant(args.plant), read_trials(args.trials))
+    emit(args, result, as_text(result))
+    return DONE
+
+
+def as_text(result: dict[str, Any]) -> str:
+    """Tables for people."""
+    lines = [f"{'signal':14s}{'rms':>12s}{'mean |error|':>14s}  unit"]
+    lines += [
+        f"{name:14s}{row['rms']:12.4g}{row['mae']:14.4g}  {row['unit']}"
+        for name, row in result["signals"].items()
+    ]
+    if result["tip_rms_m"] is not None:
+        lines += ["", f"{'end effector':14s}{'plant, mm':>12s}{'rigid, mm':>14s}"]
+        for dof, part in result["dof"].items():
+            rows = {f"{load} kg": row for load, row in part["payloads"].items()} | {"all": part}
+            lines += [
+                f"{dof}DOF {label:9s}{1e3 * row['tip_rms_m']:12.2f}"
+                f"{1e3 * row['rigid_tip_rms_m']:14.2f}"
+                for label, row in rows.items()
+            ]
+    return "\n".join(lines)
