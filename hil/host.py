@@ -47,15 +47,26 @@ class Watch:
         that may run on this processor beside the one that is watched.
     period_ns : int
         Of the probe.
+    privileged : bool
+        Whether the probe had its priority. Without it, it may have been late behind ourselves,
+        and proves nothing.
     """
 
     wake_ns: Nanoseconds = field(default_factory=_NONE.copy)
     lateness_ns: Nanoseconds = field(default_factory=_NONE.copy)
     ours_ns: Nanoseconds = field(default_factory=_NONE.copy)
     period_ns: int = PROBE_PERIOD_NS
+    privileged: bool = True
+
+    @property
+    def proves(self) -> bool:
+        """Whether a late wake-up is proof that nobody of ours could run."""
+        return self.privileged and len(self.wake_ns) > 0
 
     def stall_ns(self, start_ns: int, end_ns: int) -> int:
         """Longest time within the window for which the processor may have stood still."""
+        if not self.proves:
+            return 0
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns + self.period_ns))
         wake, late = self.wake_ns[first : last + 1], self.lateness_ns[first : last + 1]
         # The probe saw nothing from its wake-up before to this one.
@@ -109,14 +120,14 @@ class Probe:
         )
         self._process.start()
         theirs.close()
-        self._ours.recv()
+        self._privileged: bool = self._ours.recv()
 
     def stop(self) -> Watch:
         """End the probe and return what it saw."""
         self._ours.send(None)
         wake, lateness, ours = (np.array(column, np.int64) for column in self._ours.recv())
         self._process.join()
-        return Watch(wake, lateness, ours)
+        return Watch(wake, lateness, ours, privileged=self._privileged)
 
 
 def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
@@ -132,7 +143,7 @@ def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
         return spent
 
     with real_time(RealTimeOptions(priority=PROBE_PRIORITY, cpu=cpu)):
-        pipe.send(None)
+        pipe.send(os.sched_getparam(0).sched_priority == PROBE_PRIORITY)
         before_ns = spent_ns()
         deadline_ns = clock.now_ns()
         while not pipe.poll():

@@ -14,7 +14,8 @@ What is the host's
     wire. The processes of `--load` are declared host load: time lost to them is the host's.
     The larger of the two accounts counts, since they overlap. Steal time (`/proc/stat`) comes in
     steps of 10 ms over all processors: it is evidence of the same stalls, so it is reported, and
-    counts only where no probe ran.
+    counts only where no probe ran. So it does where the kernel refused the probe its priority:
+    such a probe may have waited behind ourselves.
 
 What is ours
     Everything else: computing, waiting for the bus, and every delay by a process of ours, be it
@@ -102,13 +103,14 @@ def host_time_ns(
     host = np.zeros(len(records), np.int64)
     starts = records["deadline_ns"]
     ends = starts + records["lateness_ns"] + records["busy_ns"]
-    probed = len(loop_cpu.wake_ns) > 0
     for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         # A tick's run-queue delay counts from the end of the tick before.
         queued = int(records["preempted_ns"][k]) - loop_cpu.ours_between_ns(
             int(ends[k - 1]) if k else start_ns, end_ns
         )
-        stalled = loop_cpu.stall_ns(start_ns, end_ns) if probed else int(records["steal_ns"][k])
+        stalled = (
+            loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else int(records["steal_ns"][k])
+        )
         wire = max(
             releases.run_delay_between_ns(start_ns, end_ns)
             - line_cpu.ours_between_ns(start_ns, end_ns),
@@ -221,7 +223,8 @@ def judge(
         "reference_jitter": {
             **_summary(loop_cpu.lateness_ns),
             "period_ns": loop_cpu.period_ns,
-            "method": "clock_nanosleep in a process of higher priority on the loop's processor",
+            "method": "clock_nanosleep in a process of its own on the loop's processor",
+            "above_the_loop": loop_cpu.proves,
         },
         "environment": dict(environment or {}),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -99,6 +100,14 @@ def test_a_stall_that_does_not_suffice_as_an_excuse_is_none():
     stall = (int(records["deadline_ns"][500]) + 30_000, 10 * MS)
     timing = judge(records, probe_over(records, stall), probe_over(records))
     assert timing["verdict"] == "fail"
+
+
+def test_a_probe_without_its_priority_proves_nothing():
+    records = run_of()
+    slow_down(records, 500, 22 * MS)
+    stall = (int(records["deadline_ns"][500]) + 30_000, 20 * MS)
+    watch = replace(probe_over(records, stall), privileged=False)
+    assert judge(records, watch, probe_over(records))["verdict"] == "fail"
 
 
 def test_a_stall_at_another_time_is_no_excuse():
