@@ -5,7 +5,7 @@
     bundle_1dof/study.json, manifest.json     python -m models train
     evaluate_1dof.json                        python -m models evaluate … --json
     check_twin_1dof.json                      python -m fmu check … --json
-    sil_1dof/timing.json, *.mcap              python -m hil sil
+    sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
     trials_phase90/                           python -m models simulate --phase-deg 90
     commands.log                              make demo
 """
@@ -25,7 +25,7 @@ from firmware_py.errors import InputError
 from firmware_py.recording import read_recording
 from models.deformation import deformation_index
 from models.kinematics import rigid_tip_m
-from models.trials import TrialSet, read_trials
+from models.trials import TrialSet, read_trial, read_trials
 from models.validation import payload_key
 
 Json = dict[str, Any]
@@ -43,11 +43,32 @@ class Loop:
         `timing.json` (see `hil.verify.judge`).
     ticks : dict of str to ndarray, or None
         The recorded ticks by column, where the run kept them.
+    true_tip_m : ndarray, shape (n, 3), or None
+        Where the plant's tip was in each recorded tick.
     """
 
     name: str
     timing: Json
     ticks: dict[str, NDArray[np.float64]] | None
+    true_tip_m: NDArray[np.float64] | None = None
+
+    @property
+    def dof(self) -> int | None:
+        """Joints that were driven; None where neither ticks nor name tell."""
+        if self.ticks is not None:
+            return 2 if "angle_2_rad" in self.ticks else 1
+        named = re.search(r"([12])dof", self.name)
+        return int(named[1]) if named else None
+
+    @property
+    def line(self) -> str:
+        """Kind of the line: "socket", "pty" or "virtual"."""
+        return str(self.timing["environment"].get("line", "unknown"))
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether durations are real: on the virtual line computing takes no time."""
+        return self.line != "virtual"
 
 
 @dataclass(frozen=True)
@@ -102,7 +123,10 @@ def read_inputs(directory: Path) -> Inputs:
             path.stem.removeprefix("check_"): _read_json(path)
             for path in sorted(directory.glob("check_*.json"))
         },
-        loops=[_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))],
+        loops=sorted(
+            (_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
+            key=lambda loop: not loop.in_real_time,
+        ),
         rigid_tip_rms_m=_rigid_tip_rms_m(trials) if trials else {},
         phase_90=_phase_run(_trials(directory / "trials_phase90")),
         commands=_commands(directory / "commands.log"),
@@ -124,12 +148,18 @@ def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
 
 
 def _loop(directory: Path) -> Loop:
-    logs = sorted(directory.glob("*.mcap"))
-    return Loop(
-        directory.name,
-        _read_json(directory / "timing.json"),
-        read_recording(logs[0]).columns if logs else None,
-    )
+    timing = _read_json(directory / "timing.json")
+    log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
+    if not log.is_file():
+        return Loop(directory.name, timing, None)
+    ticks = read_recording(log).columns
+    if not trial.is_file():
+        return Loop(directory.name, timing, ticks)
+    slot = (ticks["tick"] - ticks["tick"][0]).astype(int)  # the trial has a row for every slot
+    tip_m = read_trial(trial).tip_m
+    known = slot < len(tip_m)
+    ticks = {name: column[known] for name, column in ticks.items()}
+    return Loop(directory.name, timing, ticks, tip_m[slot[known]])
 
 
 def _trials(directory: Path) -> TrialSet | None:

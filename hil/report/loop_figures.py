@@ -1,40 +1,51 @@
-"""Where the time of the ticks went: timeline and histogram, with the 17 ms line."""
+"""What the loop did: the time of its ticks with the 17 ms line, and what the robot predicted."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.signals import tip_names
 from hil.report.inputs import Loop
-from hil.report.svg import ALARM, Drawing, Figure, Panel
+from hil.report.svg import ALARM, INK, Drawing, Figure, Panel
+
+Array = NDArray[np.float64]
+Ticks = dict[str, Array]
 
 MS: Final = 1e-6
 """Milliseconds in a nanosecond."""
+MM: Final = 1e3
 BINS: Final = 240
+SHOWN_S: Final = 10.0
 WHOLE: Final = "#1d6a96"
 OWN: Final = "#b4532a"
 
 
-def loop_figures(loop: Loop) -> Figure | None:
-    """Timeline and histogram of a run; None where it kept no ticks."""
+def loop_figures(loop: Loop) -> list[Figure]:
+    """Timing, where it is real, and prediction; a run that kept no ticks has neither."""
     if loop.ticks is None:
-        return None
-    ticks, period_ms = loop.ticks, loop.timing["budget"]["period_ns"] * MS
-    time_s = ticks["time_s"]
+        return []
+    figures = [_timing(loop, loop.ticks)] if loop.in_real_time else []
+    if loop.true_tip_m is not None:
+        figures.append(_prediction(loop.ticks, loop.true_tip_m))
+    return figures
+
+
+def _timing(loop: Loop, ticks: Ticks) -> Figure:
+    period_ms = loop.timing["budget"]["period_ns"] * MS
     whole_ms = (ticks["lateness_ns"] + ticks["busy_ns"]) * MS
     own_ms = (ticks["busy_ns"] - ticks["bus_wait_ns"]) * MS
-    missed = whole_ms > period_ms
-    timeline = _timeline(time_s, whole_ms, own_ms, missed, period_ms)
-    histogram = _histogram(whole_ms, own_ms, period_ms)
-    environment = loop.timing["environment"]
-    line = environment.get("line", "unknown line")
     return Figure(
-        f"Ticks on the {line} line",
+        "Duration of the ticks",
         "Whole tick: from the deadline to the end of the tick. Own cost: without wake-up and "
-        "without waiting for the wire.",
-        [timeline, histogram],
+        "without waiting for the wire. The timeline shows the slowest and the median tick of "
+        "each moment.",
+        [
+            _timeline(ticks["time_s"], whole_ms, own_ms, period_ms),
+            _histogram(whole_ms, own_ms, period_ms),
+        ],
         legend=[
             (WHOLE, "whole tick", "solid"),
             (OWN, "own cost", "solid"),
@@ -43,26 +54,19 @@ def loop_figures(loop: Loop) -> Figure | None:
     )
 
 
-def _timeline(
-    time_s: NDArray[np.float64],
-    whole_ms: NDArray[np.float64],
-    own_ms: NDArray[np.float64],
-    missed: NDArray[np.bool_],
-    period_ms: float,
-) -> Panel:
-    """Per bin of time the slowest tick and the median one: no outlier is lost by thinning."""
+def _timeline(time_s: Array, whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
     groups = np.array_split(np.arange(len(time_s)), min(BINS, len(time_s)))
     middle_s = [float(np.median(time_s[g])) for g in groups]
+    missed = whole_ms > period_ms
     with Drawing() as (drawing, ax):
         for values, colour in ((whole_ms, WHOLE), (own_ms, OWN)):
-            low, centre, high = (
-                [float(f(values[g])) for g in groups] for f in (np.min, np.median, np.max)
-            )
-            ax.fill_between(middle_s, low, high, color=colour, alpha=0.25, linewidth=0, step="mid")
-            ax.plot(middle_s, centre, color=colour, linewidth=0.9)
+            slowest = [float(values[g].max()) for g in groups]
+            ax.plot(middle_s, slowest, color=colour, linewidth=0.7, alpha=0.7)
+            ax.plot(middle_s, [float(np.median(values[g])) for g in groups], color=colour)
         ax.plot(time_s[missed], np.full(missed.sum(), period_ms), "v", color=ALARM, markersize=4)
         ax.axhline(period_ms, color=ALARM, linestyle="--", linewidth=1)
         ax.set(xlabel="time in s", ylabel="duration in ms", ylim=(0, 1.12 * period_ms))
+        ax.set_yticks([0, 5, 10, period_ms])
     return drawing.panel(
         "Timeline",
         f"Duration of {len(time_s)} ticks over {time_s[-1] - time_s[0]:.0f} s: the whole tick is "
@@ -72,11 +76,7 @@ def _timeline(
     )
 
 
-def _histogram(
-    whole_ms: NDArray[np.float64],
-    own_ms: NDArray[np.float64],
-    period_ms: float,
-) -> Any:
+def _histogram(whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
     edges = np.linspace(0, 1.12 * period_ms, 96)
     with Drawing() as (drawing, ax):
         for values, colour in ((whole_ms, WHOLE), (own_ms, OWN)):
@@ -85,6 +85,7 @@ def _histogram(
             ax.stairs(counts, edges, color=colour, linewidth=1)
         ax.axvline(period_ms, color=ALARM, linestyle="--", linewidth=1)
         ax.set(xlabel="duration in ms", ylabel="ticks", yscale="log", xlim=(0, edges[-1]))
+        ax.set_xticks([0, 5, 10, period_ms])
         ax.set_ylim(0.7, None)
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.yaxis.set_minor_formatter(lambda value, _: "")
@@ -93,6 +94,43 @@ def _histogram(
         f"Histogram of {len(whole_ms)} ticks: 99 % of the whole ticks last at most "
         f"{np.percentile(whole_ms, 99):.2f} ms, 99 % of the own cost at most "
         f"{np.percentile(own_ms, 99):.2f} ms, against a period of {period_ms:g} ms.",
+    )
+
+
+def _prediction(ticks: Ticks, true_m: Array) -> Figure:
+    """The robot's tip beside the plant's over the first seconds, and the distance over all."""
+    time_s = ticks["time_s"]
+    predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
+    distance_mm = MM * np.linalg.norm(predicted_m - true_m, axis=1)
+    first = time_s <= time_s[0] + SHOWN_S
+    with Drawing() as (drawing, ax):
+        low, high = (predicted_m[:, 0] + sign * ticks["half_width_x_m"] for sign in (-1, 1))
+        ax.fill_between(
+            time_s[first], low[first], high[first], color=WHOLE, alpha=0.18, linewidth=0
+        )
+        ax.plot(time_s[first], true_m[first, 0], color=INK)
+        ax.plot(time_s[first], predicted_m[first, 0], color=WHOLE, linestyle="--")
+        ax.set(xlabel="time in s", ylabel="tip x in m")
+    tip = drawing.panel(
+        f"Tip x, first {SHOWN_S:g} s",
+        "The end effector's x as the robot predicted it, with its 95 % interval, over the plant's; "
+        f"the plant's spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
+    )
+    groups = np.array_split(np.arange(len(time_s)), min(BINS, len(time_s)))
+    with Drawing() as (drawing, ax):
+        middle_s = [float(np.median(time_s[g])) for g in groups]
+        ax.plot(middle_s, [float(np.nanmean(distance_mm[g])) for g in groups], color=WHOLE)
+        ax.set(xlabel="time in s", ylabel="distance in mm", ylim=(0, None))
+    distance = drawing.panel(
+        "Distance between prediction and plant",
+        f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
+        "at most.",
+    )
+    return Figure(
+        "What the robot predicted",
+        "From angle, current and estimated DI alone; the plant stands behind the servos.",
+        [tip, distance],
+        legend=[(INK, "plant", "solid"), (WHOLE, "robot's prediction", "dashed")],
     )
 
 

@@ -34,6 +34,7 @@ class Section:
     figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     paragraphs: list[str] = field(default_factory=list)
+    facts: list[tuple[str, str]] = field(default_factory=list)
     missing: str = ""
 
 
@@ -119,14 +120,22 @@ def _loops(inputs: Inputs) -> list[Section]:
         return [Section("loop", "The loop", missing="python -m hil sil")]
     sections = []
     for loop in inputs.loops:
-        facts = loop.timing["environment"]
-        section = Section(loop.name, f"The loop: {loop.name}", paragraphs=[tables.misses(loop)])
-        figure = loop_figures(loop)
-        section.figures = [figure] if figure else []
-        header = ["ms", "n", "p50", "p99", "p99.9", "max"]
-        rows = [[Cell(name), *map(Cell, values)] for name, values in stages(loop)]
-        note = "; ".join(f"{k} {v}" for k, v in facts.items() if not isinstance(v, dict | list))
-        section.tables = [Table("Where the time goes", header, rows, note)]
+        motion = f"{loop.dof}DOF on" if loop.dof else "on"
+        section = Section(
+            loop.name,
+            f"The loop: {motion} the {loop.line} line",
+            figures=loop_figures(loop),
+            paragraphs=tables.verdict(loop),
+            facts=[
+                (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
+                for name, value in loop.timing["environment"].items()
+                if value not in ({}, [])
+            ],
+        )
+        if loop.in_real_time:
+            header = ["ms", "n", "p50", "p99", "p99.9", "max"]
+            rows = [[Cell(name), *map(Cell, values)] for name, values in stages(loop)]
+            section.tables = [Table("Where the time goes", header, rows)]
         sections.append(section)
     return sections
 
