@@ -39,7 +39,7 @@ def draw(result: Result, path: Path) -> None:
             (line,) = axis.plot(
                 result.time_s, shown.factor * result.columns[name], lw=1.0, label=name
             )
-            if name in result.measured:
+            if name in result.measured and not name.startswith("predicted_"):  # drawn once
                 axis.plot(
                     result.time_s, shown.factor * result.measured[name], "--", lw=1.0,
                     color=line.get_color(), alpha=0.5, label=f"{name}, trial",
