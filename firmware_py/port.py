@@ -21,6 +21,7 @@ import fcntl
 import os
 import select
 import socket
+import termios
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -42,6 +43,7 @@ _READ_SIZE: Final = 4096
 _MAX_PACKET: Final = 1024
 _HEADER: Final = b"\xff\xff\xfd"
 _LENGTH, _INSTRUCTION = 5, 7
+_HUNG_UP: Final = "the other side has closed the line"
 _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
 
@@ -105,20 +107,33 @@ class SerialWire:
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """See `Wire.read`."""
+        if data := self._available(size):
+            return data
+        if not _wait(self._fd, deadline_ns, self._clock):
+            return b""
+        if data := self._available(size):
+            return data
+        raise ConnectionResetError(_HUNG_UP)  # readable, and yet nothing to read
+
+    def _available(self, size: int) -> bytes:
         try:
-            if data := os.read(self._fd, size):
-                return data
+            return os.read(self._fd, size)
         except BlockingIOError:
-            pass
-        return os.read(self._fd, size) if _wait(self._fd, deadline_ns, self._clock) else b""
+            return b""
 
     def write(self, data: bytes) -> int:
         """See `Wire.write`."""
-        return os.write(self._fd, data)
+        try:
+            return os.write(self._fd, data)
+        except BlockingIOError:
+            return 0
 
     def discard_input(self) -> None:
         """See `Wire.discard_input`."""
-        self._serial.reset_input_buffer()
+        try:
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+        except termios.error as error:  # which is no OSError
+            raise ConnectionResetError(_HUNG_UP) from error
 
     def close(self) -> None:
         """See `Wire.close`."""
@@ -152,12 +167,15 @@ class SocketWire:
     def _received(self, size: int) -> bytes:
         data = self._socket.recv(size)
         if not data:
-            raise ConnectionResetError("the other side has closed the line")
+            raise ConnectionResetError(_HUNG_UP)
         return data
 
     def write(self, data: bytes) -> int:
         """See `Wire.write`."""
-        return self._socket.send(data)
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
 
     def discard_input(self) -> None:
         """See `Wire.discard_input`."""

@@ -2,7 +2,8 @@
 
 The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and
 P models. A servo is therefore told apart by its model number, never by its name. Addresses are
-those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS' own dynamixel-workbench repeat.
+those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS' own dynamixel-workbench
+repeat.
 """
 
 from __future__ import annotations

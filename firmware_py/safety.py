@@ -297,7 +297,7 @@ class SafetySupervisor:
             self._accept(self._slowed())
             if not any(self._velocity):
                 self._hold_ticks -= 1
-                if self._hold_ticks < 0:
+                if self._hold_ticks <= 0:
                     self.state = State.OFF
         return self.goal_rad
 

@@ -209,16 +209,49 @@ def test_stale_input_is_dropped(line):
     wire.close()
 
 
-def test_a_line_that_hangs_up_is_an_os_error(tmp_path):
-    listener = socket.socket(socket.AF_UNIX)
-    listener.bind(str(tmp_path / "line"))
-    listener.listen()
-    clock = DeadlineClock()
-    wire = open_wire(f"unix:{tmp_path / 'line'}", 1_000_000, clock)
-    listener.accept()[0].close()
-    listener.close()
-    with pytest.raises(OSError, match="closed"):
+def test_a_line_that_hangs_up_is_an_os_error_whatever_is_asked_of_it(hang_up):
+    wire, clock = hang_up
+    with pytest.raises(OSError):
         wire.read(10, clock.now_ns() + 5_000_000_000)
+    with pytest.raises(OSError):
+        wire.discard_input()
+    with pytest.raises(OSError):
+        wire.write(b"x")
+    wire.close()
+
+
+@pytest.fixture(params=["socket", "pty"])
+def hang_up(request, tmp_path):
+    """A wire whose other end has just gone, as when an adapter is unplugged."""
+    clock = DeadlineClock()
+    if request.param == "pty":
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        wire = open_wire(os.ttyname(slave), 1_000_000, clock)
+        os.close(slave)
+        os.close(master)
+    else:
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(str(tmp_path / "line"))
+        listener.listen()
+        wire = open_wire(f"unix:{tmp_path / 'line'}", 1_000_000, clock)
+        listener.accept()[0].close()
+        listener.close()
+    return wire, clock
+
+
+def test_a_line_that_takes_nothing_more_is_no_lost_port(line):
+    name, other_end = line
+    wire = open_wire(name, 1_000_000, DeadlineClock())
+    other_end()
+    sent = 0
+    for _ in range(10_000):  # nobody reads: sooner or later the buffers are full
+        accepted = wire.write(bytes(4096))
+        sent += accepted
+        if accepted == 0:
+            break
+    assert accepted == 0
+    assert sent > 0
     wire.close()
 
 
