@@ -97,7 +97,12 @@ def recording(
         If the packages are missing or the file cannot be written.
     """
     require_packages()
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            path.parent, f"cannot be made ({error.strerror})", "name another directory for logs"
+        ) from None
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     task = Task(
         fd=theirs.fileno(), path=str(path), dof=dof, start_ns=start_ns,

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -63,16 +64,26 @@ def run(args: argparse.Namespace) -> int:
         summary = loop.run()
     result = summary.as_dict() | {"log": str(log) if log else None}
     if log is not None:
-        log.with_suffix(".timing.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+        _write_timing(log.with_suffix(".timing.json"), result)
     emit(args, result, describe(summary, log))
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return DONE
 
 
+def _write_timing(path: Path, result: dict[str, Any]) -> None:
+    """Write the summary beside the log; a full disk must not hide how the run ended."""
+    try:
+        path.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    except OSError as error:
+        print(f"dropstitch: {path}: cannot be written ({error.strerror})", file=sys.stderr)
+
+
 def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     if args.seconds is not None and not 0 < args.seconds < math.inf:
         raise InputError("--seconds", f"is {args.seconds}", "give a positive time")
+    if args.log is not None and not config.record:
+        raise InputError("--log", "is given, but record = false", "set record = true in the file")
     motion = config.motion
     if args.motion is not None:
         motion = msgspec.structs.replace(motion, kind=args.motion)

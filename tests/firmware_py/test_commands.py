@@ -1,5 +1,6 @@
 """The commands as a user runs them, against servos in memory behind a socket."""
 
+import contextlib
 import json
 import shutil
 import socket
@@ -44,8 +45,7 @@ def servos(tmp_path):
     listener.listen()
 
     def serve():
-        connection, _ = listener.accept()
-        with connection:
+        with contextlib.suppress(OSError), listener.accept()[0] as connection:
             while data := connection.recv(4096):
                 wire.write(data)
                 if answer := wire.read(4096, 0):
@@ -54,6 +54,8 @@ def servos(tmp_path):
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     yield wire
+    listener.shutdown(socket.SHUT_RDWR)  # a test that never connected
+    thread.join()
     listener.close()
 
 
@@ -169,6 +171,25 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
 def test_a_senseless_time_is_refused(config, capsys, seconds):
     code, output = call(capsys, "run", "--config", config, "--seconds", seconds)
     assert (code, "--seconds" in output.err) == (2, True)
+
+
+def test_a_log_that_nobody_writes_is_refused(config, capsys):
+    config.write_text("record = false\n" + config.read_text())
+    code, output = call(capsys, "run", "--config", config, "--log", "run.mcap")
+    assert (code, "--log" in output.err) == (2, True)
+
+
+def test_a_directory_for_logs_that_cannot_be_is_refused(servos, config, capsys):
+    config.write_text(f'logs = "{config}"\n' + config.read_text())
+    code, output = call(capsys, "run", "--config", config)
+    assert (code, "cannot be made" in output.err) == (2, True)
+
+
+def test_without_a_recorder_the_robot_runs_and_leaves_no_file(servos, config, capsys):
+    config.write_text("record = false\n" + config.read_text())
+    code, output = call(capsys, "run", "--config", config, "--json")
+    assert (code, json.loads(output.out)["log"]) == (0, None)
+    assert not list(config.parent.rglob("*.mcap"))
 
 
 def test_the_golden_ticks_of_a_bundle_are_replayed(toy_bundle, tmp_path, capsys):
