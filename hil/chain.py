@@ -80,7 +80,8 @@ class Chain:
         self._now_ns = 0
         self._on_sample = on_sample or (lambda _: None)
         self._registered: dict[int, tuple[int, bytes]] = {}
-        self._observe([0.0] * len(self.servos))
+        self._velocity_rad_s = [0.0] * len(self.servos)
+        self._observe()
 
     @property
     def driven(self) -> bool:
@@ -96,6 +97,7 @@ class Chain:
             self._step(target_ns)
             if not trips:
                 return
+            self._observe()
             for t, servo in trips:
                 if t == target_ns:
                     servo.trip_watchdog()
@@ -116,17 +118,11 @@ class Chain:
         if step_s >= _SHORTEST_VELOCITY_STEP_S:
             after = self.physics.angle_rad.tolist()
             self._velocity_rad_s = [(b - a) / step_s for a, b in zip(before, after, strict=True)]
-        self._observe(self._velocity_rad_s)
 
-    def _observe(self, velocity_rad_s: list[float]) -> None:
-        self._velocity_rad_s = velocity_rad_s
-        states = zip(
-            self.physics.angle_rad.tolist(),
-            velocity_rad_s,
-            self.physics.current_a.tolist(),
-            strict=True,
-        )
-        for servo, state in zip(self.servos, states, strict=True):
+    def _observe(self) -> None:
+        """Show the servos where the plant is."""
+        angles, currents = self.physics.angle_rad.tolist(), self.physics.current_a.tolist()
+        for servo, *state in zip(self.servos, angles, self._velocity_rad_s, currents, strict=True):
             servo.observe(*state)
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
@@ -134,6 +130,8 @@ class Chain:
         self.advance(now_ns)
         if packet.instruction == Instruction.STATUS:
             return []
+        if packet.instruction != Instruction.SYNC_WRITE:  # which looks at nothing present
+            self._observe()
         if packet.intact:
             for servo in self.servos:
                 servo.feed_watchdog(now_ns)

@@ -134,9 +134,11 @@ def draw(result: Result, timing: dict[str, Any], path: Path) -> None:
             tip.plot(time_s, truth[:, k], color=f"C{k}", label=f"{axis} true")
             tip.plot(time_s, predicted[:, k], color=f"C{k}", ls=":", label=f"{axis} predicted")
         tip.set(xlabel="time, s", ylabel="tip, m")
-        tip.legend(ncols=3)
-        ticks.plot(time_s, busy_ms, ".", ms=2, label="end of tick behind its deadline")
-        ticks.plot(time_s, own_ms, ".", ms=2, label="own cost")
+        tip.legend(ncols=3, loc="lower right", fontsize="x-small")
+        ticks.plot(
+            time_s, busy_ms, ".", ms=2, rasterized=True, label="end of tick behind its deadline"
+        )
+        ticks.plot(time_s, own_ms, ".", ms=2, rasterized=True, label="own cost")
         ticks.axhline(period_ms, color="C3", label="period")
         ticks.set(xlabel="time, s", ylabel="ms", yscale="log")
         ticks.legend(ncols=3)

@@ -64,6 +64,15 @@ class EmulatedServo:
         Its baud rate, one of `BAUD_OF_CODE`.
     return_delay_s : float
         Pause between instruction and status packet (factory setting 500 µs).
+
+    Attributes
+    ----------
+    torque_on : bool
+        Whether the motor is driven.
+    watchdog_tripped : bool
+        Whether the bus watchdog has stopped the servo.
+    goal_rad : float
+        Angle that it drives to; where it stands when it may not drive.
     """
 
     def __init__(
@@ -72,9 +81,16 @@ class EmulatedServo:
         self.model, self._table = model, model.table
         self._memory = bytearray(MEMORY_BYTES)
         self._cell_at = {cell.address: (r, cell) for r, cell in model.table.cells.items()}
+        self._present = tuple(
+            model.table[register]
+            for register in (
+                Register.PRESENT_POSITION, Register.PRESENT_VELOCITY, Register.PRESENT_CURRENT
+            )
+        )  # fmt: skip
         self._hold_rad = 0.0
         self._angle_rad = 0.0
         self._fed_ns = 0
+        self._refresh()
         code = next(code for code, rate in BAUD_OF_CODE.items() if rate == baud)
         turn = model.pulses_per_turn
         low, high = (0, turn - 1) if model.table is X_SERIES else (-turn // 2, turn // 2)
@@ -99,16 +115,31 @@ class EmulatedServo:
 
     def get(self, register: Register) -> int:
         """Raw value of a register; 0 for one that the model lacks."""
-        if register not in self._table:
-            return 0
-        cell = self._table[register]
-        return cell.decode(self._memory, cell.address)
+        cell = self._table.cells.get(register)
+        return cell.decode(self._memory, cell.address) if cell else 0
 
     def put(self, register: Register, raw: int) -> None:
         """Set a register past all access rights; nothing where the model lacks it."""
         if register in self._table:
-            cell = self._table[register]
-            self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+            self._store(self._table[register], raw)
+            self._refresh()
+
+    def _store(self, cell: Cell, raw: int) -> None:
+        self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+
+    def _refresh(self) -> None:
+        """Bring what the physics asks for in every step up to date with the registers."""
+        watchdog = self.get(Register.BUS_WATCHDOG)
+        self.torque_on = bool(self.get(Register.TORQUE_ENABLE))
+        self.watchdog_tripped = watchdog < 0
+        armed = watchdog if self.torque_on and not self.watchdog_tripped else 0
+        self._watchdog_ns = armed * round(WATCHDOG_UNIT_S * 1e9)
+        self._offset_raw = self.get(Register.HOMING_OFFSET)
+        self.goal_rad = self._hold_rad
+        if self.torque_on and not self.watchdog_tripped:
+            self.goal_rad = self.model.angle_rad(
+                self.get(Register.GOAL_POSITION) - self._offset_raw
+            )
 
     @property
     def id(self) -> int:
@@ -125,36 +156,20 @@ class EmulatedServo:
         """Pause in front of a status packet."""
         return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_UNIT_S * 1e9)
 
-    @property
-    def torque_on(self) -> bool:
-        """Whether the motor is driven."""
-        return bool(self.get(Register.TORQUE_ENABLE))
-
     # --- physics -------------------------------------------------------------------------------
-
-    @property
-    def goal_rad(self) -> float:
-        """Angle that the servo drives to; where it stands when it may not drive."""
-        if not self.torque_on or self.watchdog_tripped:
-            return self._hold_rad
-        raw = self.get(Register.GOAL_POSITION) - self.get(Register.HOMING_OFFSET)
-        return self.model.angle_rad(raw)
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
         """Take over the plant's state into the present registers, quantised and clipped."""
-        model, offset = self.model, self.get(Register.HOMING_OFFSET)
+        model = self.model
         self._angle_rad = angle_rad
-        pulses = round((angle_rad) / model.rad_per_pulse) + model.zero_pulse + offset
-        self._put_clipped(Register.PRESENT_POSITION, pulses)
-        self._put_clipped(
-            Register.PRESENT_VELOCITY, round(velocity_rad_s / model.velocity_rad_s_per_lsb)
+        raws = (
+            round(angle_rad / model.rad_per_pulse) + model.zero_pulse + self._offset_raw,
+            round(velocity_rad_s / model.velocity_rad_s_per_lsb),
+            round(current_a / model.current_a_per_lsb) if self.torque_on else 0,
         )
-        current = round(current_a / model.current_a_per_lsb) if self.torque_on else 0
-        self._put_clipped(Register.PRESENT_CURRENT, current)
-
-    def _put_clipped(self, register: Register, raw: int) -> None:
-        limit = 1 << (8 * self._table[register].size - 1)
-        self.put(register, max(-limit, min(limit - 1, raw)))
+        for cell, raw in zip(self._present, raws, strict=True):
+            limit = 1 << (8 * cell.size - 1)
+            self._store(cell, max(-limit, min(limit - 1, raw)))
 
     # --- protection ----------------------------------------------------------------------------
 
@@ -174,17 +189,9 @@ class EmulatedServo:
         return ALERT if self.get(Register.HARDWARE_ERROR) else 0
 
     @property
-    def watchdog_tripped(self) -> bool:
-        """Whether the bus watchdog has stopped the servo."""
-        return self.get(Register.BUS_WATCHDOG) < 0
-
-    @property
     def watchdog_due_ns(self) -> int | None:
         """When the bus watchdog will trip unless it is fed; None where it is not armed."""
-        periods = self.get(Register.BUS_WATCHDOG)
-        if periods <= 0 or not self.torque_on:
-            return None
-        return self._fed_ns + periods * round(WATCHDOG_UNIT_S * 1e9)
+        return self._fed_ns + self._watchdog_ns if self._watchdog_ns else None
 
     def trip_watchdog(self) -> None:
         """Stop at the present angle and lock the goals until 0 is written to the watchdog."""

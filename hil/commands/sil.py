@@ -113,7 +113,10 @@ def describe(timing: dict[str, Any], out: Path) -> str:
         f"the {environment['line']} line",
     ]
     if environment["line"] == "virtual":
-        lines.append(f"{environment['speed_up']:.0f} times real time")
+        lines.append(
+            f"{environment['speed_up']:.0f} times real time, "
+            f"{environment['speed_up_by_processor_time']:.0f} times by processor time"
+        )
     else:
         lines += [*_timing_lines(timing), *environment["refused"]]
     if error["n"]:
