@@ -146,12 +146,14 @@ class Objective:
         }
 
     def scale(self, signal: str) -> float:
-        """Error of a signal that counts as one."""
-        if signal in self._scale:
-            return self._scale[signal]
-        model = next(iter(self._models.values()))[0].model
-        units = {v.name: v.unit for v in model.outputs}
-        return SCALE[units.get(signal, "1")]
+        """Error of a signal that counts as one; never less than half of `SCALE`.
+
+        Less would let a signal that does not move (the end effector across a single joint's
+        plane) outweigh all others as soon as it does.
+        """
+        outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
+        default = SCALE[next(v.unit for v in outputs if v.name == signal)]
+        return max(self._scale.get(signal, default), 0.5 * default)
 
     def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
         """Residual and Jacobian of each signal of a trial."""

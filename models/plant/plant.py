@@ -152,7 +152,7 @@ class Plant:
         return COMPOSERS[unit](f"{unit}_{dof}dof", scope, drive, load, effects)
 
     def _effects(self) -> list[Effect]:
-        return [EFFECTS[name]() for name in self.effects]
+        return [effect() for name, effect in EFFECTS.items() if name in self.effects]
 
     def with_values(
         self, values: Mapping[str, float], errors: Mapping[str, float] | None = None

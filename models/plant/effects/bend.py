@@ -1,4 +1,8 @@
-"""How the link resists bending beyond springs: memory, bias and stiffness that varies."""
+"""How the link resists bending beyond springs: bias, stiffness that varies, memory.
+
+Effects of one port act in the order of their classes: the bias before the memory, so that memory
+is of the bend itself, and the coupling last, so that it mixes all torque.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope
+from models.plant.scope import Expr, Scope, substitute
 from models.plant.step import Variable
 
 REFERENCE_RAD: Final = 0.1
@@ -22,7 +26,7 @@ LEAK_TIME_S: Final = 10.0
 
 
 class Prebend(Effect):
-    """The unloaded link is bent: the span's torque vanishes at ψ_0 in place of zero."""
+    """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0)."""
 
     name = "prebend"
     needs = ("bend",)
@@ -33,11 +37,15 @@ class Prebend(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Shift where the span is at ease."""
-        for j in scope.joints:
-            scope.bend_torque["span", j] += (
-                scope.p("prebend_{j}_rad", j) * scope.stiffness["span", j]
-            )
+        """Shift where the span is at ease, in its torque and its stiffness."""
+        planes = [("span", j) for j in scope.joints]
+        shift = [
+            (scope.bend[key], scope.bend[key] - scope.p("prebend_{j}_rad", key[1]))
+            for key in planes
+        ]
+        for key in planes:
+            scope.bend_torque[key] = substitute(scope.bend_torque[key], shift)
+            scope.stiffness[key] = substitute(scope.stiffness[key], shift)
 
 
 class DirectionalStiffness(Effect):
@@ -121,34 +129,6 @@ class PressureLeak(Effect):
             scope.stiffness[key] *= left
 
 
-class CrossAxisCoupling(Effect):
-    """A bend in one plane strains the other too: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
-
-    Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
-    there is no other plane.
-    """
-
-    name = "cross_axis_coupling"
-    needs = ("bend",)
-    shared = (
-        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
-                  description="torque of one plane per other plane's", source="assumed absent"),
-    )  # fmt: skip
-
-    def apply(self, scope: Scope) -> None:
-        """Add the other plane's torque."""
-        own = dict(scope.bend_torque)
-        for hinge, j in own:
-            for other in scope.joints:
-                if other != j:
-                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
-
-
-def _square(scope: Scope, hinge: str) -> Expr:
-    """Square of a hinge's bend over its planes."""
-    return sum(scope.bend[hinge, j] ** 2 for j in scope.joints)
-
-
 class Hysteresis(Effect):
     """Bouc–Wen in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
 
@@ -207,3 +187,31 @@ class Creep(Effect):
             scope.bend_torque[hinge, j] -= (
                 scope.p("creep_share_{j}", j) * scope.stiffness[hinge, j] * (bend - crept)
             )
+
+
+class CrossAxisCoupling(Effect):
+    """A bend in one plane strains the other too: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
+
+    Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
+    there is no other plane.
+    """
+
+    name = "cross_axis_coupling"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
+                  description="torque of one plane per other plane's", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the other plane's torque."""
+        own = dict(scope.bend_torque)
+        for hinge, j in own:
+            for other in scope.joints:
+                if other != j:
+                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+
+
+def _square(scope: Scope, hinge: str) -> Expr:
+    """Square of a hinge's bend over its planes."""
+    return sum(scope.bend[hinge, j] ** 2 for j in scope.joints)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import casadi as ca
 
 from models.plant.effects import Effect
@@ -57,11 +59,11 @@ class LoadOffset(Effect):
 
 
 class AerodynamicDrag(Effect):
-    """Quadratic drag of the air, c |ω| ω on the joint, ω the rate of the load with its bends.
+    """Quadratic drag of the air, c |ω| ω on the joint, with ω = q̇ + Σ s_h φ̇_h.
 
-    On a link it is spread as the square of the distance r from the joint, dF = k r² |ω| ω dr with
-    k (l_0 + L)⁴/4 = c, so that a hinge at r_h is bent by the share
-    1 − 4/3 ρ + ρ⁴/3 of it, ρ = r_h / (l_0 + L)  (FACTS §6: ½ρC_d b ω² L⁴/4).
+    The drag on a link grows with the square of the distance from the joint, so that a hinge at
+    the share ρ of its reach is bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The same
+    shares in ω make its power −c |ω|³: air only ever takes energy (FACTS §6: ½ρC_d b ω² L⁴/4).
     """
 
     name = "aerodynamic_drag"
@@ -73,11 +75,12 @@ class AerodynamicDrag(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Oppose the motion of joint and bends."""
-        rate = dict(scope.rate)
-        for (_, j), bend_rate in scope.bend_rate.items():
-            rate[j] = rate[j] + bend_rate
-        speed = ca.sqrt(sum(r**2 for r in rate.values()) + 1e-12)
         shares = _shares(scope) if scope.bend else {}
+        rate = {
+            j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in shares.items())
+            for j in scope.joints
+        }
+        speed = ca.sqrt(sum(r**2 for r in rate.values()) + STILL_RAD_S**2)
         for j in scope.joints:
             torque = scope.p("aerodynamic_drag_nm") * speed * rate[j]
             scope.joint_torque[j] -= torque
@@ -85,9 +88,13 @@ class AerodynamicDrag(Effect):
                 scope.bend_torque[hinge, j] -= share * torque
 
 
+STILL_RAD_S: Final = 1e-6
+"""Rate below which drag is linear, so that it has a derivative at rest."""
+
+
 def _shares(scope: Scope) -> dict[str, Expr]:
     """Share of the drag's torque about the joint that bends each hinge of the link."""
     offset_m, length_m = scope.p("base_offset_m"), scope.p("link_length_m")
     place_m = {"root": offset_m, "span": offset_m + scope.p("span_position") * length_m}
-    ratios = {hinge: place / (offset_m + length_m) for hinge, place in place_m.items()}
-    return {hinge: 1 - 4 * r / 3 + r**4 / 3 for hinge, r in ratios.items()}
+    reaches = {hinge: place / (offset_m + length_m) for hinge, place in place_m.items()}
+    return {hinge: 1 - 4 * r / 3 + r**4 / 3 for hinge, r in reaches.items()}

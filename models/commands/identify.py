@@ -1,0 +1,59 @@
+"""Fit a plant to trials and write it, with standard errors and held-out errors.
+
+Fitted are the trials with the lowest number at the largest amplitude of each motion; the others
+are held out. A picture of both beside the measurement lies beside OUT.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, Progress, emit
+from models.commands.evaluate import as_text
+from models.plant.identify import identify
+from models.plant.picture import draw
+from models.plant.plant import read_plant
+from models.trials import read_trials
+
+EXAMPLE = "python -m models identify build/trials --plant nominal.toml --out build/plant.json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
+    parser.add_argument("--plant", type=Path, required=True, help="plant to start from")
+    parser.add_argument("--out", type=Path, required=True, help="plant to write (JSON or TOML)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write, draw and print."""
+    plant, trials = read_plant(args.plant), read_trials(args.trials)
+    progress = Progress("identify", 110)
+    found = identify(plant, trials, progress.step)
+    progress.total = progress.done + 1
+    progress.step("done")
+    found.plant.write(args.out)
+    fit, held_out = trials.split()
+    picture = draw(found.plant, held_out if len(held_out) else fit, args.out.with_suffix(".svg"))
+    rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
+    for q in found.fitted:
+        bound = "  at its bound" if q.value in (q.low, q.high) else ""
+        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{bound}")
+    what = (
+        f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
+    )
+    text = "\n".join(
+        [*rows, "", f"errors on {what}", "", as_text(found.held_out), "",
+         f"{args.out}; look at {picture}"]
+    )  # fmt: skip
+    data = {
+        "plant": str(args.out),
+        "picture": str(picture),
+        "parameters": {
+            q.name: {"value": q.value, "error": q.error, "unit": q.unit} for q in found.fitted
+        },
+        "held_out": found.held_out,
+    }
+    emit(args, data, text)
+    return DONE
