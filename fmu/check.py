@@ -27,8 +27,8 @@ from fmu.stepper import Archive, Instance
 from fmu.units import Parts
 
 PAYLOAD_KG: Final = 1.0
-STEPS: Final = 512
-"""Steps of a parity run: the study's two cycles."""
+STEPS: Final = 256
+"""Steps of a parity run: one cycle of the study, both directions."""
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Report:
     parity : dict of str to float
         Largest difference from the interpreted model by output, over fixed and varying steps.
     step_us : dict of str to float
-        Median time of a step in FMPy: "bare", and "with sets and gets" of all inputs and outputs.
+        Median time of a step in FMPy: "bare", and "with_sets_and_gets" of all inputs and outputs.
     """
 
     path: Path
@@ -107,7 +107,7 @@ def check_unit(archive: Archive, parts: Parts | None) -> Report:
         )
         return report
     model = parts.model()
-    u = motion_inputs(parts, Motion(dof=parts.dof), PAYLOAD_KG)[:STEPS]
+    u = motion_inputs(parts, model, Motion(dof=parts.dof), PAYLOAD_KG)[:STEPS]
     report.checks += parity(archive, model, u, report.parity)
     report.checks.append(saved_states(archive, model, u))
     if parts.predictor:

@@ -13,6 +13,7 @@ from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, PERIOD_S, feature_names
 from fmu.units import Parts
 from models.deformation import deformation_index
+from models.plant.simulate import CompiledModel
 from models.plant.simulate import trial_inputs as inputs_from
 from models.plant.step import StepModel, names
 from models.trial import Trial
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 def motion_inputs(
-    parts: Parts, motion: Motion, payload_kg: float, step_s: float = PERIOD_S
+    parts: Parts, model: StepModel, motion: Motion, payload_kg: float, step_s: float = PERIOD_S
 ) -> Array:
     """Inputs of a unit for a motion.
 
@@ -36,14 +37,14 @@ def motion_inputs(
     goal_rad = motion.table_rad(step_s)
     if parts.kind == "predictor":
         return _sweep(goal_rad)
-    assert parts.plant is not None
-    twin = parts.plant.step_model(parts.dof, "twin")
-    goals = {f"goal_{j + 1}_rad": goal_rad[:, j] for j in range(parts.dof)}
-    u = _columns(twin, {**goals, PAYLOAD.name: np.full(len(goal_rad), payload_kg)})
+    columns = {f"goal_{j + 1}_rad": goal_rad[:, j] for j in range(parts.dof)}
+    columns[PAYLOAD.name] = np.full(len(goal_rad), payload_kg)
     if parts.kind == "twin":
-        return u
-    y = twin.simulate(u, step_s)[1:]
-    return _columns(parts.model(), dict(zip(names(twin.outputs), y.T, strict=True)))
+        return _columns(model, columns)
+    assert parts.plant is not None
+    twin = CompiledModel(parts.plant.step_model(parts.dof, "twin"))
+    y = twin.simulate(_columns(twin.model, columns), step_s)[1:]
+    return _columns(model, dict(zip(names(twin.model.outputs), y.T, strict=True)))
 
 
 def trial_inputs(parts: Parts, model: StepModel, trial: Trial) -> Array:

@@ -130,5 +130,5 @@ def step_times_us(archive: Archive, model: StepModel, u: Array) -> dict[str, flo
             instance.get(outputs)
             bare.append(after_ns - before_ns)
             whole.append(time.perf_counter_ns() - start_ns)
-    medians = {"bare": np.median(bare), "with sets and gets": np.median(whole)}
+    medians = {"bare": np.median(bare), "with_sets_and_gets": np.median(whole)}
     return {what: float(ns) / 1e3 for what, ns in medians.items()}

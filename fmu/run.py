@@ -87,7 +87,7 @@ def simulate(
     if isinstance(source, Trial):
         u, step_s = trial_inputs(parts, model, source), source.step_s
     else:
-        u = motion_inputs(parts, replace(source, dof=parts.dof), payload_kg, step_s)
+        u = motion_inputs(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
     # A goal holds over the step that follows it, a measured sample ends the step before it.
     goals = parts.kind == "twin"
     with archive.instance() as instance:

@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple, TypeVar
 
 import casadi as ca
 
+from firmware_py.errors import InputError
 from firmware_py.signals import IN_RANGE, feature_names, tick_signals, tip_names
 from models.onnx_symbolic import predictor_function
 from models.plant.plant import Plant, read_plant
@@ -174,6 +175,12 @@ def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
         ca.MX.sym(name, len(group))
         for name, group in (("x", plant.states), ("u", plant.inputs), ("p", plant.parameters))
     )
+    missing = set(feature_names(dof)) - set(names(plant.outputs))
+    if missing:
+        raise InputError(
+            f"plant of {plant.name}", f"gives no {sorted(missing)[0]}, which the predictor takes",
+            "choose a plant of the link",
+        )  # fmt: skip
     y = plant.output(x, u, p)
     rows = [names(plant.outputs).index(name) for name in feature_names(dof)]
     output = ca.Function("output", [x, u, p], [ca.vertcat(y, _answers(path, y[rows]))])

@@ -13,6 +13,7 @@ from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
 from fmu.build import build_unit
 from models.onnx_power import to_onnx
 from models.plant.plant import read_plant
+from models.plant.simulate import CompiledModel
 from models.plant.step import names
 from models.predictors import GuardedPredictor
 from tests.fmu.toy import pendulum
@@ -52,7 +53,7 @@ def write_bundle(directory, dof):
     plant = read_plant()
     plant.write(directory / "plant.json")
     twin = plant.step_model(dof, "twin")
-    run = twin.simulate(_goals(twin, dof, 300), PERIOD_S)
+    run = CompiledModel(twin).simulate(_goals(twin, dof, 200), PERIOD_S)
     columns = dict(zip(names(twin.outputs), run.T, strict=True))
     features = np.column_stack([columns[name] for name in feature_names(dof)])
     tip_m = np.column_stack([columns[name] for name in tip_names()])

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from firmware_py.bundle import read_manifest
+from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.predictor import OnnxPredictor
 from firmware_py.signals import PERIOD_S, feature_names
+from fmu import units
 from fmu.__main__ import main
 from fmu.drive import motion_inputs
 from fmu.parity import varying_steps_s
 from fmu.stepper import Archive
 from fmu.units import parts_inside, parts_of
+from models.plant.simulate import CompiledModel
 from models.plant.step import names
 
 
@@ -83,7 +86,7 @@ def test_the_units_prediction_is_onnxruntimes(bundle, tmp_path):
     parts = parts_of("twin", dof, bundle)
     path = tmp_path / "twin.fmu"
     assert main(["build", str(bundle), "--out", str(path)]) == 0
-    u = motion_inputs(parts, Motion("multisine", dof=dof), 1.7)[:250]
+    u = motion_inputs(parts, parts.model(), Motion("multisine", dof=dof), 1.7)[:250]
     predictor = OnnxPredictor(bundle / "predictor.onnx", dof)
     outputs = [
         *feature_names(dof), "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
@@ -103,11 +106,11 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
     """Fed with the twin's angle and current it finds the twin's tip: the same link, measured."""
     dof = read_manifest(bundle).dof
     twin = parts_of("twin", dof, bundle)
-    plant = twin.plant.step_model(dof, "twin")
+    plant = CompiledModel(twin.plant.step_model(dof, "twin"))
     payload_kg = 1.0
-    u = motion_inputs(twin, Motion(dof=dof), payload_kg)
+    u = motion_inputs(twin, plant.model, Motion(dof=dof), payload_kg)
     y = plant.simulate(u, PERIOD_S)[1:]
-    columns = dict(zip(names(plant.outputs), y.T, strict=True))
+    columns = dict(zip(names(plant.model.outputs), y.T, strict=True))
     path = tmp_path / "observer.fmu"
     assert main(["build", str(bundle), "--unit", "observer", "--out", str(path)]) == 0
     tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
@@ -120,6 +123,11 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
     distance_m = np.linalg.norm(seen - actual, axis=1)[len(u) // 4 :]
     deflection_m = np.ptp(actual, axis=0).max()
     assert np.sqrt(np.mean(distance_m**2)) < 0.01 * deflection_m
+
+
+def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
+    with pytest.raises(InputError, match="gives no angle_1_rad, which the predictor takes"):
+        units._with_predictor(toy, 1, bundle_1dof / "predictor.onnx")
 
 
 def test_check_notices_another_plant(bundle_1dof, tmp_path, capsys):
