@@ -3,7 +3,8 @@
 ::
 
     bundle_1dof/study.json, manifest.json     python -m models train
-    evaluate_1dof.json                        python -m models evaluate … --json
+    plant.json                                python -m models identify
+    evaluate*.json                            python -m models evaluate … --json
     check_twin_1dof.json                      python -m fmu check … --json
     sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
     trials_phase90/                           python -m models simulate --phase-deg 90
@@ -24,7 +25,6 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.recording import read_recording
 from models.deformation import deformation_index
-from models.kinematics import rigid_tip_m
 from models.trials import TrialSet, read_trial, read_trials
 from models.validation import payload_key
 
@@ -89,15 +89,32 @@ class PhaseRun:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything that was found; dictionaries are by dof."""
+    """Everything that was found.
 
-    directory: Path
+    Attributes
+    ----------
+    studies, manifests : dict
+        By dof.
+    plant : dict or None
+        The identified plant.
+    evaluations : dict
+        Of the plant, by the trials that it was compared with.
+    checks : dict
+        Of units, by their name.
+    loops : list of Loop
+        Runs in real time first.
+    phase_90 : PhaseRun
+        The other 2DOF motion.
+    commands : list of str
+        What made all this.
+    """
+
     studies: dict[int, Json]
     manifests: dict[int, Json]
-    evaluations: dict[int, Json]
+    plant: Json | None
+    evaluations: dict[str, Json]
     checks: dict[str, Json]
     loops: list[Loop]
-    rigid_tip_rms_m: dict[int, float]
     phase_90: PhaseRun
     commands: list[str]
 
@@ -113,12 +130,13 @@ def read_inputs(directory: Path) -> Inputs:
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "run 'make demo' first")
     bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
-    trials = _trials(directory / "trials")
+    path = directory / "plant.json"
+    plant = _read_json(path) if path.is_file() else None
     return Inputs(
-        directory=directory,
         studies=_by_dof({dof: path / "study.json" for dof, path in bundles.items()}),
         manifests=_by_dof({dof: path / "manifest.json" for dof, path in bundles.items()}),
-        evaluations=_by_dof({dof: directory / f"evaluate_{dof}dof.json" for dof in (1, 2)}),
+        plant=plant,
+        evaluations=_evaluations(directory, plant),
         checks={
             path.stem.removeprefix("check_"): _read_json(path)
             for path in sorted(directory.glob("check_*.json"))
@@ -127,7 +145,6 @@ def read_inputs(directory: Path) -> Inputs:
             (_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
             key=lambda loop: not loop.in_real_time,
         ),
-        rigid_tip_rms_m=_rigid_tip_rms_m(trials) if trials else {},
         phase_90=_phase_run(_trials(directory / "trials_phase90")),
         commands=_commands(directory / "commands.log"),
     )
@@ -147,6 +164,16 @@ def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
     return {dof: _read_json(path) for dof, path in paths.items() if path.is_file()}
 
 
+def _evaluations(directory: Path, plant: Json | None) -> dict[str, Json]:
+    """The held-out trials that `identify` compared with, and what `evaluate` did since."""
+    held_out = (plant or {}).get("provenance", {}).get("held_out")
+    found = {"held-out trials": held_out} if held_out else {}
+    for path in sorted(directory.glob("evaluate*.json")):
+        name = path.stem.removeprefix("evaluate").strip("_").replace("_", " ")
+        found[name.replace("20deg", "20° motion") or "trials"] = _read_json(path)
+    return found
+
+
 def _loop(directory: Path) -> Loop:
     timing = _read_json(directory / "timing.json")
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
@@ -164,17 +191,6 @@ def _loop(directory: Path) -> Loop:
 
 def _trials(directory: Path) -> TrialSet | None:
     return read_trials(directory) if any(directory.glob("*.csv")) else None
-
-
-def _rigid_tip_rms_m(trials: TrialSet) -> dict[int, float]:
-    """Tip error of a link that does not bend, over the held-out trials of each dof."""
-    _, held_out = trials.split()
-    squares: dict[int, list[NDArray[np.float64]]] = {}
-    for t in held_out:
-        rigid_m = rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m)
-        square = np.sum((rigid_m - t.tip_m)[t.moving] ** 2, axis=1)
-        squares.setdefault(t.meta.dof, []).append(square)
-    return {dof: float(np.sqrt(np.mean(np.concatenate(s)))) for dof, s in squares.items()}
 
 
 def _phase_run(trials: TrialSet | None) -> PhaseRun:

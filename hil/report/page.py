@@ -91,9 +91,11 @@ def _estimators(inputs: Inputs) -> Section:
 def _plant(inputs: Inputs) -> Section:
     section = Section("plant", "The plant")
     if inputs.evaluations:
-        section.tables = [tables.plant(inputs)]
+        section.tables = [tables.plant(inputs.evaluations)]
     else:
-        section.missing = "python -m models evaluate build/trials --json > build/evaluate_1dof.json"
+        section.missing = "python -m models evaluate"
+    if inputs.plant and (fitted := tables.parameters(inputs.plant)):
+        section.tables.append(fitted)
     return section
 
 
@@ -147,8 +149,10 @@ def _findings(studies: dict[int, Json]) -> list[dict[str, Any]]:
         for finding in study["findings"]:
             claim = claims.setdefault(
                 finding["claim"],
-                {"claim": finding["claim"], "depends_on": finding["depends_on"], "verdicts": {}},
+                {"claim": finding["claim"], "depends_on": [], "verdicts": {}},
             )
+            if finding["depends_on"] not in claim["depends_on"]:
+                claim["depends_on"].append(finding["depends_on"])
             said = (finding["holds"], finding["text"].replace("trial_2", "trial 2"))
             claim["verdicts"].setdefault(said, []).append(f"{dof}DOF")
     return list(claims.values())

@@ -54,14 +54,18 @@ def at_a_glance(inputs: Inputs) -> Table:
     dofs = (1, 2)
     rows = []
     limits = "\u00a0/\u00a0".join(f"{MM * TIP_RMS_LIMIT_M[dof]:.0f}" for dof in dofs)
-    rms = {dof: inputs.evaluations.get(dof, {}).get("tip_rms_m") for dof in dofs}
-    rows.append(
-        _row(
-            "Identified plant, tip error RMS", f"≤\u00a0{limits}\u00a0mm",
-            *(_judged(_times(rms[dof], MM), MM * TIP_RMS_LIMIT_M[dof], "{:.1f}\u00a0mm")
-              for dof in dofs),
+    for title in inputs.evaluations or ("trials",):
+        errors = [_tip_mm(inputs, title, dof) for dof in dofs]
+        rows.append(
+            _row(
+                f"Identified plant, tip error RMS, {title}",
+                f"≤\u00a0{limits}\u00a0mm",
+                *(
+                    _judged(error, MM * TIP_RMS_LIMIT_M[dof], "{:.1f}\u00a0mm")
+                    for dof, error in zip(dofs, errors, strict=True)
+                ),
+            )
         )
-    )  # fmt: skip
     for test, limit in BENEFIT_LIMIT.items():
         shares = [_benefit(inputs.studies.get(dof), test) for dof in dofs]
         rows.append(
@@ -97,8 +101,9 @@ def at_a_glance(inputs: Inputs) -> Table:
     return Table("", ["", "target", "1DOF", "2DOF"], rows)
 
 
-def _times(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor
+def _tip_mm(inputs: Inputs, title: str, dof: int) -> float | None:
+    part = inputs.evaluations.get(title, {}).get("dof", {}).get(str(dof), {})
+    return None if part.get("tip_rms_m") is None else MM * part["tip_rms_m"]
 
 
 def _benefit(study: Json | None, test: str) -> float | None:
@@ -168,38 +173,61 @@ def estimators(studies: dict[int, Json]) -> Table:
     )  # fmt: skip
 
 
-def plant(inputs: Inputs) -> Table:
+def plant(evaluations: dict[str, Json]) -> Table:
     """Errors of the identified plant by signal, with rigid kinematics for scale."""
-    dofs = sorted(inputs.evaluations)
-    names = list(dict.fromkeys(n for d in dofs for n in inputs.evaluations[d]["signals"]))
-    rows = []
-    for name in names:
-        cells: list[str | Cell] = []
-        for dof in dofs:
-            error = inputs.evaluations[dof]["signals"].get(name)
-            cells += (
-                [f"{error[k]:.3g} {_unit(error['unit'])}" for k in ("rms", "mae")]
-                if error else [NO_VALUE] * 2
-            )  # fmt: skip
-        rows.append(_row(name, *cells))
-    for label, values in (
-        ("tip, all axes", {d: inputs.evaluations[d]["tip_rms_m"] for d in dofs}),
-        ("the same by rigid kinematics", inputs.rigid_tip_rms_m),
-    ):
-        cells = []
-        for dof in dofs:
-            cells += [f"{MM * values[dof]:.1f} mm" if dof in values else NO_VALUE, NO_VALUE]
-        rows.append(_row(label, *cells))
-    header = [""] + [f"{dof}DOF {what}" for dof in dofs for what in ("RMS", "mean abs.")]
+    parts = {
+        f"{title}, {dof}DOF": part
+        for title, evaluation in evaluations.items()
+        for dof, part in evaluation["dof"].items()
+    }
+    names = list(dict.fromkeys(name for part in parts.values() for name in part["signals"]))
+    rows = [
+        _row(name, *(_error(part["signals"].get(name)) for part in parts.values()))
+        for name in names
+    ]
+    payloads = list(dict.fromkeys(kg for part in parts.values() for kg in part["payloads"]))
+    rows.append(_row("tip, all axes", *map(_beside_rigid, parts.values())))
+    payloads = list(dict.fromkeys(kg for part in parts.values() for kg in part["payloads"]))
+    for kg in payloads:
+        of_payload = [part["payloads"].get(kg, {}) for part in parts.values()]
+        rows.append(_row(f"tip at {kg} kg", *map(_beside_rigid, of_payload)))
     return Table(
-        "Identified plant against trials", header, rows,
-        "Rigid kinematics: the end effector of a link that does not bend, at the measured angles, "
-        "on the held-out trials.",
-    )  # fmt: skip
+        "Identified plant against trials that it was not fitted to",
+        ["", *parts],
+        rows,
+        "Signals: RMS error, in brackets the mean absolute error. Tip: RMS error, in brackets that "
+        "of rigid kinematics, a link that does not bend at the measured angles.",
+    )
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else unit
+def _error(error: Json | None) -> str:
+    if error is None:
+        return NO_VALUE
+    unit = "" if error["unit"] == "1" else f"\u00a0{error['unit']}"
+    return f"{error['rms']:.2g}{unit} ({error['mae']:.2g})"
+
+
+def _beside_rigid(part: Json) -> str:
+    if part.get("tip_rms_m") is None:
+        return NO_VALUE
+    return f"{MM * part['tip_rms_m']:.1f}\u00a0mm ({MM * part['rigid_tip_rms_m']:.1f})"
+
+
+def parameters(plant: Json) -> Table | None:
+    """What the trials determined, with standard errors; None where nothing was fitted."""
+    fitted = plant.get("provenance", {}).get("fitted_parameters", [])
+    rows = [
+        _row(
+            name,
+            f"{row['value']:.4g}",
+            NO_VALUE if row.get("error") is None else f"{row['error']:.2g}",
+            "" if row["unit"] == "1" else row["unit"],
+        )
+        for name in fitted
+        if (row := plant["parameters"].get(name))
+    ]
+    header = ["", "value", "standard error", "unit"]
+    return Table("Identified parameters", header, rows) if rows else None
 
 
 def unit_checks(checks: dict[str, Json]) -> list[Table]:

@@ -1,0 +1,264 @@
+import json
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from hil.__main__ import main
+from hil.report.inputs import Loop, read_inputs
+from hil.report.loop_figures import loop_figures
+from hil.report.page import render
+from hil.report.tables import at_a_glance, verdict
+from hil.verify import judge
+from models.deformation import deformation_index
+
+
+class Page(HTMLParser):
+    """Tags, attributes and visible text of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.words, self._hidden = [], [], 0
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._hidden += tag == "style"
+
+    def handle_endtag(self, tag):
+        self._hidden -= tag == "style"
+
+    def handle_data(self, data):
+        if not self._hidden:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+
+@pytest.fixture(scope="session")
+def html(page):
+    return page.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def copy(build, tmp_path):
+    """The build directory, free to be damaged."""
+    return shutil.copytree(build, tmp_path / "build", ignore=shutil.ignore_patterns("*.html"))
+
+
+def test_the_page_needs_nothing_but_itself(page, html):
+    assert page.stat().st_size < 2_000_000
+    for tag, attributes in Page(html).tags:
+        assert tag not in ("script", "iframe", "object", "img")
+        for name in ("src", "href", "xlink:href", "action", "srcset"):
+            assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
+    assert not re.search(r"@import|url\((?!#)", html)
+
+
+def test_every_reference_has_one_target(html):
+    tags = Page(html).tags
+    ids = [a["id"] for _, a in tags if "id" in a]
+    assert len(ids) == len(set(ids))
+    wanted = {v[1:] for _, a in tags for n, v in a.items() if n.endswith("href") and v[0] == "#"}
+    wanted |= set(re.findall(r"url\(#([^)]+)\)", html))
+    assert wanted and wanted <= set(ids)
+
+
+def test_every_drawing_is_sound_described_and_scales(html):
+    drawings = re.findall(r'<div role="img" aria-label="([^"]+)">(<svg.*?</svg>)', html, re.DOTALL)
+    assert len(drawings) == html.count("<figure>") > 20
+    for description, svg in drawings:
+        assert len(description) > 40
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib and "width" not in root.attrib
+        assert "font-family" not in svg
+        assert "nan" not in description.lower()
+
+
+def test_all_the_papers_figures_are_there(html):
+    text = Page(html).text
+    for number in ("7", "8", "9 and 10", "11", "12 and 13", "14", "15"):
+        assert f"paper, Fig. {number} " in text
+    for word in ("1DOF, trial 2", "2DOF, unseen 20° motion", "joint 2 ahead by 90°"):
+        assert word in text
+
+
+def test_the_tables_hold_the_inputs_figures(build, html):
+    text = Page(html).text.replace("\u00a0", " ")
+    study = json.loads((build / "bundle_2dof" / "study.json").read_text())
+    degree = str(study["chosen_degree"])
+    table = study["mean_euclidean_distance_m"]["unseen_20deg"]["pooled"]
+    figures = [f"{1e3 * table[v][degree]:.1f}" for v in ("without_di", "estimated_di", "with_di")]
+    assert f"2DOF, unseen 20° motion {degree}" in text and " ".join(figures) in text
+    check = json.loads((build / "check_twin_1dof.json").read_text())
+    assert all(c["detail"] in text for c in check["checks"])
+    for finding in study["findings"]:
+        assert finding["claim"] in text and finding["depends_on"] in text
+
+
+def test_mean_di_of_the_other_phase_is_taken_from_its_trials(build, toy_trials):
+    training, _ = toy_trials(2).split()
+    found = read_inputs(build).phase_90.mean_di
+    assert list(found) == ["0", "1", "2"]
+    for trial in training:
+        expected = np.nanmean(deformation_index(trial)[trial.moving])
+        assert found[f"{trial.meta.payload_kg:g}"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_commands_stand_once_in_the_order_of_their_last_run(build, html):
+    lines = (build / "commands.log").read_text().splitlines()
+    listed = re.findall(r"<li><code>(.*?)</code>", html)
+    assert listed == lines[1:]
+
+
+def test_the_same_inputs_give_the_same_page(build, html):
+    again = render(read_inputs(build))
+    one, two = (re.sub(r"Made .*? UTC", "", text) for text in (html, again))
+    assert one == two
+
+
+def test_text_from_files_is_text(copy):
+    path = copy / "bundle_2dof" / "study.json"
+    study = json.loads(path.read_text())
+    study["findings"][0]["text"] = "<script>alert(1)</script> & more"
+    path.write_text(json.dumps(study))
+    (copy / "commands.log").write_text("python -m hil report --out '<b>'\n")
+    html = render(read_inputs(copy))
+    assert "<script>" not in html and "&lt;script&gt;" in html and "&lt;b&gt;" in html
+
+
+@pytest.mark.parametrize(
+    ("missing", "rest"),
+    [
+        (
+            {"bundle_1dof": "python -m models train", "bundle_2dof": "python -m models train",
+             "commands.log": "make demo"},
+            "twin_1dof",
+        ),
+        (
+            {"evaluate_unseen_20deg.json": "python -m models evaluate",
+             "check_twin_1dof.json": "python -m fmu check", "sil_1dof": "python -m hil sil"},
+            "Paths of the end",
+        ),
+    ],
+)  # fmt: skip
+def test_a_section_without_inputs_says_what_makes_them(copy, missing, rest):
+    for name in missing:
+        path = copy / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    text = Page(render(read_inputs(copy))).text
+    for command in missing.values():
+        assert re.search(rf"Left out: [^;]*; {re.escape(command)}", text)
+    assert rest in text
+
+
+def test_one_dof_alone_is_enough(copy):
+    shutil.rmtree(copy / "bundle_2dof")
+    shutil.rmtree(copy / "trials_phase90")
+    text = Page(render(read_inputs(copy))).text
+    assert "1DOF, trial 2" in text and "2DOF, trial 2" not in text
+
+
+def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
+    assert main(["report", "--build", str(tmp_path), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    text = Page((tmp_path / "report.html").read_text()).text
+    assert result["bytes"] == (tmp_path / "report.html").stat().st_size
+    assert text.count("Left out") == 7
+
+
+@pytest.mark.parametrize("damage", ["{", "[1]", "\xff\xfe"])
+def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
+    (copy / "check_twin_1dof.json").write_bytes(damage.encode("latin-1"))
+    assert main(["report", "--build", str(copy)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "check_twin_1dof.json" in err and "make it again" in err
+    assert main(["report", "--build", str(copy / "none")]) == 2
+
+
+def row_of(table, words):
+    (row,) = [r for r in table.rows if words in r[0].text]
+    return row
+
+
+@pytest.mark.parametrize(("share", "met"), [(0.91, True), (0.9, True), (0.89, False)])
+def test_the_glance_judges_shares_against_their_target(build, share, met):
+    inputs = read_inputs(build)
+    observer = inputs.studies[1]["estimators"]["trial_2"]["observer"]
+    observer["benefit_recovered"]["3"] = share
+    cell = row_of(at_a_glance(inputs), "degree 3, trial 2")[2]
+    assert (cell.text, cell.met) == (f"{share:.0%}".replace("%", "\u00a0%"), met)
+
+
+@pytest.mark.parametrize(("rms_m", "met"), [(0.0059, True), (0.0061, False)])
+def test_the_glance_judges_errors_against_their_target(build, rms_m, met):
+    inputs = read_inputs(build)
+    inputs.evaluations["unseen 20° motion"]["dof"]["1"]["tip_rms_m"] = rms_m
+    assert row_of(at_a_glance(inputs), "tip error RMS")[2].met is met
+
+
+def test_what_was_not_measured_is_not_judged(tmp_path):
+    table = at_a_glance(read_inputs(tmp_path))
+    assert len(table.rows) >= 6
+    assert all(cell.met is None for row in table.rows for cell in row[2:])
+
+
+def test_simulated_time_makes_no_claim_about_cost(build, html):
+    inputs = read_inputs(build)
+    (loop,) = inputs.loops
+    assert (loop.dof, loop.line, loop.in_real_time) == (1, "virtual", False)
+    assert [c.met for c in row_of(at_a_glance(inputs), "own cost")[2:]] == [None, None]
+    assert "Where the time goes" not in html
+    (figure,) = loop_figures(loop)
+    assert figure.title == "What the robot predicted"
+
+
+def test_prediction_and_plant_are_compared_tick_by_tick(build):
+    (loop,) = read_inputs(build).loops
+    predicted_m = np.column_stack([loop.ticks[f"predicted_tip_{axis}_m"] for axis in "xyz"])
+    distance_m = np.linalg.norm(predicted_m - loop.true_tip_m, axis=1)
+    error = loop.timing["prediction_error"]
+    assert error["n"] == len(distance_m)
+    assert distance_m.mean() == pytest.approx(error["mean_euclidean_distance_m"], rel=1e-9)
+    assert distance_m.max() == pytest.approx(error["max_m"], rel=1e-9)
+
+
+@pytest.fixture
+def slow_run(build):
+    """The same run as if in real time, with one slow tick of our own doing among many."""
+    (loop,) = read_inputs(build).loops
+    ticks = {name: column.copy() for name, column in loop.ticks.items()}
+    ticks["busy_ns"][:] = 2_000_000
+    ticks["bus_wait_ns"][:] = 1_400_000
+    ticks["lateness_ns"][:] = 50_000
+    ticks["busy_ns"][100] = 19_000_000
+    dtype = [(name, np.float64 if "_ns" not in name else np.int64) for name in ticks]
+    records = np.empty(len(ticks["tick"]), dtype)
+    for name, column in ticks.items():
+        records[name] = column
+    timing = judge(records, 0.017, environment={"line": "socket"})
+    return Loop("sil", timing, ticks, loop.true_tip_m)
+
+
+def test_one_slow_tick_among_many_is_seen(slow_run):
+    timing, _ = loop_figures(slow_run)
+    timeline, histogram = timing.panels
+    assert "19.05 ms at most" in timeline.alt and "1 ticks cross the line at 17 ms" in timeline.alt
+    assert timeline.svg.count("<use") > 0  # its mark
+    assert "99 % of the whole ticks last at most 2.05 ms" in histogram.alt
+    assert any(label == "period, 17 ms" for _, label, _ in timing.legend)
+
+
+def test_misses_of_our_own_doing_are_said_and_judged(build, slow_run):
+    inputs = replace(read_inputs(build), loops=[slow_run])
+    first, *_ = verdict(slow_run)
+    assert first.startswith("Verdict: fail; 1 of ") and "1 own compute" in first
+    table = at_a_glance(inputs)
+    assert row_of(table, "missed by our own doing")[2].met is False
+    assert row_of(table, "own cost")[2].met is True  # p99 of 0.6 ms
