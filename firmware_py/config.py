@@ -11,15 +11,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.bus import ServoSetup, exchange_time_s
 from firmware_py.clock import RealTimeOptions
+from firmware_py.dynamixel import ServoSetup, exchange_time_s
 from firmware_py.errors import InputError
 from firmware_py.loop import RESERVE_NS
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
-from firmware_py.port import BAUD_RATES
 from firmware_py.registers import RETURN_DELAY_UNIT_S, model_named
 from firmware_py.safety import Limits, check_motion
 from firmware_py.signals import PERIOD_S
+from firmware_py.wire import BAUD_RATES
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1

@@ -18,11 +18,9 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from enum import Enum
 from itertools import chain
 from types import FrameType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +33,7 @@ from firmware_py.predictor import Predictor
 from firmware_py.records import TickRing
 from firmware_py.safety import SafetySupervisor, State
 from firmware_py.signals import PERIOD_S
+from firmware_py.summary import Ended, RunSummary
 from firmware_py.telemetry import NoTelemetry, Telemetry
 from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
 
@@ -44,63 +43,6 @@ RESERVE_NS: Final = 2_000_000
 """Part of a slot that the wait for the servos leaves to the rest of the tick."""
 
 _START_DELAY_NS: Final = 2_000_000
-
-
-class Ended(Enum):
-    """How a run ended."""
-
-    FINISHED = "finished"
-    """The motion, or the time asked for, was over."""
-    SIGNALLED = "signalled"
-    """SIGINT or SIGTERM came; the robot was brought to a controlled stop."""
-    TRIPPED = "tripped"
-    """The safety supervisor stopped the robot."""
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """What a run was.
-
-    Attributes
-    ----------
-    ended : Ended
-        How it ended.
-    reason : str
-        One sentence.
-    ticks : int
-        Ticks that ran.
-    bus_faults : dict of str to int
-        Ticks by status of the bus, good ones left out.
-    out_of_range : int
-        Ticks in which the predictor's inputs lay outside its training range.
-    timing : Timing
-        Histograms, misses and their causes.
-    records : ndarray of tick_dtype, shape (n,)
-        The last ticks, oldest first, as many as were asked to be kept.
-    telemetry_drops : int
-        Ticks that the recorder did not get.
-    """
-
-    ended: Ended
-    reason: str
-    ticks: int
-    bus_faults: dict[str, int]
-    out_of_range: int
-    timing: Timing
-    records: NDArray[np.void]
-    telemetry_drops: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything but the records, for JSON."""
-        return {
-            "ended": self.ended.value,
-            "reason": self.reason,
-            "ticks": self.ticks,
-            "bus_faults": self.bus_faults,
-            "out_of_range": self.out_of_range,
-            "telemetry_drops": self.telemetry_drops,
-            "timing": self.timing.summary(),
-        }
 
 
 class ControlLoop:

@@ -21,7 +21,7 @@ _MEMORY_BYTES: Final = 1024
 
 
 class LoopbackWire:
-    """A `firmware_py.port.Wire` with servos at its end.
+    """A `firmware_py.wire.Wire` with servos at its end.
 
     Parameters
     ----------

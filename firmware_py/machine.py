@@ -55,9 +55,9 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def examine(root: Path = Path("/"), may_be_real_time: Callable[[], bool] | None = None) -> list[
-    Finding
-]:  # fmt: skip
+def examine(
+    root: Path = Path("/"), may_be_real_time: Callable[[], bool] | None = None
+) -> list[Finding]:
     """Look at everything that matters.
 
     Parameters

@@ -12,11 +12,11 @@ import msgspec
 
 from firmware_py import __version__
 from firmware_py.bundle import MANIFEST, ModelBundle, sha256_of
-from firmware_py.bus import DynamixelBus
 from firmware_py.clock import Clock
 from firmware_py.config import RobotConfig
+from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
-from firmware_py.port import open_wire
+from firmware_py.wire import open_wire
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:

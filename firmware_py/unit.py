@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import platform
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -25,6 +26,12 @@ Array = NDArray[np.float64]
 _MACHINES: Final = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 _SYSTEMS: Final = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
 _LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+_FUNCTIONS: Final = (
+    "fmi3InstantiateCoSimulation", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode",
+    "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
+    "fmi3FreeInstance",
+)  # fmt: skip
+"""What is called of the standard."""
 _FMI_WARNING: Final = 1
 """Above this status a call has failed."""
 
@@ -95,12 +102,10 @@ class FmiUnit:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        root, library = _open(self.path)
-        self.variables = {v.name: v for v in _variables(root)}
+        root, self.variables, self._library = _open(self.path)
         self.time_s = 0.0
         self._message = ""
         self._log = _LOG(self._take_message)
-        self._library = library
         self._instance = self._instantiate(root.get("instantiationToken", ""))
         self._flags = tuple(ctypes.byref(ctypes.c_bool()) for _ in range(3))
         self._reached_s = ctypes.c_double()
@@ -214,8 +219,8 @@ class FmiUnit:
         self.close()
 
 
-def _open(path: Path) -> tuple[ET.Element, ctypes.PyDLL]:
-    """Read the description and load the binary for this machine."""
+def _open(path: Path) -> tuple[ET.Element, dict[str, UnitVariable], ctypes.PyDLL]:
+    """Read the description and its variables, and load the binary for this machine."""
     remedy = "build it again with 'python -m fmu build' or copy it again"
     try:
         with zipfile.ZipFile(path) as archive:
@@ -224,11 +229,13 @@ def _open(path: Path) -> tuple[ET.Element, ctypes.PyDLL]:
             if astray:
                 raise InputError(path, f"holds a file outside itself ({astray[0]})", remedy)
             root = ET.fromstring(archive.read("modelDescription.xml"))
+            variables = {v.name: v for v in _variables(root)}
             name = _binary(path, root, names)
             binary = archive.read(name)
     except FileNotFoundError:
         raise InputError(path, "is missing", remedy) from None
-    except (zipfile.BadZipFile, KeyError, ET.ParseError, OSError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
+            ValueError, RuntimeError) as error:  # fmt: skip
         raise InputError(path, f"is no FMI unit ({error})", remedy) from None
     with TemporaryDirectory(prefix="dropstitch-unit-") as private:
         library = Path(private) / PurePosixPath(name).name
@@ -236,12 +243,16 @@ def _open(path: Path) -> tuple[ET.Element, ctypes.PyDLL]:
         try:
             # PyDLL keeps the interpreter's lock: a step takes microseconds, and giving the lock
             # away could cost the loop's thread a switch interval to get it back.
-            return root, ctypes.PyDLL(str(library))  # stays mapped when the file is gone
+            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is gone
         except OSError as error:
             raise InputError(
                 path, f"its binary does not load ({error})",
                 "set TMPDIR to a directory from which programs may run, or build the unit again",
             ) from None  # fmt: skip
+    absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
+    if absent:
+        raise InputError(path, f"its binary lacks {absent[0]}", remedy)
+    return root, variables, loaded
 
 
 def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:

@@ -180,7 +180,7 @@ class Emulator:
     Attributes
     ----------
     name : str
-        Port name for `firmware_py.port.open_wire`.
+        Port name for `firmware_py.wire.open_wire`.
     pid : int
         Process.
     """

@@ -119,7 +119,7 @@ def _byte_ns(baud: int) -> int:
 
 
 class VirtualWire:
-    """A wire in memory on a simulated clock (see `firmware_py.port.Wire`).
+    """A wire in memory on a simulated clock (see `firmware_py.wire.Wire`).
 
     Parameters
     ----------

@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,20 +26,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bundle import ModelBundle
-from firmware_py.bus import DynamixelBus, ServoBus
+from firmware_py.bus import ServoBus
 from firmware_py.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
-from firmware_py.loop import ControlLoop, RunSummary
+from firmware_py.loop import ControlLoop
 from firmware_py.recorder import recording
 from firmware_py.registers import Model
 from firmware_py.robot import log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
+from firmware_py.summary import RunSummary
 from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.timing import Counters, KernelCounters, NoCounters
 from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
-from hil.host import Probe, Releases, Watch, cpu_load, environment, processors
+from hil.host import Probe, Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.line import VirtualWire
 from hil.physics import build_twin
 
@@ -247,7 +248,7 @@ def _run_in_real_time(
     loop_cpu, other_cpus = processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
-    with _kept_to(other_cpus), contextlib.ExitStack() as stack:
+    with kept_to(other_cpus), contextlib.ExitStack() as stack:
         emulator = Emulator(specification, kind, scratch, line_cpu)
         config = robot_config(options, emulator.name, loop_cpu)
         telemetry = stack.enter_context(_recording(options, config))
@@ -266,10 +267,10 @@ def _run_in_real_time(
             start_s = time.perf_counter()
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
-            scheduler = _scheduler()
+            policy = scheduler()
         seen, seen_line = (probe.stop() for probe in probes)
         facts = {
-            "scheduler": scheduler,
+            "scheduler": policy,
             "refused": refused,
             "loop_processor": loop_cpu,
             "line_processor": line_cpu,
@@ -304,23 +305,6 @@ def _recording(options: Options, config: RobotConfig) -> Iterator[SocketTelemetr
     path = options.out / LOG_NAME
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry
-
-
-@contextlib.contextmanager
-def _kept_to(cpus: set[int]) -> Iterator[None]:
-    """Keep this process, and all that it starts, to some processors."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cpus)
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def _scheduler() -> str:
-    names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
-    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-    return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
 
 
 def _line_facts(options: Options) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from firmware_py.bundle import ModelBundle
-from firmware_py.bus import DynamixelBus, ServoSetup
 from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.estimator import DeformationEstimator, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire

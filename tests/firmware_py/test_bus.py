@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from firmware_py.bus import BusStatus, DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.bus import BusStatus
 from firmware_py.clock import SimClock
+from firmware_py.dynamixel import DynamixelBus, ServoSetup, exchange_time_s
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
 from firmware_py.registers import MODELS, Register, model_named

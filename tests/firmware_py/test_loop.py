@@ -9,17 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.bus import BusStatus, DynamixelBus, ServoSetup
+from firmware_py.bus import BusStatus
 from firmware_py.clock import SimClock
+from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.estimator import Estimate, NoEstimator
-from firmware_py.loop import ControlLoop, Ended
+from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
 from firmware_py.predictor import Prediction
 from firmware_py.registers import MODELS, Register
 from firmware_py.safety import Limits, SafetySupervisor, State
 from firmware_py.signals import STAGES, tick_dtype
+from firmware_py.summary import Ended
 from firmware_py.timing import Cause
 
 PERIOD_NS = 17_000_000

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from firmware_py.clock import DeadlineClock, SimClock
 from firmware_py.errors import InputError
-from firmware_py.port import DeadlinePort, PacketHandler, open_wire
+from firmware_py.port import DeadlinePort, PacketHandler
+from firmware_py.wire import open_wire
 
 tricky = st.lists(st.sampled_from([0x00, 0x55, 0xFC, 0xFD, 0xFE, 0xFF]), max_size=40)
 

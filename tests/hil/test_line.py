@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.bus import BusStatus, DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.bus import BusStatus
 from firmware_py.clock import DeadlineClock, SimClock
-from firmware_py.port import SocketWire
+from firmware_py.dynamixel import DynamixelBus, ServoSetup, exchange_time_s
 from firmware_py.registers import MODELS
+from firmware_py.wire import SocketWire
 from hil import packets
 from hil.faults import FaultPlan, parse_rates
 from hil.line import USB_PACKET_BYTES, Line, VirtualWire, pty_endpoint, serve, socket_endpoint

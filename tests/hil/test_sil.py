@@ -15,11 +15,11 @@ from firmware_py.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.config import MotionConfig
 from firmware_py.errors import InputError
 from firmware_py.estimator import NoEstimator
-from firmware_py.loop import Ended
 from firmware_py.predictor import Prediction
 from firmware_py.recording import read_recording
 from firmware_py.registers import MODELS
 from firmware_py.signals import tick_dtype
+from firmware_py.summary import Ended
 from fmu.build import build_unit
 from hil import outcome, sil
 from hil.commands.sil import describe, write_results
