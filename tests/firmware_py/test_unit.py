@@ -140,6 +140,11 @@ def _no_elf(files):
     files[next(n for n in files if n.endswith(".so"))] = b"no library"
 
 
+def _lacking(files):
+    name = next(n for n in files if n.endswith(".so"))
+    files[name] = files[name].replace(b"fmi3DoStep\0", b"fmi3DoStop\0")
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -149,7 +154,9 @@ def _no_elf(files):
         (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMI unit"),
         (lambda files: files.pop("modelDescription.xml"), "is no FMI unit"),
         (lambda files: files.update({"../../evil.so": b""}), "outside itself"),
+        (_edit(b'valueReference="1"', b'valueReference="one"'), "is no FMI unit"),
         (_no_elf, "does not load"),
+        (_lacking, "lacks fmi3DoStep"),
     ],
 )
 def test_a_damaged_unit_is_refused(path, tmp_path, change, sentence):
@@ -163,6 +170,17 @@ def test_a_missing_file_and_a_truncated_one_are_refused(path, tmp_path):
     (tmp_path / "half.fmu").write_bytes(path.read_bytes()[:4000])
     with pytest.raises(InputError, match="is no FMI unit"):
         FmiUnit(tmp_path / "half.fmu")
+
+
+def test_a_flipped_byte_is_refused(path, tmp_path):
+    """In the compressed description, so that it is found on reading and not by luck."""
+    with zipfile.ZipFile(path) as archive:
+        entry = archive.getinfo("modelDescription.xml")
+    data = bytearray(path.read_bytes())
+    data[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF
+    (tmp_path / "flipped.fmu").write_bytes(data)
+    with pytest.raises(InputError, match="is no FMI unit"):
+        FmiUnit(tmp_path / "flipped.fmu")
 
 
 def test_a_machine_without_a_binary_is_named(path, monkeypatch):

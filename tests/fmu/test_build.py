@@ -77,6 +77,21 @@ def test_golden_ticks_are_the_plants(completed, bundle):
     assert np.ptp(golden.di) > 1e-4
 
 
+def test_a_sample_that_is_no_number_is_answered_with_nan_and_not_taken(completed):
+    loaded = ModelBundle.load(completed)
+    golden = read_golden(completed / "golden.npz", loaded.manifest.dof)
+    samples = list(zip(golden.angle_rad, golden.current_a, strict=True))
+    estimator = loaded.estimator
+
+    def follow():
+        return [estimator.update(*sample, golden.step_s).di for sample in samples[10:20]]
+
+    for angle_rad, current_a in samples[:10]:
+        estimator.update(angle_rad, current_a, golden.step_s)
+    assert np.isnan(estimator.update(samples[10][0], np.nan * current_a, golden.step_s).di)
+    np.testing.assert_array_equal(follow(), golden.di[10:20])
+
+
 def test_a_swapped_observer_is_refused_by_its_golden_ticks(completed, tmp_path):
     """A unit of another plant, its hash put right in the manifest: the replay sees it."""
     from firmware_py.bundle import write_manifest
