@@ -1,0 +1,346 @@
+"""Dynamixel servos on one bus, through the official SDK.
+
+The zeros that the SDK's group reader returns for a missing reply never appear here: replies are
+taken one by one, which also keeps the alert bit that it drops (FACTS §1).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
+from numpy.typing import NDArray
+
+from firmware_py.bus import BusStatus
+from firmware_py.clock import Clock
+from firmware_py.errors import InputError
+from firmware_py.port import DeadlinePort, PacketHandler
+from firmware_py.registers import (
+    MODELS,
+    POSITION_MODE,
+    RETURN_DELAY_UNIT_S,
+    WATCHDOG_UNIT_S,
+    Model,
+    Register,
+    describe_hardware_error,
+    round_half_away,
+)
+from firmware_py.wire import Wire
+
+Array = NDArray[np.float64]
+
+SETUP_TIMEOUT_NS: Final = 50_000_000
+"""How long one reply may take outside the loop."""
+
+STATUS_OVERHEAD: Final = 11
+"""Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
+
+_ERROR, _DATA = 8, 9
+_ALERT_BIT, _ERROR_NUMBER = 0x80, 0x7F
+_SETUP_ATTEMPTS: Final = 3
+_WATCHDOG_PERIODS: Final = 3
+
+
+class ServoSetup(NamedTuple):
+    """What the configuration says about one servo.
+
+    Attributes
+    ----------
+    id : int
+        On the bus.
+    model : Model
+        Expected there.
+    min_angle_rad, max_angle_rad : float
+        Range that goals will use; the servo's own limits must contain it.
+    """
+
+    id: int
+    model: Model
+    min_angle_rad: float
+    max_angle_rad: float
+
+
+class DynamixelBus:
+    """Servos of one control table on one bus, spoken to with the official SDK.
+
+    Parameters
+    ----------
+    wire : Wire
+        See `firmware_py.wire.open_wire`.
+    servos : sequence of ServoSetup
+        One per joint, in joint order.
+    clock : Clock
+        What deadlines are measured by.
+    period_s : float
+        Control period; the servo's own watchdog is set to at least three of it.
+    return_delay_s : float, optional
+        Written to every servo that has another one. None leaves it alone.
+    name : str
+        What messages call the port.
+    baud : int
+        Bits per second of the wire.
+    """
+
+    def __init__(
+        self,
+        wire: Wire,
+        servos: Sequence[ServoSetup],
+        clock: Clock,
+        *,
+        period_s: float,
+        return_delay_s: float | None = None,
+        name: str = "bus",
+        baud: int = 1_000_000,
+    ) -> None:
+        tables = {servo.model.table.name for servo in servos}
+        if len(tables) > 1:
+            raise InputError(
+                name, f"servos of different control tables ({', '.join(sorted(tables))}) share it",
+                "use one family per bus: one synchronous read needs one address",
+            )  # fmt: skip
+        self.dof = len(servos)
+        self.angle_rad = np.zeros(self.dof)
+        self.current_a = np.zeros(self.dof)
+        self.alert = 0
+        self.firmware_versions: tuple[int, ...] = ()
+        self._servos, self._name, self._clock = tuple(servos), name, clock
+        self._period_s, self._return_delay_s = period_s, return_delay_s
+        self._port = DeadlinePort(wire, clock, name, baud)
+        self._packets = PacketHandler()
+        self._ids = [servo.id for servo in servos]
+        self._joint_of = {servo.id: j for j, servo in enumerate(servos)}
+        self._table = servos[0].model.table
+        self._block = self._table.feedback
+        self._position = self._table[Register.PRESENT_POSITION]
+        self._current = self._table[Register.PRESENT_CURRENT]
+        self._goal = self._table[Register.GOAL_POSITION]
+        self._angle_scratch = np.zeros(self.dof)
+        self._current_scratch = np.zeros(self.dof)
+        self._driven = False
+
+    @property
+    def wait_ns(self) -> int:
+        """Time spent waiting for the wire since the start."""
+        return self._port.wait_ns
+
+    # In the loop -------------------------------------------------------------------------------
+
+    def read(self, deadline_ns: int) -> BusStatus:
+        """Measure all servos with one synchronous read; all are fresh or none is."""
+        self._port.deadline_ns = deadline_ns
+        try:
+            return self._read()
+        except OSError:
+            self._port.is_using = False
+            return BusStatus.PORT_GONE
+
+    def _read(self) -> BusStatus:
+        block = self._block
+        result = self._packets.syncReadTx(
+            self._port, block.address, block.size, self._ids, self.dof, False
+        )
+        if result != COMM_SUCCESS:
+            return BusStatus.TIMEOUT
+        outcome, alerts, seen, replies = BusStatus.OK, False, 0, 0
+        while replies < self.dof:  # a damaged reply stands for one; a stranger's for none
+            packet, result = self._packets.rxPacket(self._port, False)
+            if result == COMM_RX_TIMEOUT:
+                return max(outcome, BusStatus.TIMEOUT)
+            if result != COMM_SUCCESS:
+                outcome, replies = max(outcome, BusStatus.CORRUPT), replies + 1
+                continue
+            joint = self._joint_of.get(packet[4])
+            if joint is None or seen >> joint & 1:
+                continue
+            seen, replies = seen | 1 << joint, replies + 1
+            if packet[_ERROR] & _ERROR_NUMBER:
+                outcome = max(outcome, BusStatus.REFUSED)
+            elif len(packet) != STATUS_OVERHEAD + block.size:
+                outcome = max(outcome, BusStatus.CORRUPT)
+            else:
+                self._decode(joint, packet)
+            alerts = alerts or bool(packet[_ERROR] & _ALERT_BIT)
+        if outcome != BusStatus.OK:
+            return outcome
+        self.angle_rad[:] = self._angle_scratch
+        self.current_a[:] = self._current_scratch
+        return self._alerted() if alerts else BusStatus.OK
+
+    def _decode(self, joint: int, packet: list[int]) -> None:
+        model = self._servos[joint].model
+        position = self._position.decode(packet, _DATA + self._block.position_offset)
+        current = self._current.decode(packet, _DATA + self._block.current_offset)
+        self._angle_scratch[joint] = model.angle_rad(position)
+        self._current_scratch[joint] = model.current_a(current)
+
+    def _alerted(self) -> BusStatus:
+        """Find out once which hardware error it is, within the deadline of the read."""
+        if self.alert == 0:
+            cell = self._table[Register.HARDWARE_ERROR]
+            for id_ in self._ids:
+                data, result, _ = self._packets.readTxRx(self._port, id_, *cell[:2])
+                if result == COMM_SUCCESS and len(data) == cell.size:
+                    self.alert |= cell.decode(data)
+        return BusStatus.ALERT
+
+    def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
+        """Send all goals with one synchronous write, which no servo answers.
+
+        Raises
+        ------
+        ValueError
+            If a goal is not finite or does not fit the register: a mistake of the caller, whose
+            supervisor admits only goals within limits.
+        """
+        self._port.deadline_ns = deadline_ns
+        parameters: list[int] = []
+        for servo, angle_rad in zip(self._servos, goal_rad.tolist(), strict=True):
+            raw = servo.model.position_raw(angle_rad)
+            parameters += (servo.id, *self._goal.encode(raw))
+        try:
+            result = self._packets.syncWriteTxOnly(
+                self._port, self._goal.address, self._goal.size, parameters, len(parameters)
+            )
+        except OSError:
+            self._port.is_using = False
+            return BusStatus.PORT_GONE
+        return BusStatus.OK if result == COMM_SUCCESS else BusStatus.TIMEOUT
+
+    # Around the loop ---------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Check and prepare every servo, torque off.
+
+        Raises
+        ------
+        InputError
+            If a servo is silent, is another model, reports a hardware error, is not in position
+            mode, or has narrower limits than the configuration.
+        """
+        self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
+        if (status := self.read(self._clock.now_ns() + SETUP_TIMEOUT_NS)) != BusStatus.OK:
+            raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
+
+    def _prepare(self, servo: ServoSetup) -> int:
+        """Check one servo; return its firmware version."""
+        number = self._get(servo, Register.MODEL_NUMBER)
+        if number != servo.model.number:
+            found = MODELS[number].name if number in MODELS else f"model number {number}"
+            raise self._unfit(
+                f"servo {servo.id} is {found}, not {servo.model.name}",
+                "correct the model in the configuration",
+            )
+        self._set(servo, Register.TORQUE_ENABLE, 0)
+        if Register.BUS_WATCHDOG in self._table:
+            self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
+        if bits := self._get(servo, Register.HARDWARE_ERROR):
+            raise self._unfit(
+                f"servo {servo.id} reports a hardware error ({describe_hardware_error(bits)})",
+                "remove its cause, then switch the servo off and on",
+            )
+        if (mode := self._get(servo, Register.OPERATING_MODE)) != POSITION_MODE:
+            raise self._unfit(
+                f"servo {servo.id} is in operating mode {mode}",
+                f"set register Operating Mode to {POSITION_MODE} (position control)",
+            )
+        low = servo.model.angle_rad(self._get(servo, Register.MIN_POSITION_LIMIT))
+        high = servo.model.angle_rad(self._get(servo, Register.MAX_POSITION_LIMIT))
+        if servo.min_angle_rad < low or servo.max_angle_rad > high:
+            raise self._unfit(
+                f"servo {servo.id} allows {low:.3f} to {high:.3f} rad, the configuration "
+                f"{servo.min_angle_rad:.3f} to {servo.max_angle_rad:.3f} rad",
+                "narrow limits.angle_rad, or widen the servo's position limits",
+            )
+        if self._return_delay_s is not None:
+            delay = round_half_away(self._return_delay_s / RETURN_DELAY_UNIT_S)
+            if self._get(servo, Register.RETURN_DELAY) != delay:
+                self._set(servo, Register.RETURN_DELAY, delay)
+        return self._get(servo, Register.FIRMWARE_VERSION)
+
+    def _unfit(self, what: str, remedy: str) -> InputError:
+        return InputError(self._name, what, remedy)
+
+    def _get(self, servo: ServoSetup, register: Register) -> int:
+        cell = self._table[register]
+        for _ in range(_SETUP_ATTEMPTS):
+            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
+            try:
+                data, result, error = self._packets.readTxRx(self._port, servo.id, *cell[:2])
+            except OSError:
+                self._port.is_using = False
+                break
+            if result == COMM_SUCCESS and not error & _ERROR_NUMBER and len(data) == cell.size:
+                return cell.decode(data)
+        raise self._silent(servo, f"read {register.value}")
+
+    def _set(self, servo: ServoSetup, register: Register, raw: int) -> None:
+        if not self._try_set(servo, register, raw):
+            raise self._silent(servo, f"write {register.value}")
+
+    def _try_set(self, servo: ServoSetup, register: Register, raw: int) -> bool:
+        cell = self._table[register]
+        data = list(cell.encode(raw))
+        for _ in range(_SETUP_ATTEMPTS):
+            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
+            try:
+                result, error = self._packets.writeTxRx(self._port, servo.id, *cell[:2], data)
+            except OSError:
+                self._port.is_using = False
+                return False
+            if result == COMM_SUCCESS and not error & _ERROR_NUMBER:
+                return True
+        return False
+
+    def _silent(self, servo: ServoSetup, attempt: str) -> InputError:
+        return self._unfit(
+            f"servo {servo.id} gives no good answer to '{attempt}'",
+            "check its power, cable and id, and that the baud rate is the servo's",
+        )
+
+    def torque(self, on: bool) -> BusStatus:
+        """Switch the torque of every servo and arm or disarm its watchdog.
+
+        Every servo is tried, whatever the others answer.
+        """
+        watchdog = math.ceil(_WATCHDOG_PERIODS * self._period_s / WATCHDOG_UNIT_S) if on else 0
+        good = True
+        self._driven = self._driven or on  # from here on a servo may be driven
+        for servo in self._servos:
+            good &= self._try_set(servo, Register.TORQUE_ENABLE, int(on))
+        if Register.BUS_WATCHDOG in self._table:
+            for servo in self._servos:
+                good &= self._try_set(servo, Register.BUS_WATCHDOG, watchdog)
+        if good:
+            self._driven = on
+        return BusStatus.OK if good else BusStatus.TIMEOUT
+
+    def close(self) -> None:
+        """Torque off if it is on, and let go of the port; never raises."""
+        with contextlib.suppress(OSError):
+            if self._driven:
+                self.torque(False)
+        with contextlib.suppress(OSError):
+            self._port.closePort()
+
+
+def exchange_time_s(dof: int, table_block: int, baud: int, return_delay_s: float) -> float:
+    """Time on the wire of one synchronous read and one synchronous write of goals.
+
+    Parameters
+    ----------
+    dof : int
+        Number of servos.
+    table_block : int
+        Bytes that each servo answers with.
+    baud : int
+        Bits per second; ten bits make a byte.
+    return_delay_s : float
+        Pause of each servo before it answers.
+    """
+    instruction_bytes = (14 + dof) + (14 + dof * (1 + 4))
+    reply_bytes = dof * (STATUS_OVERHEAD + table_block)
+    return (instruction_bytes + reply_bytes) * 10 / baud + dof * return_delay_s
