@@ -188,6 +188,24 @@ def processors() -> tuple[int, set[int]]:
     return available[-1], set(available[:-1]) or set(available)
 
 
+@contextlib.contextmanager
+def kept_to(cpus: set[int]) -> Iterator[None]:
+    """Keep this process, and all that it starts, to some processors."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cpus)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def scheduler() -> str:
+    """Policy and priority of the calling thread, like "SCHED_FIFO 50"."""
+    names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
+
+
 def environment() -> dict[str, Any]:
     """Facts about this machine that a timing depends on."""
 

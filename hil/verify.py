@@ -26,7 +26,7 @@ where it would have been a miss without it. A tick counts as preempted by the ho
 `PREEMPTED_NS` on. Verdict:
 
 ==================== ==== =======================================================================
-fail                 1    at least one miss is ours beyond doubt
+fail                 1    the safety supervisor stopped the robot, or a miss is ours beyond doubt
 inconclusive         3    else, more than 1 % of the ticks were preempted by the host
 pass                 0    else; misses that are the host's are listed
 ==================== ==== =======================================================================
@@ -156,6 +156,7 @@ def judge(
     line_cpu: Watch | None = None,
     releases: Releases | None = None,
     environment: dict[str, Any] | None = None,
+    stopped: str = "",
 ) -> dict[str, Any]:
     """Judge a run; the contents of `timing.json`.
 
@@ -171,6 +172,8 @@ def judge(
         The emulator's own record.
     environment : dict, optional
         Facts about machine and line, copied.
+    stopped : str
+        Why the safety supervisor stopped the robot; empty where it did not.
 
     Returns
     -------
@@ -189,7 +192,9 @@ def judge(
     share = preempted / max(len(records), 1)
     stages = {name: _summary(records[f"{name}_ns"]) for name in STAGES}
     cost = _summary(records["busy_ns"] - records["bus_wait_ns"])
-    if own:
+    if stopped:
+        verdict, reason = "fail", f"the safety supervisor stopped the robot: {stopped}"
+    elif own:
         verdict, reason = "fail", f"{own} of {slots} slots were missed by our own doing"
     elif share > PREEMPTED_SHARE:
         verdict = "inconclusive"
@@ -200,6 +205,7 @@ def judge(
         "schema": 1,
         "verdict": verdict,
         "reason": reason,
+        "stopped": stopped,
         "budget": {
             "period_ns": period_ns,
             "own_cost_p99_ns": OWN_COST_P99_NS,
@@ -246,14 +252,28 @@ def _summary(values: Nanoseconds) -> dict[str, int]:
 
 def junit_xml(timing: dict[str, Any]) -> bytes:
     """The verdict as JUnit XML: one case per question."""
-    own, host = timing["own_misses"], timing["host"]
-    suite = ET.Element(
-        "testsuite",
-        name="dropstitch.sil",
-        tests="2",
-        failures=str(int(own > 0)),
-        skipped=str(int(timing["verdict"] == "inconclusive")),
+    own, stopped = timing["own_misses"], timing["stopped"]
+    missed = [m for m in timing["missed"] if m["cause"] != Cause.PREEMPTED.value]
+    restless = timing["verdict"] == "inconclusive"
+    # Question, how it was answered where not with yes, and what there is to say about it.
+    cases = (
+        ("the robot is not stopped", "failure" if stopped else "", stopped),
+        (
+            "no deadline is missed by our own doing",
+            "failure" if own else "",
+            "\n".join(map(str, missed)),
+        ),
+        (
+            "the host leaves the loop alone",
+            "skipped" if restless else "",
+            f"{timing['host']['preempted_ticks']} ticks preempted",
+        ),
     )
+    outcomes = [outcome for _, outcome, _ in cases]
+    suite = ET.Element(
+        "testsuite", name="dropstitch.sil", tests=str(len(cases)),
+        failures=str(outcomes.count("failure")), skipped=str(outcomes.count("skipped")),
+    )  # fmt: skip
     properties = ET.SubElement(suite, "properties")
     for name, value in (
         ("verdict", timing["verdict"]),
@@ -262,16 +282,10 @@ def junit_xml(timing: dict[str, Any]) -> bytes:
         *timing["environment"].items(),
     ):
         ET.SubElement(properties, "property", name=str(name), value=str(value))
-    case = ET.SubElement(
-        suite, "testcase", classname="sil", name="no deadline is missed by our own doing"
-    )
-    if own:
-        listed = "\n".join(str(m) for m in timing["missed"] if m["cause"] != Cause.PREEMPTED.value)
-        ET.SubElement(case, "failure", message=timing["reason"]).text = listed
-    case = ET.SubElement(suite, "testcase", classname="sil", name="the host left the loop alone")
-    if timing["verdict"] == "inconclusive":
-        ET.SubElement(case, "skipped", message=timing["reason"])
-    ET.SubElement(case, "system-out").text = f"{host['preempted_ticks']} ticks preempted"
+    for name, outcome, text in cases:
+        case = ET.SubElement(suite, "testcase", classname="sil", name=name)
+        if outcome:
+            ET.SubElement(case, outcome, message=timing["reason"]).text = text
     ET.indent(suite)
-    text: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
-    return text
+    document: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
+    return document

@@ -15,9 +15,10 @@ from typing import Any, get_args
 
 from firmware_py.bundle import ModelBundle
 from firmware_py.config import MotionConfig
-from firmware_py.console import NEGATIVE, emit
+from firmware_py.console import emit
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from firmware_py.registers import model_named
+from firmware_py.summary import Ended
 from hil import outcome, sil, verify
 from hil.arguments import add_line_arguments
 from hil.faults import parse_rates
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     result = sil.run(options)
     timing = write_results(result, options)
     emit(args, timing, describe(timing, args.out))
-    return NEGATIVE if timing["run"]["ended"] == "tripped" else verify.exit_code(timing)
+    return verify.exit_code(timing)
 
 
 def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
@@ -86,6 +87,7 @@ def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
     timing = verify.judge(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
         result.outcome.releases, result.environment,
+        summary.reason if summary.ended is Ended.TRIPPED else "",
     )  # fmt: skip
     timing["run"] = {
         "ended": summary.ended.value,

@@ -215,13 +215,25 @@ def test_percentiles_are_values_that_at_least_that_share_does_not_exceed(values)
         assert np.mean(np.array(values) <= summary[name]) >= share - 1e-12
 
 
-@pytest.mark.parametrize("slow_ns", [0, 40 * MS])
-def test_junit_says_the_same(slow_ns):
+def test_a_robot_that_was_stopped_has_not_passed():
     records = run_of()
+    timing = judge(records, probe_over(records), probe_over(records), stopped="no fresh data")
+    assert (timing["verdict"], verify.exit_code(timing)) == ("fail", 1)
+    assert "no fresh data" in timing["reason"]
+
+
+@pytest.mark.parametrize(
+    ("slow_ns", "preempted", "stopped"), [(0, 0, ""), (40 * MS, 0, ""), (0, 50, ""), (0, 0, "why")]
+)
+def test_junit_says_the_same(slow_ns, preempted, stopped):
+    records = run_of()
+    records["preempted_ns"][100 : 100 + preempted] = 2 * MS
     if slow_ns:
         slow_down(records, 500, slow_ns)
-    timing = judge(records, environment={"line": "socket"})
+    timing = judge(records, environment={"line": "socket"}, stopped=stopped)
     suite = ET.fromstring(verify.junit_xml(timing))
     assert len(suite.findall("testcase")) == int(suite.get("tests"))
-    assert len(suite.findall("testcase/failure")) == int(suite.get("failures")) == bool(slow_ns)
+    assert len(suite.findall("testcase/failure")) == (timing["verdict"] == "fail")
+    assert len(suite.findall("testcase/skipped")) == (timing["verdict"] == "inconclusive")
+    assert len(suite.findall("testcase/failure")) == int(suite.get("failures"))
     assert suite.find("properties/property[@name='line']").get("value") == "socket"
