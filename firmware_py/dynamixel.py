@@ -24,6 +24,7 @@ from firmware_py.registers import (
     POSITION_MODE,
     RETURN_DELAY_UNIT_S,
     WATCHDOG_UNIT_S,
+    Cell,
     Model,
     Register,
     describe_hardware_error,
@@ -39,7 +40,7 @@ SETUP_TIMEOUT_NS: Final = 50_000_000
 STATUS_OVERHEAD: Final = 11
 """Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
 
-_ERROR, _DATA = 8, 9
+_ID, _ERROR, _DATA = 4, 8, 9
 _ALERT_BIT, _ERROR_NUMBER = 0x80, 0x7F
 _SETUP_ATTEMPTS: Final = 3
 _WATCHDOG_PERIODS: Final = 3
@@ -153,7 +154,7 @@ class DynamixelBus:
             if result != COMM_SUCCESS:
                 outcome, replies = max(outcome, BusStatus.CORRUPT), replies + 1
                 continue
-            joint = self._joint_of.get(packet[4])
+            joint = self._joint_of.get(packet[_ID])
             if joint is None or seen >> joint & 1:
                 continue
             seen, replies = seen | 1 << joint, replies + 1
@@ -182,10 +183,25 @@ class DynamixelBus:
         if self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
             for id_ in self._ids:
-                data, result, _ = self._packets.readTxRx(self._port, id_, *cell[:2])
-                if result == COMM_SUCCESS and len(data) == cell.size:
-                    self.alert |= cell.decode(data)
+                self.alert |= self._ask(id_, cell) or 0
         return BusStatus.ALERT
+
+    def _ask(self, id_: int, cell: Cell) -> int | None:
+        """Read one register; None where no good answer came before the deadline.
+
+        The SDK's own `readTxRx` takes a late answer to an earlier write for this one: its CRC
+        then passes for data. An answer of another length is therefore somebody else's.
+        """
+        result = self._packets.readTx(self._port, id_, cell.address, cell.size)
+        while result == COMM_SUCCESS:
+            packet, result = self._packets.rxPacket(self._port, False)
+            if result != COMM_SUCCESS or packet[_ID] != id_:
+                continue
+            if len(packet) == STATUS_OVERHEAD + cell.size:
+                return cell.decode(packet, _DATA)
+            if packet[_ERROR] & _ERROR_NUMBER:
+                return None
+        return None
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one synchronous write, which no servo answers.
@@ -269,12 +285,11 @@ class DynamixelBus:
         for _ in range(_SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
-                data, result, error = self._packets.readTxRx(self._port, servo.id, *cell[:2])
+                if (raw := self._ask(servo.id, cell)) is not None:
+                    return raw
             except OSError:
                 self._port.is_using = False
                 break
-            if result == COMM_SUCCESS and not error & _ERROR_NUMBER and len(data) == cell.size:
-                return cell.decode(data)
         raise self._silent(servo, f"read {register.value}")
 
     def _set(self, servo: ServoSetup, register: Register, raw: int) -> None:
