@@ -13,6 +13,8 @@ TIP_RMS_LIMIT_M: Final = {1: 6e-3, 2: 9e-3}
 BENEFIT_LIMIT: Final = {"trial_2": 0.9, "unseen_20deg": 0.8}
 BENEFIT_DEGREE: Final = "3"
 NO_VALUE: Final = "–"
+_READABLE: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "1": ("%", 1e2)}
+"""SI unit to the one in which an error is shown, and the factor."""
 
 
 @dataclass(frozen=True)
@@ -203,8 +205,8 @@ def plant(evaluations: dict[str, Json]) -> Table:
 def _error(error: Json | None) -> str:
     if error is None:
         return NO_VALUE
-    unit = "" if error["unit"] == "1" else f"\u00a0{error['unit']}"
-    return f"{error['rms']:.2g}{unit} ({error['mae']:.2g})"
+    unit, factor = _READABLE.get(error["unit"], (error["unit"], 1.0))
+    return f"{factor * error['rms']:.3g}\u00a0{unit} ({factor * error['mae']:.3g})"
 
 
 def _beside_rigid(part: Json) -> str:
