@@ -15,12 +15,12 @@ SETTLING_S: Final = 2e-3
 """Time in which a gear without play or give follows; two integration steps."""
 
 PLATE_INERTIA = Parameter(
-    name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.005, high=1.0,
+    name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.02, high=1.0,
     description="inertia between the gear and the root of the load",
     source="assumed: base plate and its frame",
 )  # fmt: skip
 GEAR_DAMPING = Parameter(
-    name="gear_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=10.0, low=0.0, high=50.0,
+    name="gear_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=10.0, low=0.0, high=30.0,
     description="damping of the gear while it gives", source="assumed",
 )  # fmt: skip
 

@@ -68,7 +68,7 @@ class AerodynamicDrag(Effect):
 
     name = "aerodynamic_drag"
     shared = (
-        Parameter(name="aerodynamic_drag_nm", unit="N.m", value=0.0, low=0.0, high=20.0,
+        Parameter(name="aerodynamic_drag_nm", unit="N.m", value=0.0, low=0.0, high=10.0,
                   role="effect", description="drag torque at 1 rad/s",
                   source="FACTS §6: 0.02 N·m"),
     )  # fmt: skip
