@@ -7,7 +7,7 @@ what in a link, servo or laboratory brings a finding about.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from models.trial import Trial, TrialSet
 from models.validation import payload_key
 
 PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
-LOOP_SHARE: Final = 0.05
-"""A DI loop counts as hysteresis when it is wider than this share of the trial's DI range."""
+NOISE_FACTOR: Final = 3.0
+"""A DI loop counts as hysteresis when it is this much wider than marker noise makes it."""
+MEAN_OF_ABSOLUTE: Final = 0.8
+"""Mean absolute value of a normal variable, √(2/π), in standard deviations."""
 ANGLE_BINS: Final = 12
 MM: Final = 1e3
 PERCENT: Final = 1e2
@@ -145,30 +147,64 @@ def _negative_angles(training: TrialSet, repeated: TrialSet) -> dict[str, Any]:
 
 
 def _hysteresis(training: TrialSet) -> dict[str, Any]:
-    shares = {payload_key(t.meta.payload_kg): loop_share(t) for t in training}
-    heaviest = max(shares, key=float)
-    listed = ", ".join(f"{PERCENT * v:.0f} % at {k} kg" for k, v in shares.items())
+    loops = {payload_key(t.meta.payload_kg): loop(t) for t in training}
+    beyond = {k: found.width > NOISE_FACTOR * found.noise for k, found in loops.items()}
+    heaviest = max(loops, key=float)
+    listed = ", ".join(
+        f"{PERCENT * found.width:.3f} % at {k} kg ({PERCENT * found.width / found.span:.0f} % of "
+        f"its range{'' if beyond[k] else ', within noise'})"
+        for k, found in loops.items()
+    )
+    noise = max(found.noise for found in loops.values())
     return _finding(
-        "DI shows hysteresis", shares[heaviest] > LOOP_SHARE,
-        f"DI on the way up and on the way down differ on average by {listed} of its range",
+        "DI shows hysteresis at high payload", beyond[heaviest],
+        f"DI on the way up and on the way down differ on average by {listed}; marker noise alone "
+        f"makes up to {PERCENT * noise:.3f} %",
         "inertia and damping as much as on hysteresis of the material: a loop at one speed does "
         "not tell them apart",
     )  # fmt: skip
 
 
-def loop_share(trial: Trial) -> float:
-    """Mean width of the DI loop over the angle of joint 1, as a share of the range of DI."""
-    di = deformation_index(trial)[trial.moving]
-    angle_rad = trial.angle_rad[trial.moving, 0]
+class Loop(NamedTuple):
+    """DI over the angle of joint 1, up and down.
+
+    Attributes
+    ----------
+    width : float
+        Mean distance of the two branches, in DI.
+    span : float
+        Largest less smallest DI of the trial.
+    noise : float
+        Mean distance that the scatter of DI at rest alone would make.
+    """
+
+    width: float
+    span: float
+    noise: float
+
+
+def loop(trial: Trial) -> Loop:
+    """Measure the loop that DI makes over the angle of joint 1, in bins of the angle."""
+    every = deformation_index(trial)
+    di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]
+    scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
     rising = np.gradient(trial.goal_rad[trial.moving, 0]) > 0
     limit = 0.8 * np.abs(angle_rad).max()  # at the turning points both branches meet
     number = np.digitize(angle_rad, np.linspace(-limit, limit, ANGLE_BINS + 1))
-    widths = []
+    branches = []
     for k in range(1, ANGLE_BINS + 1):
-        up, down = di[(number == k) & rising], di[(number == k) & ~rising]
-        if len(up) and len(down):
-            widths.append(abs(float(np.nanmean(up) - np.nanmean(down))))
-    return float(np.mean(widths) / _range(di)) if widths else 0.0
+        up, down = (number == k) & rising, (number == k) & ~rising
+        if up.any() and down.any():
+            branches.append([(angle_rad[b].mean(), np.nanmean(di[b]), b.sum()) for b in (up, down)])
+    if not branches:
+        return Loop(0.0, _range(di), 0.0)
+    (up_rad, up_di, up_count), (down_rad, down_di, down_count) = np.array(branches).transpose(
+        1, 2, 0
+    )
+    # The branches' samples lie differently within a bin: compare them at the same angle.
+    width = float(np.mean(np.abs(np.interp(down_rad, up_rad, up_di) - down_di)))
+    noise = MEAN_OF_ABSOLUTE * scatter * float(np.mean(np.sqrt(1 / up_count + 1 / down_count)))
+    return Loop(width, _range(di), noise)
 
 
 def _range(values: Array) -> float:

@@ -133,9 +133,10 @@ def refuse_fitted(
     Raises
     ------
     InputError
-        If the plant's provenance lists the hash of such a trial.
+        If the plant's provenance holds the hash of such a trial, under whatever name.
     """
-    fitted = set(provenance.get("trials_sha256", ()))
+    listed = provenance.get("fitted_trials")
+    fitted = set(listed.values()) if isinstance(listed, Mapping) else set()
     for name, trials in tests.items():
         for t in trials if name.startswith("unseen") else ():
             if t.sha256() in fitted:

@@ -106,7 +106,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     provenance = {
         "parent_sha256": plant.sha256(),
         "data_sha256": trials.sha256(),
-        "fitted_trials": [t.name for t in fit],
+        "fitted_trials": {t.name: t.sha256() for t in fit},
         "held_out_trials": [t.name for t in held_out],
         "fitted_parameters": list(fitted),
         "residual_rms": rms,
