@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from firmware_py.bus import BusStatus
 from firmware_py.clock import DeadlineClock, SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup, exchange_time_s
-from firmware_py.registers import MODELS
+from firmware_py.registers import MODELS, Register
 from firmware_py.wire import SocketWire
 from hil import packets
 from hil.faults import FaultPlan, parse_rates
@@ -143,6 +143,28 @@ def test_each_fault_befalls_what_it_says_and_never_becomes_data(chain_of, kind):
     line.faults = FaultPlan()
     clock.advance(17 * MS)
     assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK, "the next tick is not disturbed"
+
+
+class LateOnce(VirtualWire):
+    """Its first answer to a write comes after the program has given it up."""
+
+    late_ns = 60 * MS
+
+    def write(self, data: bytes) -> int:
+        count = super().write(data)
+        if data[7] == Instruction.WRITE and self.late_ns:
+            time_ns, order, answer = self._pending.pop()
+            self._pending.append((time_ns + self.late_ns, order, answer))
+            self.late_ns = 0
+        return count
+
+
+def test_a_late_answer_to_a_write_is_not_taken_for_data(chain_of):
+    clock = SimClock()
+    chain = chain_of(54024)
+    bus = bus_on(LateOnce(Line(chain), clock), clock, 54024, ids=(1,))
+    bus.connect()  # as data, the CRC of the late answer would be a hardware error
+    assert bus.firmware_versions == (chain.servos[0].get(Register.FIRMWARE_VERSION),)
 
 
 def test_fault_rates_are_met():
