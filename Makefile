@@ -82,14 +82,14 @@ build/twin_%dof.fmu: build/bundle_%dof/observer.fmu
 build/check_twin_%dof.json: build/twin_%dof.fmu
 	$(call run,python -m fmu check $< --json > $@)
 
-build/evaluate_%dof.json: build/plant.json build/unseen_20deg/.done
-	$(call run,python -m models evaluate build/trials --dof $* --plant build/plant.json --json > $@)
+build/evaluate_unseen_20deg.json: build/plant.json build/unseen_20deg/.done
+	$(call run,python -m models evaluate build/unseen_20deg --plant build/plant.json --json > $@)
 
 build/sil_%dof/timing.json: build/twin_%dof.fmu
 	$(call run,python -m hil sil --bundle build/bundle_$*dof --fmu $< --line virtual --seconds 60 --out $(@D))
 
-REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/evaluate_$(dof)dof.json \
-  build/sil_$(dof)dof/timing.json)
+REPORT_PARTS := build/trials_phase90/.done build/evaluate_unseen_20deg.json \
+  $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(dof)dof/timing.json)
 
 build/report.html: $(REPORT_PARTS)
 	$(call run,python -m hil report --build build --out $@)
