@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from firmware_py.bus import BusStatus
 from firmware_py.clock import DeadlineClock, SimClock
-from firmware_py.dynamixel import DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.dynamixel import SETUP_TIMEOUT_NS, DynamixelBus, ServoSetup, exchange_time_s
 from firmware_py.registers import MODELS, Register
 from firmware_py.wire import SocketWire
 from hil import packets
@@ -146,15 +146,15 @@ def test_each_fault_befalls_what_it_says_and_never_becomes_data(chain_of, kind):
 
 
 class LateOnce(VirtualWire):
-    """Its first answer to a write comes after the program has given it up."""
+    """Its first answer to a write comes when the program has written again and asks on."""
 
-    late_ns = 60 * MS
+    late_ns = SETUP_TIMEOUT_NS + MS // 2
 
     def write(self, data: bytes) -> int:
         count = super().write(data)
         if data[7] == Instruction.WRITE and self.late_ns:
-            time_ns, order, answer = self._pending.pop()
-            self._pending.append((time_ns + self.late_ns, order, answer))
+            [(time_ns, order, answer)] = self._pending
+            self._pending = [(time_ns + self.late_ns, order, answer)]
             self.late_ns = 0
         return count
 
