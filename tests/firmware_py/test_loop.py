@@ -360,7 +360,7 @@ def test_a_tick_leaves_no_memory_behind():
 
         def update(self, angle_rad, current_a, step_s):
             self.ticks += 1
-            if self.ticks in (700, 1700, 2700):
+            if self.ticks % 500 == 200:
                 gc.collect()
                 sizes.append(tracemalloc.get_traced_memory()[0])
             return Estimate(0.0, 0.0)
@@ -376,9 +376,9 @@ def test_a_tick_leaves_no_memory_behind():
     finally:
         tracemalloc.stop()
     assert wire.get(1, Register.TORQUE_ENABLE) == 0
-    assert len(sizes) == 3
-    # A handful of counters outgrow a machine word's worth of digits or a cached integer.
-    assert abs(sizes[2] - sizes[1]) < 256, "less than a quarter of a byte per tick"
+    assert len(sizes) == 6
+    # The interpreter's pools grow now and then; what leaks grows every time.
+    assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
 
 
 def test_an_impatient_second_signal_does_not_leave_the_torque_on():
