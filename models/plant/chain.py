@@ -3,10 +3,11 @@
 The root hinge is the glued patch, which softens towards a limit moment; the span hinge stands for
 bending and shear of the span. Both bend in two planes (FACTS §6)::
 
-    τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_c⁵ + c φ̇          τ_span = K ψ + c ψ̇
+    τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
+    τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
 
-The second term is the folded patch meeting the plate; it is below 0.3 % of M_c up to φ_c/3 and
-keeps a link that buckles from turning over. Effects add hysteresis, creep and the rest on the port
+The term of φ_f is the folded skin meeting itself; it is below 0.5 % of M_c up to φ_f/3 and keeps a
+link that buckles from turning over. Effects add hysteresis, creep and the rest on the port
 `bend_torque`.
 
 The Deformation Index follows from the bend. Marker rows stand at L/4 … L. The span's bend is
@@ -56,18 +57,18 @@ class Link:
                       description="width of the link", source="paper, fig. 2"),
             Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
                       description="gravity, along -z", source="standard gravity"),
-            Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.3, high=3.0,
+            Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
                       role="nuisance", description="mass of the link", source="FACTS §6, assumed"),
-            Parameter(name="tip_mass_kg", unit="kg", value=0.25, low=0.0, high=1.0,
+            Parameter(name="tip_mass_kg", unit="kg", value=0.25, low=0.05, high=1.0,
                       role="nuisance", description="hardware at the tip",
                       source="FACTS §6, assumed"),
-            Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=8.0, high=80.0,
+            Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=12.0, high=80.0,
                       role="nuisance", description="limit moment of the root patch",
                       source="FACTS §6: 14 to 28 N·m"),
-            Parameter(name="root_contact_rad", unit="rad", value=0.5, low=0.3, high=1.0,
-                      description="bend at which the folded patch takes the limit moment again",
+            Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
+                      description="bend at which a folded hinge takes the limit moment",
                       source="assumed, far outside the study"),
-            Parameter(name="span_position", unit="1", value=0.333, low=0.15, high=0.6,
+            Parameter(name="span_position", unit="1", value=0.333, low=0.25, high=0.45,
                       role="nuisance", description="span hinge from the root, share of length",
                       source="cantilever under a tip force: slope and sag meet at L/3"),
             Parameter(name="edge_gain", unit="1", value=1.0, low=0.3, high=2.0,
@@ -81,16 +82,16 @@ class Link:
         for j in scope.joints:
             result += [
                 Parameter(name=f"root_stiffness_{j}_nm_rad", unit="N.m/rad", value=350.0, low=60.0,
-                          high=1500.0, role="nuisance", description="stiffness of the root patch",
+                          high=1000.0, role="nuisance", description="stiffness of the root patch",
                           source="FACTS §6: 80 to 1000 N·m/rad"),
-                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=190.0, low=40.0,
-                          high=2000.0, role="nuisance", description="stiffness of the span hinge",
+                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=190.0, low=60.0,
+                          high=1200.0, role="nuisance", description="stiffness of the span hinge",
                           source="4/3 EI/L with EI = 135 N·m² (FACTS §6)"),
                 Parameter(name=f"root_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=1.5, low=0.05,
-                          high=20.0, role="nuisance", description="damping of the root patch",
+                          high=5.0, role="nuisance", description="damping of the root patch",
                           source="FACTS §6: damping ratio 7 to 9 %"),
                 Parameter(name=f"span_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=0.8, low=0.05,
-                          high=20.0, role="nuisance", description="damping of the span hinge",
+                          high=5.0, role="nuisance", description="damping of the span hinge",
                           source="FACTS §6: damping ratio 7 to 9 %"),
             ]  # fmt: skip
         return tuple(result)
@@ -112,13 +113,17 @@ class Link:
     def load(self, scope: Scope) -> None:
         """Elastic and viscous torque on each bend."""
         moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
-        limit, contact = scope.p("root_limit_moment_nm"), scope.p("root_contact_rad")
+        limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
         share = sum(m**2 for m in moments) / limit**2
-        fold = sum(scope.bend["root", j] ** 2 for j in scope.joints) ** 2 / contact**5
+        fold = {
+            hinge: sum(scope.bend[hinge, j] ** 2 for j in scope.joints) ** 2 / fold_rad**5
+            for hinge in self.hinges
+        }
         for (hinge, j), bend in scope.bend.items():
             elastic = scope.stiffness[hinge, j] * bend
             if hinge == "root":
-                elastic = elastic / ca.sqrt(1 + share) + limit * fold * bend
+                elastic = elastic / ca.sqrt(1 + share)
+            elastic = elastic + limit * fold[hinge] * bend
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
 

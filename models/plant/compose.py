@@ -104,6 +104,10 @@ def strain(scope: Scope, load: Any, effects: Sequence[Effect]) -> None:
     serve(scope, ("servo_torque", "joint_torque"), effects)
 
 
+LARGEST_START_RAD: Final = 0.5
+"""A link too weak to stand starts folded by no more than this."""
+
+
 def settle(scope: Scope, load: Any, force: Expr) -> None:
     """Start at rest: bends in equilibrium at the first goal, the drive holding the load.
 
@@ -113,7 +117,7 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
     bends = [scope.states[b.name()] for b in scope.bend.values()]
     symbols = ca.vertcat(*(b.symbol for b in bends))
     count = len(scope.joints)
-    residual = ca.vertcat(*scope.bend_torque.values()) - force[count:]
+    residual = ca.vertcat(*scope.bend_torque.values()) - force[count:, :]
 
     def at_rest(expression: Expr, angles: Sequence[Expr]) -> Expr:
         """Expression with all at rest; states that start with a bend follow it."""
@@ -126,7 +130,8 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
         balance = at_rest(residual, angles)
         slope = ca.jacobian(balance, symbols)
         zero = [(symbols, ca.SX.zeros(symbols.numel()))]
-        return solve(-substitute(slope, zero), substitute(balance, zero))
+        bend = solve(-substitute(slope, zero), substitute(balance, zero))
+        return ca.fmin(ca.fmax(bend, -LARGEST_START_RAD), LARGEST_START_RAD)
 
     start = [scope.states[a.name()].initial for a in scope.angle.values()]
     first = equilibrium(start) if bends else ca.SX(0, 1)

@@ -38,8 +38,8 @@ from models.trials import TrialSet
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Multiples of the first stiffness that are tried."""
 
-DRIVEN_SUBSTEP_S: Final = 4.3e-3
-"""Longest internal step of the driven link, a quarter of a control period: no dry friction."""
+DRIVEN_SUBSTEP_S: Final = 2.2e-3
+"""Longest internal step of the driven link, an eighth of a control period: no dry friction."""
 
 LINK_SIGNALS: Final = ("tip", "di", "current")
 DRIVE_SIGNALS: Final = ("angle", "position", "current")

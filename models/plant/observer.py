@@ -14,7 +14,7 @@ surprise beyond three of its standard deviations counts as three.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 
@@ -85,6 +85,10 @@ def compose_observer(
     return build(name, scope, {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()})
 
 
+STEEPEST_PER_KG: Final = 20.0
+"""Largest change of a bend (rad) or bend rate (rad/s) per kg of payload that is believed."""
+
+
 class _Sensitivity:
     """S = ∂x/∂m of the load's states x, as states of their own.
 
@@ -99,7 +103,7 @@ class _Sensitivity:
     """
 
     def __init__(self, scope: Scope, moved: Mapping[str, State], mass_kg: Expr) -> None:
-        self._mass_kg, self._states = mass_kg, tuple(moved.values())
+        self._scope, self._mass_kg, self._states = scope, mass_kg, tuple(moved.values())
         self._x = ca.vertcat(*(s.symbol for s in self._states))
         slopes = []
         for name, s in moved.items():
@@ -115,9 +119,17 @@ class _Sensitivity:
         return ca.jtimes(expression, self._x, self._slopes) + direct
 
     def correct(self, change_kg: Expr) -> None:
-        """Move the load to where it would be, had m been another."""
+        """Move the load to where it would be, had m been another.
+
+        A link that buckles has no finite sensitivity: it is held within `STEEPEST_PER_KG`.
+        """
         for slope, s in zip(ca.vertsplit(self._slopes), self._states, strict=True):
-            s.finish = s.symbol + slope * change_kg
+            limited = ca.fmin(ca.fmax(slope, -STEEPEST_PER_KG), STEEPEST_PER_KG)
+            self._scope.states[slope.name()].finish = limited
+            moved, v = s.symbol + limited * change_kg, s.variable
+            s.finish = (
+                ca.fmin(ca.fmax(moved, v.minimum), v.maximum) if v.maximum < ca.inf else moved
+            )
 
 
 def _estimate(

@@ -35,7 +35,7 @@ from firmware_py.errors import InputError
 from models.plant.chain import Link
 from models.plant.compose import compose_twin
 from models.plant.driven import FOLLOW_RATE, compose_driven
-from models.plant.effects import EFFECTS, Effect, check_effects
+from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.loads import Mass, Pendulum
 from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
@@ -173,6 +173,14 @@ class Plant:
         """Plant that also holds these effects, at the strength that their class gives."""
         effects = (*self.effects, *(n for n in names if n not in self.effects))
         return _complete(replace(self, effects=effects), "effects", {})
+
+    def applicable(self) -> list[str]:
+        """Names of the effects that this drive and this load can hold."""
+        return applicable(DRIVES[self.drive], LOADS[self.load])
+
+    def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
+        """Names of an effect's strength: one per joint, or one for all."""
+        return EFFECTS[effect].strengths(_scope(self.load, dof))
 
     def document(self) -> dict[str, Any]:
         """Content of the plant's file, in plain types."""

@@ -93,7 +93,7 @@ class Cascade:
                           high=60.0, role="nuisance", description="position loop: rate per error",
                           source="FACTS §6"),
                 Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
-                          high=80.0, role="nuisance", description="current per rate error",
+                          high=60.0, role="nuisance", description="current per rate error",
                           source="FACTS §6: 150 rad/s on the reflected inertia"),
                 Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
                           high=5.0, role="nuisance", description="integral time of the rate error",

@@ -158,7 +158,10 @@ class Hysteresis(Effect):
     def apply(self, scope: Scope) -> None:
         """Add the hysteretic torque."""
         yield_rad = scope.p("hysteresis_yield_rad")
-        z = {j: scope.state(Variable(f"hysteresis_{j}", "1")) for j in scope.joints}
+        z = {
+            j: scope.state(Variable(f"hysteresis_{j}", "1", minimum=-1.0, maximum=1.0))
+            for j in scope.joints
+        }
         rate = {j: scope.bend_rate["root", j] / yield_rad for j in scope.joints}
         speed = sum(r**2 for r in rate.values()) / FASTEST_SLIP_PER_S**2
         rate = {j: r / ca.sqrt(1 + speed) for j, r in rate.items()}
