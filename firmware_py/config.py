@@ -153,11 +153,18 @@ def read_config(path: Path | str) -> RobotConfig:
         raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
     except msgspec.ValidationError as error:
         raise InputError(path, str(error), "see the commented robot.toml for every key") from None
-    _check(config, path)
+    check_config(config, path)
     return config
 
 
-def _check(config: RobotConfig, path: Path) -> None:
+def check_config(config: RobotConfig, path: Path | str) -> None:
+    """Refuse values that are out of range or do not fit together; `path` is who to blame.
+
+    Raises
+    ------
+    InputError
+        Naming the key and the remedy.
+    """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")
     if config.dof not in (1, 2):
@@ -169,7 +176,7 @@ def _check(config: RobotConfig, path: Path) -> None:
     _check_wire(config, path)
 
 
-def _check_ranges(config: RobotConfig, path: Path) -> None:
+def _check_ranges(config: RobotConfig, path: Path | str) -> None:
     limits, bus = config.limits, config.bus
     ranges = (
         ("period_s", config.period_s, 1e-3, 1.0),
@@ -204,7 +211,7 @@ def _check_ranges(config: RobotConfig, path: Path) -> None:
             )
 
 
-def _check_wire(config: RobotConfig, path: Path) -> None:
+def _check_wire(config: RobotConfig, path: Path | str) -> None:
     bus = config.bus
     if bus.baud not in BAUD_RATES:
         raise InputError(

@@ -10,6 +10,7 @@ import contextlib
 import gc
 import multiprocessing
 import os
+import signal
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,6 +34,10 @@ from hil.servo import BAUD_OF_CODE, EmulatedServo
 
 PRIORITY: Final = 60
 """Above the loop's: where both share a processor a reply must not wait for the waiting loop."""
+MAX_PAYLOAD_KG: Final = 20.0
+"""Ten times what the link was made for."""
+MAX_LATENCY_S: Final = 0.255
+"""The latency timer is one byte of milliseconds."""
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -78,6 +83,14 @@ class Specification:
             raise InputError("--ids", f"{self.ids} is no set of addresses", "give each once, 0–252")
         if self.model_number not in MODELS:
             raise InputError("--model", f"{self.model_number} is not known", "see hil emulate -h")
+        if not 0.0 <= self.payload_kg <= MAX_PAYLOAD_KG:
+            raise InputError(
+                "--payload-kg", f"is {self.payload_kg:g}", f"give 0 to {MAX_PAYLOAD_KG:g}"
+            )
+        if not 0.0 <= self.latency_s <= MAX_LATENCY_S:
+            raise InputError(
+                "--latency-ms", f"is {self.latency_s * 1e3:g}", f"give 0 to {MAX_LATENCY_S * 1e3:g}"
+            )
 
 
 class Truth(NamedTuple):
@@ -138,6 +151,7 @@ class Outcome(NamedTuple):
 def _run(
     pipe: Connection, spec: Specification, kind: Literal["pty", "socket"], path: Path, cpu: int
 ) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
     due, written, delays = array("q"), array("q"), array("q")
     with real_time(RealTimeOptions(priority=PRIORITY, cpu=cpu)), contextlib.ExitStack() as stack:
         counters = KernelCounters()
@@ -202,15 +216,24 @@ class Emulator:
         )
         self._process.start()
         theirs.close()
-        self.name: str = self._ours.recv()
+        try:
+            self.name: str = self._ours.recv()
+        except EOFError:
+            raise InputError(
+                "emulator", "did not start", "see its message above; is the disk full?"
+            ) from None
         self.pid = self._process.pid or 0
 
     def stop(self) -> Outcome:
         """End the process and return what it leaves behind."""
         self._ours.send(None)
         outcome: Outcome = self._ours.recv()
-        self._process.join()
         return outcome
+
+    def close(self) -> None:
+        """End the process if it still runs."""
+        self._ours.close()
+        self._process.join()
 
 
 def serve_forever(

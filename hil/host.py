@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 import os
 import platform
+import signal
 import time
 from array import array
 from collections.abc import Iterator, Sequence
@@ -126,11 +127,16 @@ class Probe:
         """End the probe and return what it saw."""
         self._ours.send(None)
         wake, lateness, ours = (np.array(column, np.int64) for column in self._ours.recv())
-        self._process.join()
         return Watch(wake, lateness, ours, privileged=self._privileged)
+
+    def close(self) -> None:
+        """End the probe if it still runs."""
+        self._ours.close()
+        self._process.join()
 
 
 def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
     clock = DeadlineClock()
     wake, lateness, ours = array("q"), array("q"), array("q")
     accounts = [os.open(f"/proc/{pid}/schedstat", os.O_RDONLY) for pid in neighbours]
@@ -157,7 +163,8 @@ def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
             before_ns = after_ns
             if now_ns - deadline_ns > PROBE_PERIOD_NS:  # keep the phase, do not catch up
                 deadline_ns += (now_ns - deadline_ns) // PROBE_PERIOD_NS * PROBE_PERIOD_NS
-    pipe.send((wake, lateness, ours))
+    with contextlib.suppress(BrokenPipeError):  # nobody may want to know any more
+        pipe.send((wake, lateness, ours))
 
 
 @contextlib.contextmanager
@@ -175,6 +182,7 @@ def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
 
 
 def _spin(cpus: set[int]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.sched_setaffinity(0, cpus)
     block = np.random.default_rng(0).standard_normal((64, 64))
     while True:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from firmware_py.bundle import ModelBundle
 from firmware_py.bus import ServoBus
 from firmware_py.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
-from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
 from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
 from firmware_py.loop import ControlLoop
@@ -154,6 +154,8 @@ def run(options: Options) -> Result:
     """
     if not 0 < options.seconds < math.inf:
         raise InputError("--seconds", f"is {options.seconds:g}", "give a positive duration")
+    if options.load < 0:
+        raise InputError("--load", f"is {options.load}", "give a number of processes, 0 for none")
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
         unit = options.unit or build_twin(_plant(options), options.dof, Path(scratch))
         specification = Specification(
@@ -161,12 +163,22 @@ def run(options: Options) -> Result:
             latency_s=options.latency_s, payload_kg=options.payload_kg,
             faults=options.faults, seed=options.seed,
         )  # fmt: skip
-        options.out.mkdir(parents=True, exist_ok=True)
+        check_config(robot_config(options, options.line), "--baud")
+        _make(options.out)
         if options.line == "virtual":
             result = _run_virtual(options, specification)
         else:
             result = _run_in_real_time(options, options.line, specification, Path(scratch))
         return result._replace(geometry=_geometry(unit))
+
+
+def _make(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            directory, f"cannot be made a directory ({error.strerror})", "name another --out"
+        ) from None
 
 
 def _ids(options: Options) -> tuple[int, ...]:
@@ -249,15 +261,15 @@ def _run_in_real_time(
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
     with kept_to(other_cpus), contextlib.ExitStack() as stack:
-        emulator = Emulator(specification, kind, scratch, line_cpu)
+        enter = stack.enter_context
+        emulator = enter(contextlib.closing(Emulator(specification, kind, scratch, line_cpu)))
         config = robot_config(options, emulator.name, loop_cpu)
-        telemetry = stack.enter_context(_recording(options, config))
-        stack.enter_context(cpu_load(options.load, other_cpus))
+        telemetry = enter(_recording(options, config))
+        enter(cpu_load(options.load, other_cpus))
         # On a single processor the emulator is a neighbour of the loop, else nobody is.
-        probes = (
-            Probe(loop_cpu, (emulator.pid,) if line_cpu == loop_cpu else ()),
-            Probe(line_cpu),
-        )
+        neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
+        loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
+        line_probe = enter(contextlib.closing(Probe(line_cpu)))
         with (
             open_bus(config, clock) as bus,
             contextlib.closing(KernelCounters()) as counters,
@@ -268,7 +280,7 @@ def _run_in_real_time(
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
             policy = scheduler()
-        seen, seen_line = (probe.stop() for probe in probes)
+        watches = loop_probe.stop(), line_probe.stop()
         facts = {
             "scheduler": policy,
             "refused": refused,
@@ -278,7 +290,7 @@ def _run_in_real_time(
             "load_is": "declared host load, normal priority, on the emulator's processor",
         }
         facts = environment() | _line_facts(options) | facts
-        return Result(summary, emulator.stop(), seen, seen_line, wall_s, facts)
+        return Result(summary, emulator.stop(), *watches, wall_s, facts)
 
 
 def _loop(
