@@ -64,16 +64,28 @@ class Watch:
         """Whether a late wake-up is proof that nobody of ours could run."""
         return self.privileged and len(self.wake_ns) > 0
 
-    def stall_ns(self, start_ns: int, end_ns: int) -> int:
-        """Longest time within the window for which the processor may have stood still."""
+    def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
+        """Longest time within the window for which the processor stood still.
+
+        Returns
+        -------
+        (int, int)
+            What is certain: from the probe's deadline to its wake-up; and what is possible: from
+            its wake-up before, since when it saw nothing.
+        """
         if not self.proves:
-            return 0
+            return 0, 0
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns + self.period_ns))
-        wake, late = self.wake_ns[first : last + 1], self.lateness_ns[first : last + 1]
-        # The probe saw nothing from its wake-up before to this one.
-        begins = wake - late - self.period_ns
-        overlap = np.minimum(wake, end_ns) - np.maximum(begins, start_ns)
-        return int(overlap[late >= STALL_NS].max(initial=0))
+        wake, lateness = self.wake_ns[first : last + 1], self.lateness_ns[first : last + 1]
+        stalled = lateness >= STALL_NS
+        wake, lateness = wake[stalled], lateness[stalled]
+        if not len(wake):
+            return 0, 0
+        ends = np.minimum(wake, end_ns)
+        begins = wake - lateness
+        certain = (ends - np.maximum(begins, start_ns)).max()
+        possible = (ends - np.maximum(begins - self.period_ns, start_ns)).max()
+        return max(int(certain), 0), max(int(possible), 0)
 
     def ours_between_ns(self, start_ns: int, end_ns: int) -> int:
         """Processor time of ours that may fall into the window."""

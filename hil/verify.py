@@ -83,7 +83,7 @@ class Miss:
 
 def host_time_ns(
     records: NDArray[np.void], loop_cpu: Watch, line_cpu: Watch, releases: Releases
-) -> Nanoseconds:
+) -> tuple[Nanoseconds, Nanoseconds]:
     """Time of each tick in which the host had a processor that we were waiting for.
 
     Parameters
@@ -97,10 +97,10 @@ def host_time_ns(
 
     Returns
     -------
-    ndarray, shape (n,)
-        Nanoseconds.
+    (ndarray, ndarray), each of shape (n,)
+        What is certain, and what is possible.
     """
-    host = np.zeros(len(records), np.int64)
+    host = np.zeros((len(records), 2), np.int64)
     starts = records["deadline_ns"]
     ends = starts + records["lateness_ns"] + records["busy_ns"]
     for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
@@ -108,17 +108,16 @@ def host_time_ns(
         queued = int(records["preempted_ns"][k]) - loop_cpu.ours_between_ns(
             int(ends[k - 1]) if k else start_ns, end_ns
         )
-        stalled = (
-            loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else int(records["steal_ns"][k])
-        )
-        wire = max(
-            releases.run_delay_between_ns(start_ns, end_ns)
-            - line_cpu.ours_between_ns(start_ns, end_ns),
-            line_cpu.stall_ns(start_ns, end_ns),
-        )
-        wire = min(max(wire, 0), int(records["bus_wait_ns"][k]))
-        host[k] = min(max(queued, stalled, 0) + wire, end_ns - start_ns)
-    return host
+        line_queued = releases.run_delay_between_ns(start_ns, end_ns)
+        line_queued -= line_cpu.ours_between_ns(start_ns, end_ns)
+        steal = int(records["steal_ns"][k])
+        stalls = loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else (steal, steal)
+        for column, (stall, line_stall) in enumerate(
+            zip(stalls, line_cpu.stall_ns(start_ns, end_ns), strict=True)
+        ):
+            wire = min(max(line_queued, line_stall, 0), int(records["bus_wait_ns"][k]))
+            host[k, column] = min(max(queued, stall, 0) + wire, end_ns - start_ns)
+    return host[:, 0], host[:, 1]
 
 
 def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int) -> list[Miss]:
@@ -182,8 +181,10 @@ def judge(
     """
     period_ns = round(period_s * 1e9)
     loop_cpu = loop_cpu or Watch()
-    host_ns = host_time_ns(records, loop_cpu, line_cpu or Watch(), releases or Releases())
-    misses = find_misses(records, host_ns, period_ns)
+    host_ns, possible_ns = host_time_ns(
+        records, loop_cpu, line_cpu or Watch(), releases or Releases()
+    )
+    misses = find_misses(records, possible_ns, period_ns)
     causes = {cause: sum(m.slots for m in misses if m.cause is cause) for cause in Cause}
     lost = sum(causes.values())
     own = lost - causes[Cause.PREEMPTED]

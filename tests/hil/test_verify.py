@@ -94,6 +94,20 @@ def test_a_stall_that_the_probe_saw_too_is_the_hosts():
     assert timing["causes"]["preempted by the host"] == 1
 
 
+def test_a_stall_that_may_have_fallen_outside_the_tick_excuses_it_and_does_not_count():
+    records = run_of()
+    slow_down(records, 500, 17_500_000)
+    # Due shortly before the end of the tick and late by 2 ms: hardly any of it is certain.
+    end_ns = int(records["deadline_ns"][500]) + 17_530_000
+    due_ns = end_ns - 300_000 + np.array([-1, 0, 1]) * PROBE_PERIOD_NS
+    lateness_ns = np.array([0, 2 * MS, 0])
+    watch = Watch(due_ns + lateness_ns, lateness_ns, np.zeros(3, np.int64))
+    timing = judge(records, watch, probe_over(records))
+    assert (timing["misses"], timing["own_misses"]) == (1, 0)
+    assert timing["host"]["max_ns"] == 300_000
+    assert timing["host"]["preempted_ticks"] == 0
+
+
 def test_a_stall_that_does_not_suffice_as_an_excuse_is_none():
     records = run_of()
     slow_down(records, 500, 40 * MS)
