@@ -9,13 +9,14 @@ What is the host's
     that processor meanwhile. Time in which the processor stood still: a probe with a higher
     priority than everything of ours is pinned to it and wakes every few milliseconds; where even
     the probe was late the hypervisor, an interrupt or a stranger's real-time task had the
-    processor. Such a stall is known to within one period of the probe, and the doubt is the
-    host's. The same two for the processor of the emulator, as far as the loop was waiting for the
-    wire. The processes of `--load` are declared host load: time lost to them is the host's.
-    The larger of the two accounts counts, since they overlap. Steal time (`/proc/stat`) comes in
-    steps of 10 ms over all processors: it is evidence of the same stalls, so it is reported, and
-    counts only where no probe ran. So it does where the kernel refused the probe its priority:
-    such a probe may have waited behind ourselves.
+    processor. Such a stall is known to within one period of the probe: all that is possible
+    excuses a miss, only what is certain makes a tick count as preempted. The larger of the two
+    accounts counts, since they overlap.
+    The same two for the processor of the emulator, as far as the loop waited longer for the wire
+    than it usually does. The processes of `--load` are declared host load: time lost to them is
+    the host's. Steal time (`/proc/stat`) comes in steps of 10 ms over all processors: it is
+    evidence of the same stalls and counts only where no probe ran, or where the kernel refused
+    the probe its priority: then it may have waited behind ourselves.
 
 What is ours
     Everything else: computing, waiting for the bus, and every delay by a process of ours, be it
@@ -101,6 +102,8 @@ def host_time_ns(
         What is certain, and what is possible.
     """
     host = np.zeros((len(records), 2), np.int64)
+    waits = records["bus_wait_ns"]
+    longer = np.maximum(waits - np.median(waits), 0) if len(waits) else waits
     starts = records["deadline_ns"]
     ends = starts + records["lateness_ns"] + records["busy_ns"]
     for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
@@ -115,7 +118,7 @@ def host_time_ns(
         for column, (stall, line_stall) in enumerate(
             zip(stalls, line_cpu.stall_ns(start_ns, end_ns), strict=True)
         ):
-            wire = min(max(line_queued, line_stall, 0), int(records["bus_wait_ns"][k]))
+            wire = min(max(line_queued, line_stall, 0), int(longer[k]))
             host[k, column] = min(max(queued, stall, 0) + wire, end_ns - start_ns)
     return host[:, 0], host[:, 1]
 
