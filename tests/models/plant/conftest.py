@@ -2,13 +2,17 @@
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from models.kinematics import base_corners_m, base_rotation
 from models.plant.plant import read_plant
 from models.plant.simulate import CompiledModel
 from models.plant.step import names
+from models.trial import Trial, TrialMeta
 
 STEP_S = 0.017
 
@@ -31,7 +35,7 @@ class Bench:
     def inputs(self, model, count, goal=None, payload_kg=1.0):
         """Inputs by name; angles and currents of a measured unit are made up."""
         time_s = STEP_S * np.arange(count)
-        goal = 0.5 * np.sin(1.44 * time_s) + 0.1 * np.sin(7 * time_s) if goal is None else goal
+        goal = 0.4 * np.sin(1.44 * time_s) + 0.05 * np.sin(5 * time_s) if goal is None else goal
         known = {"payload_kg": np.full(count, payload_kg)}
         for j, share in ((1, 1.0), (2, 0.7)):
             known |= {f"{what}_{j}_rad": share * goal for what in ("goal", "angle")}
@@ -50,3 +54,90 @@ class Bench:
 @pytest.fixture(scope="session")
 def bench():
     return Bench()
+
+
+SHARES = np.diff([2 * s - s**2 for s in (0, 0.25, 0.5, 0.75, 1)])
+"""Share of the span's bend that each quarter of a cantilever takes."""
+
+
+@functools.cache
+def _with_states(plant, dof):
+    """Compile the twin with its states behind its outputs."""
+    model = plant.step_model(dof, "twin")
+    x, u, p = (model.output.sx_in(k) for k in range(3))
+    both = ca.vertcat(model.output(x, u, p), x)
+    output = ca.Function("both", [x, u, p], [both])
+    return CompiledModel(replace(model, outputs=model.outputs + model.states, output=output))
+
+
+class _Hashed:
+    """A plant by its document, for the cache."""
+
+    def __init__(self, plant):
+        self.plant, self.key = plant, plant.sha256()
+
+    def __hash__(self):
+        return hash(self.key)
+
+    def __eq__(self, other):
+        return self.key == other.key
+
+    def step_model(self, dof, unit):
+        return self.plant.step_model(dof, unit)
+
+
+@pytest.fixture(scope="session")
+def synthetic():
+    """Trials of a plant itself: noisy, with markers whose edges are strained as its bends say."""
+
+    def make(plant, payload_kg, count=572, rest=60, amplitude_rad=0.52, trial=1, rng=None, dof=1):
+        compiled = _with_states(_Hashed(plant), dof)
+        moving_s = STEP_S * np.maximum(np.arange(count) - rest, 0)
+        goal = -amplitude_rad * np.sin(2 * np.pi / 4.352 * moving_s)
+        u = np.column_stack([goal] * dof + [np.full(count, payload_kg)])
+        y = compiled.simulate(u[:-1], STEP_S)
+        values = dict(zip(names(compiled.model.outputs), y.T, strict=True))
+        noise = (lambda size, spread: 0.0) if rng is None else (
+            lambda size, spread: rng.normal(0, spread, size))  # fmt: skip
+        columns = {"time_s": STEP_S * np.arange(count)}
+        for j in range(1, dof + 1):
+            columns[f"goal_{j}_rad"] = goal
+            columns[f"angle_{j}_rad"] = values[f"angle_{j}_rad"]
+            columns[f"current_{j}_a"] = values[f"current_{j}_a"] + noise(count, 0.02)
+        tip = np.column_stack([values[f"tip_{a}_m"] for a in "xyz"]) + noise((count, 3), 1e-4)
+        columns |= {f"tip_{a}_m": tip[:, k] for k, a in enumerate("xyz")}
+        markers = _markers(plant, values, dof) + noise((count, 16, 3), 1.5e-4)
+        for i in range(16):
+            columns |= {f"m{i + 1:02d}_{a}_m": markers[:, i, k] for k, a in enumerate("xyz")}
+        meta = TrialMeta(
+            dof=dof, payload_kg=payload_kg, pressure_pa=41300.0, trial=trial, motion="sinusoid",
+            source="plant", period_s=4.352, amplitude_rad=amplitude_rad, base_offset_m=0.06,
+            link_length_m=0.95, link_width_m=0.15, rest_samples=rest,
+        )  # fmt: skip
+        name = f"dof{dof}_payload{payload_kg:g}_trial{trial}"
+        return Trial(name, meta, {k: np.array(v) for k, v in columns.items()}, Path(f"{name}.csv"))
+
+    return make
+
+
+def _markers(plant, values, dof):
+    """Markers (n, 16, 3) by stacking strained edge segments on the plate at the measured angle.
+
+    Where they stand does not matter to eq. 1, only the lengths between them.
+    """
+    q = {name: p.value for name, p in plant.parameters.items()}
+    angle = np.column_stack([values[f"angle_{j}_rad"] for j in range(1, dof + 1)])
+    corners = base_corners_m(angle, q["base_offset_m"], q["link_width_m"])
+    up = base_rotation(angle)[:, :, 2]
+    segment = q["link_length_m"] / 4
+    rows, at = [], corners
+    for k in range(4):
+        strain = np.zeros((len(angle), 4))
+        for j in range(1, dof + 1):
+            bend = SHARES[k] * values[f"span_bend_{j}_rad"]
+            bend = bend + (k == 0) * values[f"root_bend_{j}_rad"]
+            side = np.array([1, -1, 1, -1]) if j == 1 else np.array([1, 1, -1, -1])
+            strain -= q["edge_gain"] * q["link_width_m"] / 2 / segment * np.outer(bend, side)
+        at = at + (segment * (1 + strain))[:, :, None] * up[:, None, :]
+        rows.append(at)
+    return np.concatenate(rows, axis=1)
