@@ -96,9 +96,7 @@ class Backlash(Effect):
     def apply(self, scope: Scope) -> None:
         """Lay the load on the side that its torque presses it to."""
         for j in scope.joints:
-            half, torque = (
-                scope.p("backlash_{j}_{angle}", j) / 2,
-                scope.p("backlash_torque_{j}_{torque}", j),
-            )
+            half = scope.p("backlash_{j}_{angle}", j) / 2
+            torque = scope.p("backlash_torque_{j}_{torque}", j)
             lost = -half * ca.tanh(scope.transmitted[j] / torque)
             lose(scope, j, "play", lost, half / torque)
