@@ -1,6 +1,6 @@
 """The plant behind the emulated servos: an FMI unit of a twin, stepped through ctypes.
 
-One form for both sources: `--fmu` names a unit, and a plant document is built into one first.
+One form for both sources: `--fmu` names a unit, and `hil.twin` builds a plant document into one.
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.signals import tip_names
 from firmware_py.unit import FmiUnit
-from fmu.build import build_unit
-from models.plant.plant import read_plant
 
 Array = NDArray[np.float64]
 
@@ -74,14 +72,3 @@ class UnitPhysics:
     def parameter(self, name: str) -> float:
         """Value of a plant parameter."""
         return float(self.unit.get([f"parameters.{name}"])[0])
-
-
-def build_twin(plant: Path, dof: int, directory: Path) -> Path:
-    """Build the twin of a plant document, without a predictor; returns the .fmu file.
-
-    Raises
-    ------
-    InputError
-        If the document cannot be used.
-    """
-    return build_unit(read_plant(plant).step_model(dof, "twin"), directory / f"twin_{dof}dof.fmu")

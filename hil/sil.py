@@ -43,7 +43,7 @@ from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
 from hil.host import Probe, Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.line import VirtualWire
-from hil.physics import build_twin
+from hil.twin import build_twin
 
 LineKind = Literal["pty", "socket", "virtual"]
 LOG_NAME: Final = "ticks.mcap"

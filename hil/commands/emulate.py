@@ -18,7 +18,7 @@ from firmware_py.registers import model_named
 from hil.arguments import add_line_arguments
 from hil.emulator import Specification, serve_forever
 from hil.faults import parse_rates
-from hil.physics import build_twin
+from hil.twin import build_twin
 
 EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
 

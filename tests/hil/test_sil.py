@@ -24,7 +24,7 @@ from fmu.build import build_unit
 from hil import outcome, sil
 from hil.commands.sil import describe, write_results
 from hil.emulator import Truth
-from hil.physics import build_twin
+from hil.twin import build_twin
 from models.plant.plant import NOMINAL, read_plant
 from models.trials import read_trial
 
