@@ -1,7 +1,8 @@
 """Reference motions: goal angles as a pure function of time.
 
 The laboratory and the robot run the same motions. Before zero a motion rests at zero; after its
-end it glides back to zero within `GLIDE_S`.
+end it glides back to zero within `GLIDE_S`: a wave that ends at speed runs on while it fades, for
+a dead stop would set the link swinging.
 
 ============ ====================================================================================
 sinusoid     the study's: two cycles 0 -> -A -> 0 -> +A -> 0 of one period each
@@ -37,6 +38,9 @@ _PERIODS: Final[dict[Kind, float]] = {
     "sinusoid": 2, "multisine": 4, "triangle": 4, "steps": 8, "decay": 6,
 }  # fmt: skip
 """Duration of a motion in periods."""
+
+_RUNS_ON: Final = ("sinusoid", "triangle")
+"""Motions that are still at speed at their end."""
 
 _HARMONICS: Final = ((2, 5, 9, 14), (3, 7, 11, 16))
 """Of the joints' multisines, in cycles per four periods: no common frequency."""
@@ -104,7 +108,8 @@ class Motion:
             Goal angles in rad.
         """
         time_s = np.asarray(time_s, dtype=np.float64)
-        clipped_s = np.clip(time_s, 0.0, self.duration_s)
+        last_s = self.duration_s + (GLIDE_S if self.kind in _RUNS_ON else 0.0)
+        clipped_s = np.clip(time_s, 0.0, last_s)
         fade = 1.0 - _ease((time_s - self.duration_s) / GLIDE_S)
         joints = [self._joint(j, clipped_s) * fade for j in range(self.dof)]
         return self.amplitude_rad * np.stack(joints, axis=-1) + 0.0  # no negative zeros

@@ -74,6 +74,17 @@ def test_only_the_letting_go_is_a_jump(kind, phase):
     assert jumps[:, 1].sum() in ((1, 2) if kind == "decay" else (0,))
 
 
+@pytest.mark.parametrize("kind", ["sinusoid", "multisine", "steps"])
+@pytest.mark.parametrize("phase", [0.0, 1.0, np.pi / 2])
+def test_no_motion_ends_in_a_dead_stop(kind, phase):
+    step_s = 0.017
+    motion = Motion(kind, phase_2_rad=phase, dof=2)
+    time_s = np.arange(motion.duration_s - 1.0, motion.duration_s + GLIDE_S + 1.0, step_s)
+    change_rad_s = np.abs(np.diff(motion.goal_rad(time_s), n=2, axis=0)) / step_s
+    at_full_speed_rad_s = 2 * np.pi * motion.amplitude_rad / motion.period_s
+    assert change_rad_s.max() < 0.2 * at_full_speed_rad_s
+
+
 def test_the_joints_of_a_multisine_share_no_frequency():
     goal = Motion("multisine", dof=2).table_rad()
     first, second = np.abs(np.fft.rfft(goal * np.hanning(len(goal))[:, None], axis=0)).T
