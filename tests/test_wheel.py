@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from fmu.__main__ import main as fmu
+
 ROOT = Path(__file__).resolve().parents[1]
 WORKSHOP_ONLY = ("sklearn", "casadi", "mujoco", "fmpy", "scipy", "skl2onnx", "models", "fmu", "hil")
 
@@ -42,6 +44,16 @@ def robot(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         installed = run(*pip, *arguments)
         assert installed.returncode == 0, installed.stderr
     return home / "bin"
+
+
+@pytest.fixture(scope="module")
+def complete_bundle(toy_bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle with its observer unit, as the robot gets it."""
+    bundle = tmp_path_factory.mktemp("robot") / "bundle"
+    shutil.copytree(toy_bundle, bundle)
+    plant = str(bundle / "plant.json")
+    assert fmu(["build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
+    return bundle
 
 
 def test_wheel_holds_the_robot_room_only(wheel: Path) -> None:
