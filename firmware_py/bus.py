@@ -78,6 +78,10 @@ class ServoBus(Protocol):
         """Switch the torque of every servo."""
         ...
 
+    def reopen(self) -> bool:
+        """Open a port anew that was gone; `connect` must follow before the servos are driven."""
+        ...
+
     def close(self) -> None:
         """Torque off if it is on, and let go of the port; never raises."""
         ...

@@ -105,8 +105,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def setups(self) -> tuple[ServoSetup, ...]:
         """Servos as the bus wants them."""
-        low, high = self.limits.angle_rad
-        return tuple(ServoSetup(s.id, model_named(s.model), low, high) for s in self.servos)
+        (low, high), rate = self.limits.angle_rad, self.limits.rate_rad_s
+        return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
 
     def goals_rad(self, *, repeated: bool = False) -> Array:
         """Goals of the motion, one row a period, rest in front, shape (n, dof).

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -43,6 +43,9 @@ STATUS_OVERHEAD: Final = 11
 _ID, _ERROR, _DATA = 4, 8, 9
 _ALERT_BIT, _ERROR_NUMBER = 0x80, 0x7F
 _SETUP_ATTEMPTS: Final = 3
+_DISTINCT_LENGTHS: Final = 4
+"""A late answer is told apart for so many exchanges; it is the adapter's, 16 ms at worst."""
+_TRIAL_READS: Final = 5
 _WATCHDOG_PERIODS: Final = 3
 
 
@@ -57,12 +60,16 @@ class ServoSetup(NamedTuple):
         Expected there.
     min_angle_rad, max_angle_rad : float
         Range that goals will use; the servo's own limits must contain it.
+    max_rate_rad_s : float
+        Speed that goals will use. A servo without a watchdog keeps it by itself, so that it cannot
+        run away from a loop that has died; infinity leaves the servo as it is.
     """
 
     id: int
     model: Model
     min_angle_rad: float
     max_angle_rad: float
+    max_rate_rad_s: float = math.inf
 
 
 class DynamixelBus:
@@ -84,6 +91,10 @@ class DynamixelBus:
         What messages call the port.
     baud : int
         Bits per second of the wire.
+    reply_timeout_s : float, optional
+        Longest wait for the servos in the loop: slower ones are refused at the start.
+    opener : callable, optional
+        Opens the wire anew, or raises InputError; without it a wire that is gone stays gone.
     """
 
     def __init__(
@@ -96,6 +107,8 @@ class DynamixelBus:
         return_delay_s: float | None = None,
         name: str = "bus",
         baud: int = 1_000_000,
+        reply_timeout_s: float | None = None,
+        opener: Callable[[], Wire] | None = None,
     ) -> None:
         tables = {servo.model.table.name for servo in servos}
         if len(tables) > 1:
@@ -122,6 +135,8 @@ class DynamixelBus:
         self._angle_scratch = np.zeros(self.dof)
         self._current_scratch = np.zeros(self.dof)
         self._driven = False
+        self._extra_bytes = 0
+        self._reply_timeout_s, self._opener = reply_timeout_s, opener
 
     @property
     def wait_ns(self) -> int:
@@ -131,19 +146,24 @@ class DynamixelBus:
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one synchronous read; all are fresh or none is."""
+        """Measure all servos with one synchronous read; all are fresh or none is.
+
+        An answer has no number, so one that comes too late would pass for the answer to the next
+        read. After a read that failed the next one therefore asks for another number of bytes.
+        """
         self._port.deadline_ns = deadline_ns
         try:
-            return self._read()
+            status = self._read()
         except OSError:
             self._port.is_using = False
-            return BusStatus.PORT_GONE
+            status = BusStatus.PORT_GONE
+        if not status.fresh:
+            self._extra_bytes = (self._extra_bytes + 1) % _DISTINCT_LENGTHS
+        return status
 
     def _read(self) -> BusStatus:
-        block = self._block
-        result = self._packets.syncReadTx(
-            self._port, block.address, block.size, self._ids, self.dof, False
-        )
+        address, size = self._block.address, self._block.size + self._extra_bytes
+        result = self._packets.syncReadTx(self._port, address, size, self._ids, self.dof, False)
         if result != COMM_SUCCESS:
             return BusStatus.TIMEOUT
         outcome, alerts, seen, replies = BusStatus.OK, False, 0, 0
@@ -155,13 +175,14 @@ class DynamixelBus:
                 outcome, replies = max(outcome, BusStatus.CORRUPT), replies + 1
                 continue
             joint = self._joint_of.get(packet[_ID])
+            refused = bool(packet[_ERROR] & _ERROR_NUMBER)
             if joint is None or seen >> joint & 1:
                 continue
+            if not refused and len(packet) != STATUS_OVERHEAD + size:
+                continue  # the answer to an earlier instruction
             seen, replies = seen | 1 << joint, replies + 1
-            if packet[_ERROR] & _ERROR_NUMBER:
+            if refused:
                 outcome = max(outcome, BusStatus.REFUSED)
-            elif len(packet) != STATUS_OVERHEAD + block.size:
-                outcome = max(outcome, BusStatus.CORRUPT)
             else:
                 self._decode(joint, packet)
             alerts = alerts or bool(packet[_ERROR] & _ALERT_BIT)
@@ -240,6 +261,23 @@ class DynamixelBus:
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
         if (status := self.read(self._clock.now_ns() + SETUP_TIMEOUT_NS)) != BusStatus.OK:
             raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
+        if self._reply_timeout_s is not None:
+            self._check_replies(round(self._reply_timeout_s * 1e9))
+
+    def _check_replies(self, timeout_ns: int) -> None:
+        """Refuse servos, or an adapter, whose answers come too late for the loop."""
+        taken_ns = []
+        for _ in range(_TRIAL_READS):
+            start_ns = self._clock.now_ns()
+            self.read(start_ns + SETUP_TIMEOUT_NS)
+            taken_ns.append(self._clock.now_ns() - start_ns)
+        if (usual_ns := sorted(taken_ns)[_TRIAL_READS // 2]) > timeout_ns:
+            raise self._unfit(
+                f"answers take {usual_ns / 1e6:.1f} ms, bus.reply_timeout_s allows "
+                f"{timeout_ns / 1e6:g} ms",
+                "set the adapter's latency timer to 1 ms ('dropstitch install-service' does), or "
+                "raise the baud rate",
+            )
 
     def _prepare(self, servo: ServoSetup) -> int:
         """Check one servo; return its firmware version."""
@@ -275,6 +313,9 @@ class DynamixelBus:
             delay = round_half_away(self._return_delay_s / RETURN_DELAY_UNIT_S)
             if self._get(servo, Register.RETURN_DELAY) != delay:
                 self._set(servo, Register.RETURN_DELAY, delay)
+        if Register.BUS_WATCHDOG not in self._table and math.isfinite(servo.max_rate_rad_s):
+            lsb = servo.model.velocity_rad_s_per_lsb
+            self._set(servo, Register.PROFILE_VELOCITY, math.ceil(servo.max_rate_rad_s / lsb))
         return self._get(servo, Register.FIRMWARE_VERSION)
 
     def _unfit(self, what: str, remedy: str) -> InputError:
@@ -332,6 +373,18 @@ class DynamixelBus:
         if good:
             self._driven = on
         return BusStatus.OK if good else BusStatus.TIMEOUT
+
+    def reopen(self) -> bool:
+        """Open the port anew after it was gone; nothing is sent to the servos yet."""
+        if self._opener is None:
+            return False
+        with contextlib.suppress(OSError):
+            self._port.closePort()
+        try:
+            self._port.replace(self._opener())
+        except InputError:
+            return False
+        return True
 
     def close(self) -> None:
         """Torque off if it is on, and let go of the port; never raises."""

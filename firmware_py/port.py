@@ -26,6 +26,7 @@ from firmware_py.wire import Wire
 
 _READ_SIZE: Final = 4096
 _MAX_PACKET: Final = 1024
+_LONGEST_WAIT_NS: Final = 1_000_000_000
 _HEADER: Final = b"\xff\xff\xfd"
 _LENGTH, _INSTRUCTION = 5, 7
 
@@ -71,6 +72,11 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         self._wire.close()
         self.is_open = False
 
+    def replace(self, wire: Wire) -> None:
+        """Go on with another wire, in place of one that is gone."""
+        self._wire, self._received = wire, b""
+        self.is_open, self.is_using = True, False
+
     def clearPort(self) -> None:
         """Drop what was received before a new instruction."""
         self._received = b""
@@ -104,8 +110,9 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         """Do nothing: `deadline_ns` rules."""
 
     def isPacketTimeout(self) -> bool:
-        """Return whether the deadline has passed."""
-        return not self._received and self._clock.now_ns() >= self.deadline_ns
+        """Return whether the deadline has passed, or the clock was set back in front of it."""
+        remaining_ns = self.deadline_ns - self._clock.now_ns()
+        return not self._received and not 0 < remaining_ns <= _LONGEST_WAIT_NS
 
     def getCurrentTime(self) -> float:
         """Return the clock in milliseconds, the SDK's unit."""

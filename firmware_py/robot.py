@@ -16,7 +16,7 @@ from firmware_py.clock import Clock
 from firmware_py.config import RobotConfig
 from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
-from firmware_py.wire import open_wire
+from firmware_py.wire import Wire, open_wire
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
@@ -39,10 +39,14 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
 @contextlib.contextmanager
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
     """Open the bus that a configuration describes; torque off and closed at the end."""
-    wire = open_wire(config.bus.port, config.bus.baud, clock)
+
+    def opener() -> Wire:
+        return open_wire(config.bus.port, config.bus.baud, clock)
+
     bus = DynamixelBus(
-        wire, config.setups(), clock, period_s=config.period_s,
+        opener(), config.setups(), clock, period_s=config.period_s,
         return_delay_s=config.bus.return_delay_s, name=config.bus.port, baud=config.bus.baud,
+        reply_timeout_s=config.bus.reply_timeout_s, opener=opener,
     )  # fmt: skip
     try:
         yield bus

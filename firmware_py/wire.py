@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import fcntl
+import glob
 import os
 import select
 import socket
@@ -23,6 +24,8 @@ BAUD_RATES: Final = (
 """Rates that the SDK offers."""
 
 _READ_SIZE: Final = 4096
+_LONGEST_WAIT_NS: Final = 1_000_000_000
+"""A clock that was set back must not make anybody wait for an hour."""
 _HUNG_UP: Final = "the other side has closed the line"
 _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
@@ -171,15 +174,31 @@ class SocketWire:
 
 
 def _wait(fd: int, deadline_ns: int, clock: Clock) -> bool:
-    remaining_ns = deadline_ns - clock.now_ns()
+    remaining_ns = min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS)
     return remaining_ns > 0 and bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
 
 
 def open_wire(name: str, baud: int, clock: Clock) -> Wire:
-    """Open the wire that a port name stands for: `unix:/path` a socket, else a serial device."""
-    if name.startswith("unix:"):
-        return SocketWire(name.removeprefix("unix:"), clock)
-    return SerialWire(name, baud, clock)
+    """Open the wire that a port name stands for: `unix:/path` a socket, else a serial device.
+
+    A name with wildcards stands for the first that can be opened, in the order of the alphabet: an
+    adapter that was unplugged may come back as another one.
+
+    Raises
+    ------
+    InputError
+        If none can be opened.
+    """
+    scheme = "unix:" if name.startswith("unix:") else ""
+    pattern = name.removeprefix(scheme)
+    refusal: InputError | None = None
+    for path in sorted(glob.glob(pattern)) or [pattern]:
+        try:
+            return SocketWire(path, clock) if scheme else SerialWire(path, baud, clock)
+        except InputError as error:
+            refusal = refusal or error
+    assert refusal is not None
+    raise refusal
 
 
 def _port_remedy(path: str) -> str:

@@ -295,3 +295,80 @@ def test_the_return_delay_is_written_only_where_it_differs():
 )  # fmt: skip
 def test_the_wire_takes_as_long_as_measured(baud, dof, published_ms):
     assert exchange_time_s(dof, 10, baud, 500e-6) * 1e3 == pytest.approx(published_ms, rel=3e-3)
+
+
+# --- late answers, slow adapters, servos without a watchdog, ports that come back ----------------
+
+
+@pytest.mark.parametrize("late_by", [1, 2, 3])
+def test_the_answer_to_an_earlier_read_is_never_taken_for_this_one(pair, late_by):
+    """It arrives behind the next instruction, whole and undamaged, in front of the real one."""
+    bus, wire, clock = pair
+    held = []
+    wire.tamper = lambda data: held.append(data) or b""
+    for k in range(late_by):
+        bus.write(np.full(2, 0.1 * (k + 1)), clock.now_ns() + BUDGET_NS)
+        assert read(bus, clock) is BusStatus.TIMEOUT
+    wire.tamper = lambda data: b"".join(held) + data
+    bus.write(np.full(2, 0.5), clock.now_ns() + BUDGET_NS)
+    assert read(bus, clock) is BusStatus.OK
+    assert bus.angle_rad == pytest.approx([0.5, 0.5], abs=1e-3)
+
+
+def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
+    class SlowWire(TamperedWire):
+        def read(self, size, deadline_ns):
+            self.clock.advance(16_000_000)
+            return super().read(size, deadline_ns)
+
+    clock = SimClock()
+    models = {1: MODELS[PRO_A]}
+    setups = [ServoSetup(1, models[1], -0.6, 0.6)]
+    for allowed_s, refused in ((0.0161, False), (0.008, True)):
+        bus = DynamixelBus(
+            SlowWire(models, clock), setups, clock, period_s=0.05, reply_timeout_s=allowed_s
+        )
+        if refused:
+            with pytest.raises(InputError, match=r"answers take 16\.0 ms.*latency timer"):
+                bus.connect()
+        else:
+            bus.connect()
+
+
+@pytest.mark.parametrize(("number", "limited"), [(LEGACY, True), (PRO_A, False), (XM, False)])
+def test_a_servo_without_a_watchdog_keeps_the_speed_limit_itself(number, limited):
+    clock, models = SimClock(), {1: MODELS[number]}
+    wire = TamperedWire(models, clock)
+    bus = DynamixelBus(wire, [ServoSetup(1, models[1], -0.6, 0.6, 2.0)], clock, period_s=0.017)
+    bus.connect()
+    raw = wire.get(1, Register.PROFILE_VELOCITY)
+    lsb = models[1].velocity_rad_s_per_lsb
+    assert (2.0 <= raw * lsb < 2.0 + lsb) if limited else raw == 0
+
+
+def test_a_port_that_is_back_is_opened_anew():
+    clock, models = SimClock(), {1: MODELS[PRO_A]}
+    wires = [TamperedWire(models, clock)]
+    closed = []
+
+    def opener():
+        if len(wires) < 2:
+            raise InputError("port", "is missing", "plug it in")
+        return wires[-1]
+
+    wires[0].close = lambda: closed.append(0)
+    setups = [ServoSetup(1, models[1], -0.6, 0.6)]
+    bus = DynamixelBus(wires[0], setups, clock, period_s=0.017, opener=opener)
+    bus.connect()
+    wires[0].gone = True
+    assert read(bus, clock) is BusStatus.PORT_GONE
+    assert not bus.reopen()
+    wires.append(TamperedWire(models, clock))
+    assert bus.reopen()
+    bus.connect()
+    assert read(bus, clock) is BusStatus.OK
+    assert closed
+
+
+def test_without_an_opener_a_port_stays_gone(pair):
+    assert not pair[0].reopen()
