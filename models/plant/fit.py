@@ -8,6 +8,7 @@ the data cannot show stays where it was.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.deformation import deformation_index
+from models.deformation import deformation_index, lengths_m
 from models.plant.plant import Plant, Unit
 from models.plant.simulate import Array, CompiledModel, run_trial, sensitivity, trial_parameters
 from models.plant.step import names
@@ -38,8 +39,25 @@ def measured_signals(trial: Trial) -> dict[str, Array]:
     """Columns of a trial, and its Deformation Index where it has markers."""
     signals = dict(trial.columns)
     if "m01_x_m" in signals and trial.meta.rest_samples:
-        signals["di"] = deformation_index(trial)
+        signals["di"] = _balanced_index(trial)
     return signals
+
+
+def _balanced_index(trial: Trial) -> Array:
+    """Deformation Index that does not favour the segments which are seen more often.
+
+    The segments at the base strain most and need one marker only, the others two: a mean over the
+    lengths that are seen would rise with occlusion. Here each of the four segments counts alike;
+    without occlusion it is `deformation_index`.
+    """
+    lengths = lengths_m(trial)
+    if np.isfinite(lengths).all():
+        return deformation_index(trial)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
+        reference = np.nanmean(lengths[: trial.meta.rest_samples], axis=0)
+        strain = np.abs(lengths - reference) / reference
+        return np.asarray(np.nanmean(strain.reshape(len(trial), 4, 4), axis=2).mean(axis=1))
 
 
 def weights(trial: Trial, signal: str) -> Array:

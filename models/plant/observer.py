@@ -45,7 +45,7 @@ def observer_parameters() -> tuple[Parameter, ...]:
         Parameter(name="payload_spread_kg", unit="kg", value=1.0, low=0.01, high=10.0,
                   description="standard deviation of the payload before anything is measured",
                   source="the study's range"),
-        Parameter(name="payload_drift_kg_s", unit="kg/s", value=0.0, low=0.0, high=1.0,
+        Parameter(name="payload_drift_kg", unit="kg", value=0.0, low=0.0, high=1.0,
                   description="standard deviation that the payload may change by in a second",
                   source="the payload is bolted on"),
         Parameter(name="friction_spread", unit="1", value=0.15, low=0.0, high=1.0,
@@ -123,7 +123,8 @@ class _Sensitivity:
 
         A link that buckles has no finite sensitivity: it is held within `STEEPEST_PER_KG`.
         """
-        for slope, s in zip(ca.vertsplit(self._slopes), self._states, strict=True):
+        slopes: list[Expr] = ca.vertsplit(self._slopes)
+        for slope, s in zip(slopes, self._states, strict=True):
             limited = ca.fmin(ca.fmax(slope, -STEEPEST_PER_KG), STEEPEST_PER_KG)
             self._scope.states[slope.name()].finish = limited
             moved, v = s.symbol + limited * change_kg, s.variable
@@ -153,7 +154,7 @@ def _estimate(
                 spread[row] ** 2 if row == column else 0.0,
             )
             entries[row, column] = covariance[row, column] = covariance[column, row] = entry
-    covariance[0, 0] += scope.p("payload_drift_kg_s") ** 2 * scope.step_s
+    covariance[0, 0] += scope.p("payload_drift_kg") ** 2 * scope.step_s
     change = ca.SX.zeros(count)
     noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):

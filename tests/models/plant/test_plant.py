@@ -1,0 +1,107 @@
+"""The plant document: round trip, completion, refusals in one sentence."""
+
+import json
+
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.signals import unit_of
+from models.plant.plant import NOMINAL, read_plant
+from models.plant.step import names
+
+
+@pytest.mark.parametrize("suffix", [".json", ".toml"])
+def test_a_document_comes_back_the_same(tmp_path, suffix):
+    plant = read_plant().with_values({"link_mass_kg": 2 / 3}, {"link_mass_kg": 0.1})
+    path = tmp_path / f"plant{suffix}"
+    plant.write(path)
+    again = read_plant(path)
+    assert again.parameters.keys() == plant.parameters.keys()
+    for name, q in plant.parameters.items():
+        other = again.parameters[name]
+        assert (q.value, q.low, q.high, q.unit, q.role, q.source, q.error) == (
+            other.value, other.low, other.high, other.unit, other.role, other.source, other.error
+        )  # fmt: skip
+    assert again.sha256() == plant.sha256()
+    assert (again.drive, again.load, again.effects) == (plant.drive, plant.load, plant.effects)
+
+
+def test_the_nominal_plant_names_value_unit_bounds_and_source_of_everything():
+    plant, text = read_plant(), NOMINAL.read_text()
+    for name, q in plant.parameters.items():
+        assert f"\n{name} = {{ value" in text, name
+        assert q.source and q.low <= q.value <= q.high
+        assert unit_of(name) in (q.unit, None), name
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_units_have_the_contracts_inputs_and_outputs(dof):
+    plant, joints = read_plant(), range(1, dof + 1)
+    tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
+    angles, currents = [f"angle_{j}_rad" for j in joints], [f"current_{j}_a" for j in joints]
+    twin, observer = plant.step_model(dof, "twin"), plant.step_model(dof, "observer")
+    assert names(twin.inputs) == [*(f"goal_{j}_rad" for j in joints), "payload_kg"]
+    assert names(twin.outputs) == [*angles, *currents, "di", *tip]
+    assert names(observer.inputs) == [*angles, *currents]
+    assert names(observer.outputs) == ["di", *tip, "payload_kg"]
+    assert len(twin.states) == 10 * dof
+    every = (*twin.inputs, *twin.outputs, *observer.inputs, *observer.outputs)
+    assert all((unit_of(v.name) or "1") == v.unit for v in every)
+
+
+def edited(tmp_path, change):
+    document = json.loads(json.dumps(read_plant().document()))
+    change(document)
+    path = tmp_path / "plant.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def put(*keys_and_value):
+    *keys, last, value = keys_and_value
+
+    def change(document):
+        for key in keys:
+            document = document[key]
+        document[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (put("drive", "kind", "hydraulic"), "'hydraulic' is no drive; choose from cascade"),
+        (put("load", "kind", "rope"), "'rope' is no load; choose from link"),
+        (put("effects", [{"name": "magic"}]), "'magic' is no effect"),
+        (put("schema", 7), "schema is 7; this version reads 1"),
+        (put("parameters", "mass_of_link_kg", 1.0), "'mass_of_link_kg' belongs to no part"),
+        (put("parameters", "link_mass_kg", 90.0), "link_mass_kg is 90 kg, outside 0.5 to 2"),
+        (put("parameters", "link_mass_kg", "unit", "g"), "is given in 'g'; convert it to 'kg'"),
+        (put("parameters", "link_mass_kg", "value", "heavy"), "Expected `float`"),
+        (put("colour", "blue"), "unknown field `colour`"),
+    ],
+)
+def test_what_is_wrong_with_a_document_is_said(tmp_path, change, message):
+    with pytest.raises(InputError) as refused:
+        read_plant(edited(tmp_path, change))
+    assert message in str(refused.value)
+    assert str(tmp_path) in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["{", "schema = ", ""])
+def test_what_is_no_document_is_refused(tmp_path, text):
+    for suffix in ("json", "toml"):
+        path = tmp_path / f"plant.{suffix}"
+        path.write_text(text)
+        with pytest.raises(InputError, match="is no plant document"):
+            read_plant(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_plant(tmp_path / "missing.toml")
+
+
+def test_a_value_outside_its_bounds_cannot_be_set():
+    with pytest.raises(InputError, match="link_mass_kg is -1 kg"):
+        read_plant().with_values({"link_mass_kg": -1.0})
+    with pytest.raises(InputError, match="is no parameter"):
+        read_plant().with_values({"mass": 1.0})
