@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py import bus_plan
 from firmware_py.clock import RealTimeOptions
-from firmware_py.dynamixel import ServoSetup, exchange_time_s
+from firmware_py.dynamixel import ServoSetup
 from firmware_py.errors import InputError
-from firmware_py.loop import RESERVE_NS
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
 from firmware_py.registers import RETURN_DELAY_UNIT_S, model_named
 from firmware_py.safety import Limits, check_motion
@@ -23,8 +23,8 @@ from firmware_py.wire import BAUD_RATES
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
-_FACTORY_RETURN_DELAY_S: Final = 500e-6
 _MAX_ID: Final = 252
+_MAX_DOF: Final = 2
 
 
 class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -108,6 +108,19 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         (low, high), rate = self.limits.angle_rad, self.limits.rate_rad_s
         return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
 
+    @property
+    def wire_budget_s(self) -> float:
+        """What a tick can give to the wire."""
+        return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
+
+    def bus_plans(self) -> list[bus_plan.Plan]:
+        """Ways to spend it, fastest first; see `firmware_py.bus_plan`."""
+        delay_s = self.bus.return_delay_s
+        return bus_plan.plans(
+            self.setups()[0].model.table, self.dof, self.bus.baud,
+            bus_plan.FACTORY_RETURN_DELAY_S if delay_s is None else delay_s,
+        )  # fmt: skip
+
     def goals_rad(self, *, repeated: bool = False) -> Array:
         """Goals of the motion, one row a period, rest in front, shape (n, dof).
 
@@ -167,13 +180,15 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")
-    if config.dof not in (1, 2):
+    if config.dof == 0:
+        raise InputError(path, "servos has no entry", "give one per joint, 1 or 2")
+    _check_ranges(config, path)
+    _check_wire(config, path)
+    if config.dof > _MAX_DOF:
         raise InputError(path, f"servos has {config.dof} entries", "give one per joint, 1 or 2")
     ids = [servo.id for servo in config.servos]
     if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
         raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
-    _check_ranges(config, path)
-    _check_wire(config, path)
 
 
 def _check_ranges(config: RobotConfig, path: Path | str) -> None:
@@ -217,14 +232,4 @@ def _check_wire(config: RobotConfig, path: Path | str) -> None:
         raise InputError(
             path, f"bus.baud is {bus.baud}", "choose from " + ", ".join(map(str, BAUD_RATES))
         )
-    block = config.setups()[0].model.table.feedback.size
-    delay_s = _FACTORY_RETURN_DELAY_S if bus.return_delay_s is None else bus.return_delay_s
-    needed_s = exchange_time_s(config.dof, block, bus.baud, delay_s)
-    available_s = min(bus.reply_timeout_s, config.period_s - RESERVE_NS * 1e-9)
-    if needed_s > available_s:
-        raise InputError(
-            path,
-            f"{config.dof} servos at {bus.baud} baud need {needed_s * 1e3:.1f} ms on the wire, "
-            f"bus.reply_timeout_s and period_s leave {available_s * 1e3:.1f} ms",
-            "raise bus.baud to 1000000 or more, here and in the servos",
-        )
+    bus_plan.require_any(config.bus_plans(), config.wire_budget_s, path)

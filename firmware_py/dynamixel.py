@@ -1,8 +1,4 @@
-"""Dynamixel servos on one bus, through the official SDK.
-
-The zeros that the SDK's group reader returns for a missing reply never appear here: replies are
-taken one by one, which also keeps the alert bit that it drops (FACTS §1).
-"""
+"""Dynamixel servos on one bus, through the official SDK."""
 
 from __future__ import annotations
 
@@ -12,12 +8,14 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
+from dynamixel_sdk.robotis_def import COMM_SUCCESS
 from numpy.typing import NDArray
 
 from firmware_py.bus import BusStatus
+from firmware_py.bus_plan import FACTORY_RETURN_DELAY_S, STATUS_OVERHEAD, Plan, plain, plans
 from firmware_py.clock import Clock
 from firmware_py.errors import InputError
+from firmware_py.feedback import DATA, ERROR, ERROR_NUMBER, ID, FeedbackReader
 from firmware_py.port import DeadlinePort, PacketHandler
 from firmware_py.registers import (
     MODELS,
@@ -37,14 +35,7 @@ Array = NDArray[np.float64]
 SETUP_TIMEOUT_NS: Final = 50_000_000
 """How long one reply may take outside the loop."""
 
-STATUS_OVERHEAD: Final = 11
-"""Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
-
-_ID, _ERROR, _DATA = 4, 8, 9
-_ALERT_BIT, _ERROR_NUMBER = 0x80, 0x7F
 _SETUP_ATTEMPTS: Final = 3
-_DISTINCT_LENGTHS: Final = 4
-"""A late answer is told apart for so many exchanges; it is the adapter's, 16 ms at worst."""
 _TRIAL_READS: Final = 5
 _WATCHDOG_PERIODS: Final = 3
 
@@ -95,6 +86,11 @@ class DynamixelBus:
         Longest wait for the servos in the loop: slower ones are refused at the start.
     opener : callable, optional
         Opens the wire anew, or raises InputError; without it a wire that is gone stays gone.
+
+    Attributes
+    ----------
+    plan : Plan
+        How the servos are read, chosen by `connect`.
     """
 
     def __init__(
@@ -126,17 +122,13 @@ class DynamixelBus:
         self._port = DeadlinePort(wire, clock, name, baud)
         self._packets = PacketHandler()
         self._ids = [servo.id for servo in servos]
-        self._joint_of = {servo.id: j for j, servo in enumerate(servos)}
         self._table = servos[0].model.table
-        self._block = self._table.feedback
-        self._position = self._table[Register.PRESENT_POSITION]
-        self._current = self._table[Register.PRESENT_CURRENT]
         self._goal = self._table[Register.GOAL_POSITION]
-        self._angle_scratch = np.zeros(self.dof)
-        self._current_scratch = np.zeros(self.dof)
         self._driven = False
-        self._extra_bytes = 0
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
+        delay_s = FACTORY_RETURN_DELAY_S if return_delay_s is None else return_delay_s
+        self._plans = plans(self._table, self.dof, baud, delay_s)
+        self._follow(plain(self._plans))
 
     @property
     def wait_ns(self) -> int:
@@ -146,58 +138,18 @@ class DynamixelBus:
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one synchronous read; all are fresh or none is.
-
-        An answer has no number, so one that comes too late would pass for the answer to the next
-        read. After a read that failed the next one therefore asks for another number of bytes.
-        """
+        """Measure all servos with one synchronous read; all are fresh or none is."""
         self._port.deadline_ns = deadline_ns
         try:
-            status = self._read()
+            taken = self._feedback.take()
+            if taken.status != BusStatus.OK:
+                return taken.status
+            self.angle_rad[:] = self._feedback.angle_rad
+            self.current_a[:] = self._feedback.current_a
+            return self._alerted() if taken.alert else BusStatus.OK
         except OSError:
             self._port.is_using = False
-            status = BusStatus.PORT_GONE
-        if not status.fresh:
-            self._extra_bytes = (self._extra_bytes + 1) % _DISTINCT_LENGTHS
-        return status
-
-    def _read(self) -> BusStatus:
-        address, size = self._block.address, self._block.size + self._extra_bytes
-        result = self._packets.syncReadTx(self._port, address, size, self._ids, self.dof, False)
-        if result != COMM_SUCCESS:
-            return BusStatus.TIMEOUT
-        outcome, alerts, seen, replies = BusStatus.OK, False, 0, 0
-        while replies < self.dof:  # a damaged reply stands for one; a stranger's for none
-            packet, result = self._packets.rxPacket(self._port, False)
-            if result == COMM_RX_TIMEOUT:
-                return max(outcome, BusStatus.TIMEOUT)
-            if result != COMM_SUCCESS:
-                outcome, replies = max(outcome, BusStatus.CORRUPT), replies + 1
-                continue
-            joint = self._joint_of.get(packet[_ID])
-            refused = bool(packet[_ERROR] & _ERROR_NUMBER)
-            if joint is None or seen >> joint & 1:
-                continue
-            if not refused and len(packet) != STATUS_OVERHEAD + size:
-                continue  # the answer to an earlier instruction
-            seen, replies = seen | 1 << joint, replies + 1
-            if refused:
-                outcome = max(outcome, BusStatus.REFUSED)
-            else:
-                self._decode(joint, packet)
-            alerts = alerts or bool(packet[_ERROR] & _ALERT_BIT)
-        if outcome != BusStatus.OK:
-            return outcome
-        self.angle_rad[:] = self._angle_scratch
-        self.current_a[:] = self._current_scratch
-        return self._alerted() if alerts else BusStatus.OK
-
-    def _decode(self, joint: int, packet: list[int]) -> None:
-        model = self._servos[joint].model
-        position = self._position.decode(packet, _DATA + self._block.position_offset)
-        current = self._current.decode(packet, _DATA + self._block.current_offset)
-        self._angle_scratch[joint] = model.angle_rad(position)
-        self._current_scratch[joint] = model.current_a(current)
+            return BusStatus.PORT_GONE
 
     def _alerted(self) -> BusStatus:
         """Find out once which hardware error it is, within the deadline of the read."""
@@ -216,11 +168,11 @@ class DynamixelBus:
         result = self._packets.readTx(self._port, id_, cell.address, cell.size)
         while result == COMM_SUCCESS:
             packet, result = self._packets.rxPacket(self._port, False)
-            if result != COMM_SUCCESS or packet[_ID] != id_:
+            if result != COMM_SUCCESS or packet[ID] != id_:
                 continue
             if len(packet) == STATUS_OVERHEAD + cell.size:
-                return cell.decode(packet, _DATA)
-            if packet[_ERROR] & _ERROR_NUMBER:
+                return cell.decode(packet, DATA)
+            if packet[ERROR] & ERROR_NUMBER:
                 return None
         return None
 
@@ -259,10 +211,41 @@ class DynamixelBus:
             mode, or has narrower limits than the configuration.
         """
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
-        if (status := self.read(self._clock.now_ns() + SETUP_TIMEOUT_NS)) != BusStatus.OK:
+        if (status := self._choose_plan()) != BusStatus.OK:
             raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
         if self._reply_timeout_s is not None:
             self._check_replies(round(self._reply_timeout_s * 1e9))
+
+    def _follow(self, plan: Plan) -> None:
+        """Read by this plan from now on."""
+        models = {servo.id: servo.model for servo in self._servos}
+        self.plan = plan
+        self._feedback = FeedbackReader(self._port, self._packets, models, plan)
+
+    def _choose_plan(self) -> BusStatus:
+        """Follow the fastest plan that the servos answer; return what the last one tried gave."""
+        status = BusStatus.OK
+        for plan in self._plans:
+            if plan.indirect and not all(self._gather(servo) for servo in self._servos):
+                continue
+            self._follow(plan)
+            for _ in range(_SETUP_ATTEMPTS):
+                status = self.read(self._clock.now_ns() + SETUP_TIMEOUT_NS)
+                if status <= BusStatus.ALERT:
+                    return status
+        return status
+
+    def _gather(self, servo: ServoSetup) -> bool:
+        """Let the first indirect addresses of a servo stand for position and current.
+
+        They lie in EEPROM, so they are written only where they hold something else.
+        """
+        entries = [a.to_bytes(2, "little") for a in self._table.gathered_addresses]
+        cell, raw = Cell(self._table.indirect.address, 2 * len(entries)), b"".join(entries)
+        wanted = cell.decode(raw)
+        return self._try_get(servo, cell) == wanted or (
+            self._try_put(servo, cell, wanted) and self._try_get(servo, cell) == wanted
+        )
 
     def _check_replies(self, timeout_ns: int) -> None:
         """Refuse servos, or an adapter, whose answers come too late for the loop."""
@@ -322,7 +305,11 @@ class DynamixelBus:
         return InputError(self._name, what, remedy)
 
     def _get(self, servo: ServoSetup, register: Register) -> int:
-        cell = self._table[register]
+        if (raw := self._try_get(servo, self._table[register])) is None:
+            raise self._silent(servo, f"read {register.value}")
+        return raw
+
+    def _try_get(self, servo: ServoSetup, cell: Cell) -> int | None:
         for _ in range(_SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
@@ -330,15 +317,17 @@ class DynamixelBus:
                     return raw
             except OSError:
                 self._port.is_using = False
-                break
-        raise self._silent(servo, f"read {register.value}")
+                return None
+        return None
 
     def _set(self, servo: ServoSetup, register: Register, raw: int) -> None:
         if not self._try_set(servo, register, raw):
             raise self._silent(servo, f"write {register.value}")
 
     def _try_set(self, servo: ServoSetup, register: Register, raw: int) -> bool:
-        cell = self._table[register]
+        return self._try_put(servo, self._table[register], raw)
+
+    def _try_put(self, servo: ServoSetup, cell: Cell, raw: int) -> bool:
         data = list(cell.encode(raw))
         for _ in range(_SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
@@ -347,7 +336,7 @@ class DynamixelBus:
             except OSError:
                 self._port.is_using = False
                 return False
-            if result == COMM_SUCCESS and not error & _ERROR_NUMBER:
+            if result == COMM_SUCCESS and not error & ERROR_NUMBER:
                 return True
         return False
 
@@ -393,22 +382,3 @@ class DynamixelBus:
                 self.torque(False)
         with contextlib.suppress(OSError):
             self._port.closePort()
-
-
-def exchange_time_s(dof: int, table_block: int, baud: int, return_delay_s: float) -> float:
-    """Time on the wire of one synchronous read and one synchronous write of goals.
-
-    Parameters
-    ----------
-    dof : int
-        Number of servos.
-    table_block : int
-        Bytes that each servo answers with.
-    baud : int
-        Bits per second; ten bits make a byte.
-    return_delay_s : float
-        Pause of each servo before it answers.
-    """
-    instruction_bytes = (14 + dof) + (14 + dof * (1 + 4))
-    reply_bytes = dof * (STATUS_OVERHEAD + table_block)
-    return (instruction_bytes + reply_bytes) * 10 / baud + dof * return_delay_s

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus import BusStatus, ServoBus
+from firmware_py.bus_plan import RESERVE_NS
 from firmware_py.clock import Clock
 from firmware_py.errors import InputError
 from firmware_py.estimator import DeformationEstimator
@@ -38,9 +39,6 @@ from firmware_py.telemetry import NoTelemetry, Telemetry
 from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
 
 Array = NDArray[np.float64]
-
-RESERVE_NS: Final = 2_000_000
-"""Part of a slot that the wait for the servos leaves to the rest of the tick."""
 
 _START_DELAY_NS: Final = 2_000_000
 

@@ -16,6 +16,7 @@ from firmware_py.registers import POSITION_MODE, Model, Register
 
 _HEADER: Final = [0xFF, 0xFF, 0xFD, 0x00]
 _READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x02, 0x03, 0x82, 0x83, 0x55
+_FAST_SYNC_READ: Final = 0x8A
 _LENGTH_END: Final = 7
 _MEMORY_BYTES: Final = 1024
 
@@ -97,13 +98,25 @@ class LoopbackWire:
             return
         size = parameters[2] | parameters[3] << 8
         if instruction == _READ:
-            self._answer(id_, list(self.memory[id_][address : address + size]))
+            self._answer(id_, self._load(id_, address, size))
         elif instruction == _SYNC_READ:
             for each in parameters[4:]:
-                self._answer(each, list(self.memory[each][address : address + size]))
+                self._answer(each, self._load(each, address, size))
+        elif instruction == _FAST_SYNC_READ:
+            self._answer_together(parameters[4:], address, size)
         elif instruction == _SYNC_WRITE:
             for start in range(4, len(parameters), size + 1):
                 self._store(parameters[start], address, parameters[start + 1 : start + 1 + size])
+
+    def _load(self, id_: int, address: int, size: int) -> list[int]:
+        """Read bytes, through the indirect addresses where that is where they lie."""
+        memory, indirect = self.memory[id_], self._models[id_].table.indirect
+        data = []
+        for each in range(address, address + size):
+            entry = indirect.entry_of(each)
+            behind = 0 if entry is None else memory[entry] | memory[entry + 1] << 8
+            data.append(memory[behind or each])
+        return data
 
     def _store(self, id_: int, address: int, data: list[int]) -> None:
         self.memory[id_][address : address + len(data)] = bytes(data)
@@ -116,4 +129,15 @@ class LoopbackWire:
         packet = self._packets.addStuffing(packet)
         crc = self._packets.updateCRC(0, packet, len(packet) - 2)
         packet[-2:] = (crc & 0xFF, crc >> 8)
+        self._answers += bytes(packet)
+
+    def _answer_together(self, ids: list[int], address: int, size: int) -> None:
+        if not all(id_ in self._models and self._models[id_].table.fast_sync_read for id_ in ids):
+            return
+        length = 1 + len(ids) * (size + 4)
+        packet = [*_HEADER, BROADCAST_ID, length & 0xFF, length >> 8, _STATUS]
+        for id_ in ids:
+            packet += [0, id_, *self._load(id_, address, size)]
+            crc = self._packets.updateCRC(0, packet, len(packet))
+            packet += [crc & 0xFF, crc >> 8]
         self._answers += bytes(packet)

@@ -90,6 +90,29 @@ class Block:
     current_offset: int
 
 
+class Indirect(NamedTuple):
+    """Where a table lets registers be gathered: byte k of the data stands for an address of choice.
+
+    Attributes
+    ----------
+    address : int
+        Of the first entry, two bytes each.
+    data : int
+        Address of the first byte that stands for another.
+    entries : int
+        How many there are.
+    """
+
+    address: int
+    data: int
+    entries: int
+
+    def entry_of(self, address: int) -> int | None:
+        """Where the entry lies that an address of the data goes by; None outside the data."""
+        k = address - self.data
+        return self.address + 2 * k if 0 <= k < self.entries else None
+
+
 @dataclass(frozen=True)
 class ControlTable:
     """Registers of one family of servos.
@@ -102,11 +125,18 @@ class ControlTable:
         What the family has; a register that is not in it does not exist there.
     ram_start : int
         First address of the RAM area; everything below is EEPROM, locked while torque is on.
+    indirect : Indirect
+        Its indirect addresses.
+    fast_sync_read : bool
+        Whether there is firmware that answers a fast sync read. Which version began with it is
+        published for some models only, so the servos are asked (`firmware_py.bus_plan`).
     """
 
     name: str
     cells: Mapping[Register, Cell]
     ram_start: int
+    indirect: Indirect
+    fast_sync_read: bool
 
     def __getitem__(self, register: Register) -> Cell:
         return self.cells[register]
@@ -122,11 +152,29 @@ class ControlTable:
         end = max(position.address + position.size, current.address + current.size)
         return Block(start, end - start, position.address - start, current.address - start)
 
+    @property
+    def gathered(self) -> Block:
+        """The same two registers side by side, behind the first indirect addresses."""
+        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
+        return Block(self.indirect.data, position.size + current.size, 0, position.size)
+
+    @property
+    def gathered_addresses(self) -> tuple[int, ...]:
+        """What the indirect addresses have to hold for `gathered`, byte by byte."""
+        cells = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
+        return tuple(cell.address + k for cell in cells for k in range(cell.size))
+
 
 def _table(
-    name: str, ram_start: int, rows: Mapping[Register, Cell | tuple[int, int]]
+    name: str,
+    ram_start: int,
+    indirect: Indirect,
+    rows: Mapping[Register, Cell | tuple[int, int]],
+    *,
+    fast_sync_read: bool = True,
 ) -> ControlTable:
-    return ControlTable(name, {r: Cell(*cell) for r, cell in rows.items()}, ram_start)
+    cells = {register: Cell(*cell) for register, cell in rows.items()}
+    return ControlTable(name, cells, ram_start, indirect, fast_sync_read)
 
 
 _SIGNED, _READ_ONLY = True, False
@@ -134,6 +182,7 @@ _SIGNED, _READ_ONLY = True, False
 LEGACY_PRO: Final = _table(
     "legacy PRO",
     562,
+    Indirect(49, 634, 256),
     {
         Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
         Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
@@ -165,12 +214,14 @@ LEGACY_PRO: Final = _table(
         Register.STATUS_RETURN_LEVEL: (891, 1),
         Register.HARDWARE_ERROR: Cell(892, 1, False, _READ_ONLY),
     },
+    fast_sync_read=False,  # no firmware of it is known to answer one [recalled]
 )
 """H54 and H42 `-R`. It has no bus watchdog and only a proportional position gain."""
 
 PRO_P: Final = _table(
     "PRO(A) and P",
     512,
+    Indirect(168, 634, 128),
     {
         Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
         Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
@@ -211,6 +262,7 @@ PRO_P: Final = _table(
 X_SERIES: Final = _table(
     "X",
     64,
+    Indirect(168, 224, 28),
     {
         Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
         Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),

@@ -6,6 +6,7 @@ in real time behind a port and on a virtual clock.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 _SHORTEST_VELOCITY_STEP_S = 5e-4
 _LEVEL_OF_INSTRUCTION: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
 """Status return level that an instruction needs to be answered; 2 where it is not listed."""
+_SYNCHRONOUS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ, Instruction.SYNC_WRITE)
 
 
 class Physics(Protocol):
@@ -135,7 +137,7 @@ class Chain:
         if packet.intact:
             for servo in self.servos:
                 servo.feed_watchdog(now_ns)
-            if packet.instruction in (Instruction.SYNC_READ, Instruction.SYNC_WRITE):
+            if packet.instruction in _SYNCHRONOUS:
                 return self._synchronous(packet, now_ns)
         addressed = [s for s in self.servos if packet.id in (s.id, BROADCAST)]
         answers = [(s, self._single(s, packet, now_ns)) for s in addressed]
@@ -164,13 +166,23 @@ class Chain:
                 if servo is not None:
                     servo.write(address, parameters[start + 1 : start + 1 + length])
             return []
-        replies = []
-        for servo_id in parameters[4:]:
-            servo = by_id.get(servo_id)
-            if servo is None:  # each servo waits for the one in front of it [recalled]
-                break
-            replies.append(self._reply(servo, *self._read(servo, address, length, now_ns)))
-        return replies
+        asked = [by_id.get(servo_id) for servo_id in parameters[4:]]
+        # Each servo waits for the one in front of it [recalled].
+        answering = [s for s in itertools.takewhile(lambda servo: servo is not None, asked) if s]
+        if packet.instruction == Instruction.FAST_SYNC_READ:
+            return self._together(answering, len(asked), address, length, now_ns)
+        return [self._reply(s, *self._read(s, address, length, now_ns)) for s in answering]
+
+    def _together(
+        self, servos: Sequence[EmulatedServo], asked: int, address: int, length: int, now_ns: int
+    ) -> list[Reply]:
+        """One packet of all: it leaves after the first servo's return delay, without gaps."""
+        blocks = []
+        for servo in itertools.takewhile(lambda s: s.model.table.fast_sync_read, servos):
+            error, data = self._read(servo, address, length, now_ns)
+            # A refusal keeps its place in the packet, filled with zeros [recalled].
+            blocks.append((servo.id, error | servo.alert, data or bytes(length)))
+        return [Reply(servos[0], packets.fast_status(asked, blocks))] if blocks else []
 
     def _single(self, servo: EmulatedServo, packet: Packet, now_ns: int) -> tuple[int, bytes]:
         """Error number and data of one servo's answer."""
@@ -203,8 +215,7 @@ class Chain:
     def _read(
         self, servo: EmulatedServo, address: int, length: int, now_ns: int
     ) -> tuple[int, bytes]:
-        position = servo.model.table[Register.PRESENT_POSITION].address
-        if address <= position < address + length:
+        if servo.covers(address, length, Register.PRESENT_POSITION):
             self._on_sample(now_ns)
         return servo.read(address, length)
 

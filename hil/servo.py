@@ -109,6 +109,7 @@ class EmulatedServo:
             Register.PRESENT_TEMPERATURE: _TEMPERATURE_DEGC,
         }.items():
             self.put(register, raw)
+        self._point_at_themselves()
         self._boot()
 
     # --- registers as the servo's own firmware sees them ---------------------------------------
@@ -123,6 +124,12 @@ class EmulatedServo:
         if register in self._table:
             self._store(self._table[register], raw)
             self._refresh()
+
+    def _point_at_themselves(self) -> None:
+        """Factory setting of the indirect addresses: no byte stands for another."""
+        indirect = self._table.indirect
+        for k in range(indirect.entries):
+            self._store(Cell(indirect.address + 2 * k, 2), indirect.data + k)
 
     def _store(self, cell: Cell, raw: int) -> None:
         self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
@@ -209,6 +216,8 @@ class EmulatedServo:
     def _boot(self) -> None:
         """Give the RAM area its start values."""
         self._release()
+        if self._table.indirect.address >= self._table.ram_start:
+            self._point_at_themselves()
         for register in (Register.HARDWARE_ERROR, Register.BUS_WATCHDOG, *_GOALS):
             self.put(register, 0)
         self.put(Register.STATUS_RETURN_LEVEL, 2)
@@ -227,12 +236,38 @@ class EmulatedServo:
             return StatusError.DATA_LENGTH, b""
         if address + length > MEMORY_BYTES:
             return StatusError.ACCESS, b""
-        return StatusError.NONE, bytes(self._memory[address : address + length])
+        if not self._shows_others(address, length):
+            return StatusError.NONE, bytes(self._memory[address : address + length])
+        behind = (self._behind(address + k) for k in range(length))
+        return StatusError.NONE, bytes(self._memory[a] for a in behind)
+
+    def covers(self, address: int, length: int, register: Register) -> bool:
+        """Whether a span, looked at through the indirect addresses, begins to show a register."""
+        wanted = self._table[register].address
+        if not self._shows_others(address, length):
+            return address <= wanted < address + length
+        return any(self._behind(address + k) == wanted for k in range(length))
+
+    def _shows_others(self, address: int, length: int) -> bool:
+        data = self._table.indirect.data
+        return address + length > data and address < data + self._table.indirect.entries
+
+    def _behind(self, address: int) -> int:
+        """The address that one stands for: its own, or what its indirect entry holds."""
+        entry = self._table.indirect.entry_of(address)
+        if entry is None:
+            return address
+        held = self._memory[entry] | self._memory[entry + 1] << 8
+        return held if held < MEMORY_BYTES else address
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers one after the other; nothing changes where one is refused."""
         fields = []
+        indirect = self._table.indirect
+        if indirect.address <= address < indirect.address + 2 * indirect.entries:
+            return self._redirect(address, data)
         while data:
+            address = self._behind(address)
             if address not in self._cell_at:
                 return StatusError.ACCESS
             register, cell = self._cell_at[address]
@@ -247,6 +282,16 @@ class EmulatedServo:
             return StatusError.DATA_LENGTH
         for register, raw in fields:
             self._apply(register, raw)
+        return StatusError.NONE
+
+    def _redirect(self, address: int, data: bytes) -> int:
+        """Write indirect addresses."""
+        end = self._table.indirect.address + 2 * self._table.indirect.entries
+        if address < self._table.ram_start and self.torque_on:
+            return StatusError.ACCESS
+        if address + len(data) > end:
+            return StatusError.DATA_LENGTH
+        self._memory[address : address + len(data)] = data
         return StatusError.NONE
 
     def _refusal(self, register: Register, cell: Cell, raw: int) -> int:

@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.bus import BusStatus
 from firmware_py.clock import SimClock
-from firmware_py.dynamixel import DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
 from firmware_py.registers import MODELS, Register, model_named
@@ -96,7 +96,7 @@ def cut(data):
     ("tamper", "expected"),
     [
         (lambda data: b"", BusStatus.TIMEOUT),
-        (drop_second, BusStatus.TIMEOUT),
+        (drop_second, None),
         (flip_payload, BusStatus.CORRUPT),
         (cut, BusStatus.CORRUPT),
     ],
@@ -109,6 +109,8 @@ def test_a_bad_answer_is_a_status_and_leaves_the_last_good_data(pair, tamper, ex
     assert before.all(), "zeros would hide the zeros that the SDK returns"
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
     wire.tamper = tamper
+    if expected is None:  # half of a common packet, or the first of two
+        expected = BusStatus.CORRUPT if bus.plan.fast else BusStatus.TIMEOUT
     start_ns = clock.now_ns()
     assert read(bus, clock) is expected
     assert clock.now_ns() - start_ns <= BUDGET_NS
@@ -132,9 +134,10 @@ def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
     _, wire_of_stranger, _ = make(LEGACY, LEGACY, LEGACY)
     bus.connect()
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
-    wire_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, 611 & 255, 611 >> 8, 12, 0, 3, 0, 0])
-    strange = wire_of_stranger._answers
-    wire.tamper = lambda data: strange + data[23:] + data[23:] + data[:23]
+    size, (low, high) = bus.plan.block.size, divmod(bus.plan.block.address, 256)[::-1]
+    wire_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, low, high, size, 0, 3, 0, 0])
+    strange, each = wire_of_stranger._answers, 11 + size
+    wire.tamper = lambda data: strange + data[each:] + data[each:] + data[:each]
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad == pytest.approx([0.1, 0.2], abs=1e-4)
 
@@ -143,15 +146,15 @@ def test_the_alert_bit_is_kept_and_its_cause_read_once():
     bus, wire, clock = make(LEGACY, LEGACY)
     bus.connect()
     wire.put(2, Register.HARDWARE_ERROR, 0b100000)
-    packets = wire._packets
+    packets, size = wire._packets, 11 + bus.plan.block.size
 
     def alert(data):
         out = b""
-        for k in range(0, len(data), 23):
-            frame = list(data[k : k + 23])
-            if len(frame) == 23 and frame[4] == 2:
+        for k in range(0, len(data), size):
+            frame = list(data[k : k + size])
+            if len(frame) == size and frame[4] == 2:
                 frame[8] |= 0x80
-                crc = packets.updateCRC(0, frame, 21)
+                crc = packets.updateCRC(0, frame, size - 2)
                 frame[-2:] = [crc & 0xFF, crc >> 8]
             out += bytes(frame)
         return out
@@ -284,17 +287,8 @@ def test_the_return_delay_is_written_only_where_it_differs():
     bus.connect()
     assert [wire.get(id_, Register.RETURN_DELAY) for id_ in (1, 2)] == [10, 10]
     # A write is 12 bytes and the data; EEPROM wears out, so nothing is written without need.
-    writes = [w for w in wire.written if w[7] == 3 and w[8] == 9]
+    writes = [w for w in wire.written if w[7] == 3 and w[8:10] == b"\x09\x00"]
     assert [w[4] for w in writes] == [1]
-
-
-@pytest.mark.parametrize(
-    ("baud", "dof", "published_ms"),
-    [(57_600, 1, 10.05), (57_600, 2, 15.24), (57_600, 4, 25.6), (1_000_000, 2, 1.82),
-     (3_000_000, 2, 1.27), (4_000_000, 4, 2.34)],
-)  # fmt: skip
-def test_the_wire_takes_as_long_as_measured(baud, dof, published_ms):
-    assert exchange_time_s(dof, 10, baud, 500e-6) * 1e3 == pytest.approx(published_ms, rel=3e-3)
 
 
 # --- late answers, slow adapters, servos without a watchdog, ports that come back ----------------
@@ -318,7 +312,7 @@ def test_the_answer_to_an_earlier_read_is_never_taken_for_this_one(pair, late_by
 def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
     class SlowWire(TamperedWire):
         def read(self, size, deadline_ns):
-            self.clock.advance(16_000_000)
+            self.clock.advance(16_000_000 if size else 0)
             return super().read(size, deadline_ns)
 
     clock = SimClock()

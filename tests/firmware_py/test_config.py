@@ -23,6 +23,12 @@ id = 1
 model = "H54-200-S500-R"
 """
 
+SERVO = """
+[[servos]]
+id = {}
+model = "H54-200-S500-R"
+"""
+
 
 def config_of(text, tmp_path):
     path = tmp_path / "robot.toml"
@@ -81,7 +87,11 @@ WRONG = {
     "no TOML": (MINIMAL + "[bus", "is not TOML"),
     "another schema": ("schema = 2\n" + MINIMAL, "schema is 2"),
     "unknown servo": (MINIMAL.replace("H54-200", "H55-200"), "XM430-W350"),
-    "three servos": (MINIMAL + "[[servos]]\nid = 2\nmodel = 'x'\n" * 2, "3 entries"),
+    "three servos": (MINIMAL + SERVO.format(2) + SERVO.format(3), "3 entries"),
+    "four servos on a slow bus": (
+        MINIMAL.replace("[bus]", "[bus]\nbaud = 57600") + "".join(map(SERVO.format, (2, 3, 4))),
+        r"4 servos at 57,600 baud need 27\.0 ms .*use ≥ 1 Mbaud",
+    ),
     "one id twice": (MINIMAL + "[[servos]]\nid = 1\nmodel = 'H54-200-S500-R'\n", r"\[1, 1\]"),
     "id too large": (MINIMAL.replace("id = 1", "id = 253"), "253"),
     "odd baud rate": (MINIMAL.replace("[bus]", "[bus]\nbaud = 1000"), "1000000"),

@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus import BusStatus
+from firmware_py.bus_plan import plans
 from firmware_py.clock import DeadlineClock, SimClock
-from firmware_py.dynamixel import SETUP_TIMEOUT_NS, DynamixelBus, ServoSetup, exchange_time_s
+from firmware_py.dynamixel import SETUP_TIMEOUT_NS, DynamixelBus, ServoSetup
 from firmware_py.registers import MODELS, Register
 from firmware_py.wire import SocketWire
 from hil import packets
@@ -29,22 +30,18 @@ def bus_on(wire, clock, number=54025, ids=(1, 2)) -> DynamixelBus:
     return DynamixelBus(wire, servos, clock, period_s=0.017)
 
 
-@pytest.mark.parametrize(
-    # FACTS, section 2: wire time of sync read and sync write, A/P block, default return delay.
-    ("baud", "servos", "expected_ms"),
-    [(57_600, 1, 10.05), (57_600, 2, 15.24), (57_600, 4, 25.6), (1_000_000, 1, 1.05),
-     (1_000_000, 2, 1.82), (1_000_000, 4, 3.36), (4_000_000, 2, 1.21)],
-)  # fmt: skip
-def test_an_exchange_takes_the_wire_time(chain_of, baud, servos, expected_ms):
+@pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000])
+@pytest.mark.parametrize("servos", [1, 2, 4])
+def test_every_plan_takes_the_wire_time_that_was_calculated(chain_of, baud, servos):
+    """The line plays packets bit by bit; the plan counts bytes on paper."""
     ids = tuple(range(1, servos + 1))
-    line = Line(chain_of(54025, ids, baud=baud), latency_s=0.0)
-    answers = line.receive(0, packets.sync_read(ids, 574, 10))
-    assert len(answers) == servos
-    last_ns = answers[-1][0]
-    line.receive(last_ns, packets.sync_write(564, {i: bytes(4) for i in ids}))
-    total_ms = line._free_ns / MS
-    assert total_ms == pytest.approx(expected_ms, rel=0.01)
-    assert total_ms == pytest.approx(1e3 * exchange_time_s(servos, 10, baud, 500e-6), rel=1e-4)
+    for plan in plans(MODELS[54025].table, servos, baud):
+        line, block = Line(chain_of(54025, ids, baud=baud), latency_s=0.0), plan.block
+        answers = line.receive(0, packets.sync_read(ids, block.address, block.size, fast=plan.fast))
+        assert sum(len(data) for _, data in answers) == plan.answer_bytes
+        assert answers[-1][0] * 1e-9 == pytest.approx(plan.read_s, rel=1e-4)
+        line.receive(answers[-1][0], packets.sync_write(564, {i: bytes(4) for i in ids}))
+        assert line._free_ns * 1e-9 == pytest.approx(plan.total_s, rel=1e-4)
 
 
 def test_the_latency_timer_hands_bytes_over_at_its_ticks(chain_of):

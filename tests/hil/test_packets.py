@@ -83,6 +83,27 @@ def test_the_sdk_reads_our_status_packets(servo_id, error, parameters):
     assert bytes(rxpacket[9 : 9 + len(parameters)]) == parameters
 
 
+@given(st.lists(st.tuples(ids, st.integers(0, 255)), min_size=1, max_size=6), st.data())
+def test_the_sdk_reads_our_fast_status_packets(servos, data):
+    """Several servos, one packet: every block ends with the CRC of all in front of it."""
+    size = data.draw(st.integers(1, 20))
+    content = [data.draw(st.binary(min_size=size, max_size=size)) for _ in servos]
+    blocks = [(i, error, block) for (i, error), block in zip(servos, content, strict=True)]
+    frame = packets.fast_status(len(blocks), blocks)
+    raw, result, _ = SDK.fastSyncReadRx(Wire(frame), packets.BROADCAST, len(blocks) * (size + 4))
+    assert result == 0
+    for k, (servo_id, error, block) in enumerate(blocks):
+        start = k * (size + 4)
+        assert bytes(raw[start : start + 2 + size]) == bytes((error, servo_id)) + block
+        end = 8 + start + 2 + size
+        assert int.from_bytes(frame[end : end + 2], "little") == SDK.updateCRC(0, frame, end)
+
+
+def test_a_fast_status_packet_announces_those_that_stay_silent():
+    frame = packets.fast_status(3, [(1, 0, b"abcd")])
+    assert int.from_bytes(frame[5:7], "little") == 1 + 3 * 8 and len(frame) == 8 + 8
+
+
 def test_the_sdk_unstuffs_once_too_often_and_we_do_not():
     data = bytes.fromhex("FFFFFD 00 FFFDFD 00")
     rxpacket, result = SDK.rxPacket(Wire(packets.status(1, 0, data)), False)

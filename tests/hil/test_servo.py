@@ -263,3 +263,70 @@ def test_the_baud_register_sets_the_rate(chain_of, code, baud):
     chain = chain_of()
     write(chain, Register.BAUD_RATE, code)
     assert chain.servos[0].baud == baud
+
+
+# --- fast sync read, indirect addresses -----------------------------------------------------------
+
+
+def together(chain, ids, address, length):
+    """(id, error, data) of every block of the one answer; the block CRCs are the codec's affair."""
+    [packet] = Parser().feed(packets.sync_read(ids, address, length, fast=True))
+    replies = chain.execute(packet, 0)
+    if not replies:
+        return None
+    [reply] = replies
+    blocks, stride = reply.frame[8:], length + 4
+    assert int.from_bytes(reply.frame[5:7], "little") == 1 + len(ids) * stride
+    cut = [blocks[k : k + stride] for k in range(0, len(blocks), stride)]
+    return [(block[1], block[0], block[2:-2]) for block in cut]
+
+
+@given(st.integers(0, 600), st.integers(1, 40))
+def test_a_fast_sync_read_gives_what_a_sync_read_gives(chain_of, address, length):
+    chain = chain_of(PRO_A, ids=(1, 2, 3))
+    chain.servos[1].fail(1)
+    apart = ask(chain, packets.sync_read((3, 1, 2), address, length))
+    assert together(chain, (3, 1, 2), address, length) == apart
+
+
+def test_servos_behind_a_silent_one_do_not_join_the_packet(chain_of):
+    chain = chain_of(PRO_A, ids=(1, 2))
+    assert [block[0] for block in together(chain, (1, 9, 2), 580, 4)] == [1]
+    assert together(chain, (9, 1), 580, 4) is None
+
+
+def test_a_legacy_pro_does_not_know_the_fast_sync_read(chain_of):
+    assert together(chain_of(LEGACY, ids=(1, 2)), (1, 2), 611, 4) is None
+
+
+@pytest.mark.parametrize("number", [LEGACY, PRO_A, X])
+@given(data=st.data())
+def test_indirect_data_shows_and_sets_what_its_entries_name(chain_of, number, data):
+    chain = chain_of(number)
+    table = chain.servos[0].model.table
+    goal = table[Register.GOAL_POSITION]
+    readable = st.sampled_from([cell for r, cell in table.cells.items() if r is not Register.ID])
+    shown = data.draw(st.lists(readable, min_size=1, max_size=4))
+    addresses = [c.address + k for c in shown for k in range(c.size)]
+    addresses += [goal.address + k for k in range(4)]
+    entries = b"".join(address.to_bytes(2, "little") for address in addresses)
+    assert ask(chain, packets.write(1, table.indirect.address, entries))[0][1] == 0
+    plain = b"".join(ask(chain, packets.read(1, c.address, c.size))[0][2] for c in shown)
+    start = table.indirect.data
+    assert ask(chain, packets.read(1, start, len(plain)))[0][2] == plain
+    raw = chain.servos[0].model.position_raw(data.draw(st.floats(-0.5, 0.5)))
+    assert ask(chain, packets.write(1, start + len(plain), goal.encode(raw)))[0][1] == 0
+    assert read(chain, Register.GOAL_POSITION) == raw
+
+
+def test_entries_in_eeprom_are_locked_and_kept_those_in_ram_are_lost(chain_of):
+    for number, kept in ((LEGACY, True), (PRO_A, True), (X, False)):
+        chain = chain_of(number)
+        first = chain.servos[0].model.table.indirect.address
+        new = (600).to_bytes(2, "little")
+        ask(chain, packets.write(1, first, new))
+        ask(chain, packets.encode(1, Instruction.REBOOT))
+        assert (ask(chain, packets.read(1, first, 2))[0][2] == new) is kept
+        write(chain, Register.TORQUE_ENABLE, 1)
+        refused = ask(chain, packets.write(1, first, new))[0][1] == StatusError.ACCESS
+        assert refused is kept
