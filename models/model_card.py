@@ -121,7 +121,8 @@ def _limits(manifest: Manifest, document: Mapping[str, Any]) -> str:
     return f"""## Where it ends
 
 {coverage}{unseen}
-- The interval is calibrated on motions like the training's; expect less coverage on others.
+- The interval is calibrated on payloads left out of training, so it is wide for those that were \
+not; on motions unlike the training's expect less coverage.
 - Another pressure, temperature, link or servo needs new trials."""
 
 

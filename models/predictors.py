@@ -174,7 +174,8 @@ class GuardedPredictor:
         targets : ndarray, shape (n, outputs)
             In SI units.
         folds : iterable of (train rows, test rows)
-            As `models.validation.block_folds` gives them.
+            As `models.validation.payload_folds` gives them: whole runs, for the rows of one run
+            resemble each other more than those of the next.
         """
         pipeline = polynomial_pipeline(degree).fit(features, targets)
         leverage = _leverage(features)

@@ -128,7 +128,10 @@ def run_study(
         "mean_di_other_dof": _mean_di(others) if others else {},
     }
     chosen = _best_degree(document["cross_validation"]["estimated_di"])
-    predictor = GuardedPredictor.fit(chosen, fit.features("observer"), fit.tip_m, folds["blocks"])
+    # The robot's next run is a whole one: so the interval is calibrated on whole runs held out,
+    # not on blocks, which a predictor that saw every start of a motion never has to bridge.
+    runs = folds.get("leave_one_payload_out", folds["blocks"])
+    predictor = GuardedPredictor.fit(chosen, fit.features("observer"), fit.tip_m, runs)
     fitted = {
         (source, degree): polynomial_pipeline(degree).fit(fit.features(source), fit.tip_m)
         for source in ("true", *ESTIMATORS)

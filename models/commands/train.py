@@ -3,6 +3,9 @@
 Trial 1 of the largest amplitude trains; its repetitions are trial_2. A motion that no training
 saw comes from --unseen, or from trials of a smaller amplitude in DIR. The plant is the one that
 `identify` made: its observer gives the DI that the robot will have.
+
+A 2DOF predictor for the robot needs trials in which the joints move apart: where they always move
+together their angles are one input. --phase-deg keeps to some phases, as a study of one does.
 """
 
 from __future__ import annotations
@@ -38,13 +41,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--unseen", type=Path, metavar="DIR",
         help="trials of a motion that neither training nor identification saw",
     )  # fmt: skip
+    add(
+        "--phase-deg", type=float, action="append", metavar="DEG",
+        help="only 2DOF trials with this lead of joint 2; repeatable (default: all)",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
     """Study, export, report."""
-    everything = read_trials(args.trials)
+    everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
-    unseen = of_dof(read_trials(args.unseen), args.dof, args.unseen) if args.unseen else ()
+    unseen: Sequence[Trial] = ()
+    if args.unseen:
+        elsewhere = of_phases(read_trials(args.unseen), args.phase_deg, args.unseen)
+        unseen = of_dof(elsewhere, args.dof, args.unseen)
     tests = name_tests(training, (*held_out, *unseen))
     refuse_mixed_steps((*training, *held_out, *unseen))
 
@@ -86,6 +96,31 @@ def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
     return chosen
 
 
+def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path) -> TrialSet:
+    """Trials without those of 2DOF at another phase of joint 2; all where no phase is named.
+
+    Raises
+    ------
+    InputError
+        If a phase is named that no trial has.
+    """
+    if not phases_deg:
+        return trials
+    for wanted in phases_deg:
+        if not any(t.meta.dof == 2 and phase_deg(t) == round(wanted) for t in trials):
+            raise InputError(
+                where, f"holds no 2DOF trial at phase {wanted:g} degrees",
+                f"simulate with --dof 2 --phase-deg {wanted:g}",
+            )  # fmt: skip
+    kept = {round(wanted) for wanted in phases_deg}
+    return trials.where(lambda t: t.meta.dof != 2 or phase_deg(t) in kept)
+
+
+def phase_deg(trial: Trial) -> int:
+    """Lead of joint 2 in whole degrees."""
+    return round(np.degrees(trial.meta.phase_2_rad))
+
+
 def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
     """Refuse trials of different time steps: the predictor has one period.
 
@@ -109,18 +144,23 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
     Returns
     -------
     dict of str to TrialSet
-        "trial_2" (the training's motion again), "unseen_20deg" (a smaller amplitude),
-        "unseen_multisine_20deg" (another motion).
+        "trial_2" (the training's motion again), "unseen_20deg" (another amplitude),
+        "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
     """
-    trained = {(t.meta.motion, round(t.meta.amplitude_rad, 6)) for t in training}
-    motions = {motion for motion, _ in trained}
+
+    def motion_of(t: Trial) -> tuple[str, int, float]:
+        return t.meta.motion, phase_deg(t), round(t.meta.amplitude_rad, 6)
+
+    trained = {motion_of(t) for t in training}
+    motions, phases = {motion for motion, *_ in trained}, {phase for _, phase, _ in trained}
     named: dict[str, list[Trial]] = {}
     for t in held_out:
-        if (t.meta.motion, round(t.meta.amplitude_rad, 6)) in trained:
+        if motion_of(t) in trained:
             name = f"trial_{t.meta.trial}"
         else:
             motion = "" if t.meta.motion in motions else f"{t.meta.motion}_"
-            name = f"unseen_{motion}{np.degrees(t.meta.amplitude_rad):.0f}deg"
+            phase = "" if phase_deg(t) in phases else f"phase_{phase_deg(t)}deg_"
+            name = f"unseen_{motion}{phase}{np.degrees(t.meta.amplitude_rad):.0f}deg"
         named.setdefault(name, []).append(t)
     return {name: TrialSet(tuple(named[name])) for name in sorted(named)}
 
