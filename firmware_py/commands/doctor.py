@@ -1,23 +1,40 @@
-"""Say what on this PC would spoil the loop's timing, and how to mend it."""
+"""Say what on this PC would spoil the loop's timing, and how to mend it.
+
+With --bus: what a tick of the configured robot costs on the wire by every plan that its servos
+might answer, fastest first (`firmware_py.bus_plan`). A configuration that cannot meet its period
+is refused with the numbers.
+"""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from firmware_py.bus_plan import Plan
+from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.errors import InputError
 from firmware_py.machine import Verdict, examine
 
-EXAMPLE = "dropstitch doctor"
+EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 
 _MARKS = {Verdict.GOOD: "  ", Verdict.NOTE: "? ", Verdict.SPOILS: "! "}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments: none."""
+    """Declare the arguments."""
+    parser.add_argument("--bus", action="store_true", help="the wire's budget instead of the PC")
+    parser.add_argument("--config", type=Path, metavar="ROBOT.toml", help="robot that --bus is for")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine the machine; the verdict is negative where something would spoil the timing."""
+    """Examine; the verdict is negative where something would spoil the timing."""
+    if args.bus != (args.config is not None):
+        raise InputError("doctor", "needs --bus and --config together", f"like '{EXAMPLE}'")
+    return _bus(args, read_config(args.config)) if args.bus else _machine(args)
+
+
+def _machine(args: argparse.Namespace) -> int:
     findings = examine()
     good = all(finding.verdict is not Verdict.SPOILS for finding in findings)
     lines = []
@@ -29,3 +46,35 @@ def run(args: argparse.Namespace) -> int:
     rows = [finding._asdict() | {"verdict": finding.verdict.value} for finding in findings]
     emit(args, {"good": good, "findings": rows}, "\n".join(lines))
     return DONE if good else NEGATIVE
+
+
+def _bus(args: argparse.Namespace, config: RobotConfig) -> int:
+    plans, budget_s = config.bus_plans(), config.wire_budget_s
+    lines = [
+        f"{config.dof} × {config.servos[0].model} at {config.bus.baud:,} baud, return delay "
+        f"{plans[0].return_delay_s * 1e6:.0f} µs; ms on the wire in a tick",
+        f"{'plan':26} {'block':>7} {'read':>7} {'write':>7} {'sum':>7} {'of period':>10}",
+        *(_row(plan, config.period_s, budget_s) for plan in plans),
+        f"there are {budget_s * 1e3:.1f} ms; the USB latency timer adds up to its setting to the "
+        "read",
+        "the first plan that the servos answer at the start is used",
+    ]
+    rows = [
+        {
+            "plan": plan.name, "block_bytes": plan.block.size, "read_s": plan.read_s,
+            "write_s": plan.write_s, "total_s": plan.total_s, "fits": plan.total_s <= budget_s,
+        }
+        for plan in plans
+    ]  # fmt: skip
+    emit(args, {"good": True, "budget_s": budget_s, "plans": rows}, "\n".join(lines))
+    return DONE
+
+
+def _row(plan: Plan, period_s: float, budget_s: float) -> str:
+    times = (plan.read_s, plan.write_s, plan.total_s)
+    return (
+        f"{plan.name:26} {plan.block.size:5d} B "
+        + " ".join(f"{t * 1e3:7.2f}" for t in times)
+        + f" {plan.total_s / period_s:10.1%}"
+        + ("" if plan.total_s <= budget_s else "  too slow")
+    )

@@ -223,6 +223,30 @@ def test_doctor_answers_for_people_and_machines(capsys):
     assert all(finding["name"] in people for finding in report["findings"])
 
 
+def test_doctor_shows_every_plan_of_the_bus_fastest_first(config, capsys):
+    code, output = call(capsys, "doctor", "--bus", "--config", config, "--json")
+    report = json.loads(output.out)
+    totals = [plan["total_s"] for plan in report["plans"]]
+    assert (code, totals) == (0, sorted(totals))
+    people = call(capsys, "doctor", "--bus", "--config", config)[1].out
+    assert all(plan["plan"] in people for plan in report["plans"])
+
+
+@pytest.mark.parametrize("arguments", [["--bus"], ["--config", "robot.toml"]])
+def test_doctor_wants_the_bus_and_its_robot_together(arguments, capsys):
+    code, output = call(capsys, "doctor", *arguments)
+    assert (code, "--bus and --config together" in output.err) == (2, True)
+
+
+def test_doctor_and_run_refuse_a_bus_that_is_too_slow(tmp_path, capsys):
+    slow = tmp_path / "robot.toml"
+    text = CONFIG.format(bundle="none", port="none").replace("[bus]", "[bus]\nbaud = 57600")
+    slow.write_text(text.replace("reply_timeout_s = 0.017", ""))
+    for command in (["doctor", "--bus"], ["run"]):
+        code, output = call(capsys, *command, "--config", slow)
+        assert (code, "1 servos at 57,600 baud need 10.4 ms" in output.err) == (2, True)
+
+
 def test_the_service_is_shown_before_it_is_written(config, tmp_path, capsys):
     root = tmp_path / "root"
     code, output = call(capsys, "install-service", "--config", config, "--root", root, "--dry-run")
