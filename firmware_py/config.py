@@ -16,7 +16,7 @@ from firmware_py.clock import RealTimeOptions
 from firmware_py.dynamixel import ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
-from firmware_py.registers import RETURN_DELAY_UNIT_S, model_named
+from firmware_py.registers import RETURN_DELAY_UNIT_S, Register, model_named
 from firmware_py.safety import Limits, check_motion
 from firmware_py.signals import PERIOD_S
 from firmware_py.wire import BAUD_RATES
@@ -24,6 +24,8 @@ from firmware_py.wire import BAUD_RATES
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
 _MAX_ID: Final = 252
+UNWATCHED_RATE_RAD_S: Final = 1.0
+"""Rate limit for servos without a bus watchdog; the study's motion needs 0.76 rad/s."""
 _MAX_DOF: Final = 2
 
 
@@ -33,19 +35,23 @@ class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes
     ----------
     port : str
-        Serial device, or `unix:PATH` for an emulator's socket.
+        Serial device, or `unix:PATH` for an emulator's socket; with wildcards the first that opens.
     baud : int
         Bits per second.
     reply_timeout_s : float
         Longest wait for the servos within a tick.
     return_delay_s : float or None
         Written to the servos; None leaves what they have.
+    replug_s : float
+        How long to wait for a port that has gone; when it is back, every start-up check is made
+        again and the goals blend from the measured position. 0 leaves the robot stopped.
     """
 
     port: str
     baud: int = 1_000_000
     reply_timeout_s: float = 0.008
     return_delay_s: float | None = None
+    replug_s: float = 0.0
 
 
 class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -79,7 +85,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     bundle : str
         Directory of the bundle, relative to the file.
     payload_kg : float or None
-        What hangs at the tip, for the log; None where it is not known.
+        What hangs at the tip; None where it is not known and the observer is to estimate it.
     record : bool
         Whether a sidecar process writes the ticks to a file.
     logs : str
@@ -103,9 +109,18 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Number of joints."""
         return len(self.servos)
 
+    @property
+    def limits_in_force(self) -> Limits:
+        """The configured limits, slower where a servo has no watchdog to stop it without us."""
+        models = [model_named(servo.model) for servo in self.servos]
+        if all(Register.BUS_WATCHDOG in model.table for model in models):
+            return self.limits
+        rate = min(self.limits.rate_rad_s, UNWATCHED_RATE_RAD_S)
+        return msgspec.structs.replace(self.limits, rate_rad_s=rate)
+
     def setups(self) -> tuple[ServoSetup, ...]:
         """Servos as the bus wants them."""
-        (low, high), rate = self.limits.angle_rad, self.limits.rate_rad_s
+        (low, high), rate = self.limits.angle_rad, self.limits_in_force.rate_rad_s
         return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
 
     @property
@@ -143,7 +158,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if repeated:
             times_s = motion.duration_s + np.arange(round(GLIDE_S / self.period_s)) * self.period_s
             goals = np.concatenate([goals, motion.goal_rad(times_s)])
-        check_motion(goals, self.limits, self.period_s, f"motion {wanted.kind}")
+        check_motion(goals, self.limits_in_force, self.period_s, f"motion {wanted.kind}")
         return goals
 
 
@@ -197,6 +212,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("period_s", config.period_s, 1e-3, 1.0),
         ("payload_kg", config.payload_kg, 0.0, 100.0),
         ("bus.reply_timeout_s", bus.reply_timeout_s, 1e-4, config.period_s),
+        ("bus.replug_s", bus.replug_s, 0.0, 3600.0),
         ("bus.return_delay_s", bus.return_delay_s, 0.0, 254 * RETURN_DELAY_UNIT_S),
         ("motion.rest_s", config.motion.rest_s, 0.0, 60.0),
         ("limits.rate_rad_s", limits.rate_rad_s, 1e-3, 100.0),
@@ -206,6 +222,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("limits.jump_rad", limits.jump_rad, 1e-3, 3.2),
         ("limits.persistence_ticks", limits.persistence_ticks, 1, 100),
         ("limits.stale_ticks", limits.stale_ticks, 1, 100),
+        ("limits.missed_slots", limits.missed_slots, 1, 1000),
         ("limits.blend_s", limits.blend_s, 0.0, 60.0),
         ("limits.stop_deceleration_rad_s2", limits.stop_deceleration_rad_s2, 1e-2, 1e4),
         ("limits.hold_s", limits.hold_s, 0.0, 3600.0),

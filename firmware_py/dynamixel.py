@@ -351,7 +351,7 @@ class DynamixelBus:
 
         Every servo is tried, whatever the others answer.
         """
-        watchdog = math.ceil(_WATCHDOG_PERIODS * self._period_s / WATCHDOG_UNIT_S) if on else 0
+        watchdog = watchdog_units(self._period_s) if on else 0
         good = True
         self._driven = self._driven or on  # from here on a servo may be driven
         for servo in self._servos:
@@ -382,3 +382,8 @@ class DynamixelBus:
                 self.torque(False)
         with contextlib.suppress(OSError):
             self._port.closePort()
+
+
+def watchdog_units(period_s: float) -> int:
+    """What the watchdog register is set to for a control period, in units of 20 ms."""
+    return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_UNIT_S)

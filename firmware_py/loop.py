@@ -8,7 +8,8 @@ bus and the clock that it is given differ.
 - The tick's remaining budget bounds every wait for the bus.
 - Nothing is allocated for good in a tick, nothing touches a disk, the garbage collector stays out
   (`firmware_py.clock.real_time`).
-- However `run` ends, the torque goes off.
+- However `run` ends, the torque goes off. A port that has gone may come back meanwhile: then, where
+  that is wanted, the robot starts anew from where it stands, with every check.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
 Array = NDArray[np.float64]
 
 _START_DELAY_NS: Final = 2_000_000
+_REPLUG_POLL_NS: Final = 50_000_000
+_LONGEST_STEP_SLOTS: Final = 100
+"""An estimator is never asked for more at once: a clock that leapt must not keep it busy."""
 
 
 class ControlLoop:
@@ -66,6 +70,8 @@ class ControlLoop:
         Control period.
     reply_timeout_s : float
         Longest wait for the servos' replies within a tick.
+    replug_s : float
+        How long to wait for a port that has gone to come back, once the robot has stopped.
     telemetry : Telemetry, optional
         Where finished records go.
     counters : Counters, optional
@@ -86,6 +92,7 @@ class ControlLoop:
         slots: int | None = None,
         period_s: float = PERIOD_S,
         reply_timeout_s: float = 0.008,
+        replug_s: float = 0.0,
         telemetry: Telemetry | None = None,
         counters: Counters | None = None,
         keep: int = 4096,
@@ -102,6 +109,7 @@ class ControlLoop:
         self._period_ns = round(period_s * 1e9)
         self._period_s = self._period_ns * 1e-9
         self._timeout_ns = min(round(reply_timeout_s * 1e9), self._period_ns)
+        self._replug_ns = round(replug_s * 1e9)
         self._telemetry: Telemetry = telemetry or NoTelemetry()
         self._counters: Counters = counters or NoCounters()
         self._timing = Timing()
@@ -113,6 +121,9 @@ class ControlLoop:
         self._finished: tuple[tuple[int, ...], int, int, int, int] = ((), 0, 0, 0, 0)
         self._run_delay_ns, self._steal_ns = 0, 0
         self._previous_slot = -1
+        self._start_ns: int | None = None
+        self._bus_status = BusStatus.OK
+        self._replugs = 0
 
     def stop(self, reason: str) -> None:
         """Ask for a controlled stop; safe to call from a signal handler or another thread."""
@@ -126,34 +137,72 @@ class ControlLoop:
         InputError
             If the servos are unfit to start.
         """
-        bus, supervisor = self._bus, self._supervisor
-        bus.connect()
-        supervisor.arm(bus.angle_rad)
-        self._estimator.reset()
+        self._bus.connect()
+        self._get_ready()
+        released = BusStatus.OK
         with _signals_to(self.stop):  # around the torque, so that no second Ctrl-C can leave it on
             try:
-                bus.write(supervisor.goal_rad, self._clock.now_ns() + self._period_ns)
-                if (status := bus.torque(True)) != BusStatus.OK:
-                    raise InputError(
-                        "torque", f"cannot be switched on ({status.name})",
-                        "check cabling and power of the servos",
-                    )  # fmt: skip
-                supervisor.start()
-                supervisor.rebase(self._goals[0])
+                self._start()
                 self._run_slots()
+                while self._port_is_back():
+                    self._start()
+                    self._run_slots()
             finally:
-                bus.torque(False)
+                released = self._bus.torque(False)
                 self._hand_over()
-        return self._summary()
+        return self._summary(released)
+
+    def _get_ready(self) -> None:
+        """Take the position to start from, once the servos are checked, torque off."""
+        self._supervisor.arm(self._bus.angle_rad)
+        self._estimator.reset()
+
+    def _start(self) -> None:
+        """Torque on, where the servos stand; the goals blend from there into the motion."""
+        bus, supervisor = self._bus, self._supervisor
+        bus.write(supervisor.goal_rad, self._clock.now_ns() + self._period_ns)
+        if (status := bus.torque(True)) != BusStatus.OK:
+            raise InputError(
+                "torque", f"cannot be switched on ({status.name})",
+                "check cabling and power of the servos",
+            )  # fmt: skip
+        supervisor.start()
+
+    def _port_is_back(self) -> bool:
+        """After a stop because the port was gone: wait for it, then get the servos ready again."""
+        clock, deadline_ns = self._clock, self._clock.now_ns() + self._replug_ns
+        if self._bus_status is not BusStatus.PORT_GONE or not self._supervisor.tripped:
+            return False
+        while clock.now_ns() < deadline_ns and not self._signal:
+            clock.sleep_until(clock.now_ns() + _REPLUG_POLL_NS)
+            if not self._bus.reopen():
+                continue
+            with contextlib.suppress(InputError):  # the port may be back, the servos not yet
+                self._bus.connect()
+                break
+        else:
+            return False
+        self._supervisor.restart()
+        self._get_ready()
+        self._replugs += 1
+        return True
 
     def _run_slots(self) -> None:
         clock, period_ns = self._clock, self._period_ns
         self._run_delay_ns = self._counters.run_delay_ns()
         self._steal_ns = self._counters.steal_ns()
-        start_ns = clock.now_ns() + _START_DELAY_NS
-        slot = 0
+        if self._start_ns is None:
+            self._start_ns = clock.now_ns() + _START_DELAY_NS
+        start_ns = self._start_ns
+        slot = max(0, -((start_ns - clock.now_ns()) // period_ns))
+        self._previous_slot = slot - 1
+        self._supervisor.rebase(self._goals[max(slot - 1, 0) % len(self._goals)])
         while self._supervisor.state is not State.OFF:
             deadline_ns = start_ns + slot * period_ns
+            if deadline_ns - clock.now_ns() > 2 * period_ns:
+                self._supervisor.trip("the clock was set back")
+                self._start_ns = start_ns = clock.now_ns() - slot * period_ns
+                continue
             clock.sleep_until(deadline_ns)
             end_ns = self._tick(slot, deadline_ns)
             # The next slot is the first that has not begun: a missed one is skipped.
@@ -170,7 +219,7 @@ class ControlLoop:
         status = bus.read(limit_ns)
         read_ns = now()
 
-        step_s = (missed + 1) * self._period_s
+        step_s = min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
         estimate = self._estimator.update(bus.angle_rad, bus.current_a, step_s)
         estimate_ns = now()
 
@@ -189,7 +238,7 @@ class ControlLoop:
         goal_rad = supervisor.admit(wished_rad)
         check_ns = now()
 
-        status = max(status, bus.write(goal_rad, deadline_ns + self._period_ns))
+        self._bus_status = status = max(status, bus.write(goal_rad, deadline_ns + self._period_ns))
         write_ns = now()
 
         self._hand_over()
@@ -247,7 +296,7 @@ class ControlLoop:
             self._timing.add((*stages_ns, log_ns), lateness_ns, busy_ns, bus_wait_ns)
             self._telemetry.put(self._ring.latest())
 
-    def _summary(self) -> RunSummary:
+    def _summary(self, released: BusStatus) -> RunSummary:
         supervisor = self._supervisor
         return RunSummary(
             ended=Ended.TRIPPED if supervisor.tripped else self._ended,
@@ -258,6 +307,8 @@ class ControlLoop:
             timing=self._timing,
             records=self._ring.ordered(),
             telemetry_drops=self._telemetry.drops,
+            replugs=self._replugs,
+            released=released is BusStatus.OK,
         )
 
 

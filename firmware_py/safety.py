@@ -4,14 +4,17 @@
 
     STARTING ──arm──► READY ──start──► RUNNING ◄──fresh data──┐
         │                                │  └──stale data──► DEGRADED
-        │ position outside limits        │                     │ `stale_ticks` in a row
-        ▼                                │ limit, alert,       │
-     (refused)                           │ stall, request      │
-                                         ▼                     ▼
-                                      STOPPING ◄───────────────┘
-                                         │ goals slowed down to rest, held for `hold_s`
-                                         ▼
-                                        OFF: the loop ends and switches the torque off
+        ▲                                │                     │ `stale_ticks` in a row
+        │                                │ limit, alert,       │
+        │                                │ stall, request      │
+        │                                ▼                     ▼
+        │                             STOPPING ◄───────────────┘
+        │ the port is back               │ goals slowed down to rest, held for `hold_s`
+        │                                ▼
+        └─────────────────────────────  OFF: the loop ends and switches the torque off
+
+`TRANSITIONS` is this drawing as data; the machine can make no other step, and docs/safety.md is
+drawn from it.
 
 A limit is the last value allowed: at the limit all is well, beyond it the robot stops. Goals are
 judged at once. Measurements must break a limit `persistence_ticks` times in a row, since a single
@@ -26,7 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -57,6 +60,36 @@ class State(IntEnum):
     OFF = 5
 
 
+class Transition(NamedTuple):
+    """A step that the machine may make, and what makes it."""
+
+    source: State
+    target: State
+    cause: str
+
+
+TRANSITIONS: Final = (
+    Transition(State.STARTING, State.READY, "every joint stands inside `limits.angle_rad`"),
+    Transition(State.READY, State.RUNNING, "the torque is on"),
+    Transition(State.RUNNING, State.DEGRADED, "the data is stale"),
+    Transition(State.DEGRADED, State.RUNNING, "the data is fresh again"),
+    Transition(
+        State.RUNNING, State.STOPPING,
+        "a limit broken, a hardware error, slots missed, the clock set back, a request",
+    ),
+    Transition(
+        State.DEGRADED, State.STOPPING,
+        "`limits.stale_ticks` without fresh data, slots missed, a goal beyond a limit, a request",
+    ),
+    Transition(State.READY, State.STOPPING, "a request before the torque is on"),
+    Transition(State.STOPPING, State.OFF, "the goals came to rest and were held for `hold_s`"),
+    Transition(State.OFF, State.STARTING, "the port is back within `bus.replug_s`"),
+)  # fmt: skip
+"""The whole machine; the module's drawing shows it."""
+
+_ALLOWED: Final = frozenset((t.source, t.target) for t in TRANSITIONS)
+
+
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the robot may do (table `[limits]` of robot.toml); the same for every joint.
 
@@ -78,6 +111,9 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         Samples in a row that must break a limit before the robot stops.
     stale_ticks : int
         Ticks in a row without fresh data, or slots missed in a row, before the robot stops.
+    missed_slots : int
+        Slots that may be missed over a time, each punctual tick making up for one, before the
+        robot stops: a loop that is too slow for its period is no loop.
     blend_s : float
         Least time in which an offset between motion and goal fades away.
     stop_deceleration_rad_s2 : float
@@ -96,6 +132,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)
     persistence_ticks: int = 3
     stale_ticks: int = 3
+    missed_slots: int = 12
     blend_s: float = 1.0
     stop_deceleration_rad_s2: float = 6.0
     hold_s: float = 0.5
@@ -138,9 +175,15 @@ class SafetySupervisor:
         self._angle = [0.0] * dof
         self._blend_tick, self._blend_ticks = 0, 1
         self._strikes = 0
+        self._missed_slots = 0
         self._hold_ticks = 0
 
     # Transitions -------------------------------------------------------------------------------
+
+    def _enter(self, state: State) -> None:
+        if (self.state, state) not in _ALLOWED:
+            raise ValueError(f"{self.state.name} does not lead to {state.name}")
+        self.state = state
 
     def arm(self, angle_rad: Array) -> None:
         """Take the measured position as the goal to start from: STARTING → READY.
@@ -159,19 +202,32 @@ class SafetySupervisor:
                     "move it by hand into limits.angle_rad before the start",
                 )
             self._goal[joint] = self._angle[joint] = self.goal_rad[joint] = angle
-        self.state = State.READY
+        self._enter(State.READY)
 
     def start(self) -> None:
         """READY → RUNNING, once the torque is on."""
-        self.state = State.RUNNING
+        self._enter(State.RUNNING)
+
+    def restart(self) -> None:
+        """OFF → STARTING, for a robot whose port is back: every check is made again."""
+        self._enter(State.STARTING)
+        self.reason, self.tripped = "", False
+        self.stale_ticks = self._strikes = self._missed_slots = 0
+        for joint in range(self._dof):
+            self._velocity[joint] = self._offset[joint] = 0.0
 
     def request_stop(self, reason: str) -> None:
         """Come to a controlled stop for a reason that is no fault (end of the run, a signal)."""
         self._stop(reason, tripped=False)
 
+    def trip(self, reason: str) -> None:
+        """Come to a controlled stop for a fault that the loop has found."""
+        self._stop(reason)
+
     def _stop(self, reason: str, *, tripped: bool = True) -> None:
         if self.state < State.STOPPING:
-            self.state, self.reason, self.tripped = State.STOPPING, reason, tripped
+            self._enter(State.STOPPING)
+            self.reason, self.tripped = reason, tripped
             self._hold_ticks = max(1, math.ceil(self._limits.hold_s / self._period_s))
 
     # In every tick -----------------------------------------------------------------------------
@@ -204,14 +260,21 @@ class SafetySupervisor:
             Slots missed since the previous tick.
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
-        if self.state in (State.RUNNING, State.DEGRADED):
-            self.state = State.DEGRADED if self.stale_ticks else State.RUNNING
+        self._missed_slots = (
+            self._missed_slots + missed if missed else max(self._missed_slots - 1, 0)
+        )
+        if self.state is State.RUNNING and self.stale_ticks:
+            self._enter(State.DEGRADED)
+        elif self.state is State.DEGRADED and not self.stale_ticks:
+            self._enter(State.RUNNING)
         if status is BusStatus.ALERT:
             self._stop(f"a servo reports a hardware error ({describe_hardware_error(alert)})")
         elif self.stale_ticks >= self._limits.stale_ticks:
             self._stop(f"no fresh data for {self.stale_ticks} ticks ({status.name})")
         elif missed >= self._limits.stale_ticks:
             self._stop(f"{missed} slots missed in a row")
+        elif self._missed_slots > self._limits.missed_slots:
+            self._stop(f"{self._missed_slots} slots missed, the loop is too slow for its period")
         if status.fresh:
             self._judge(angle_rad.tolist(), current_a.tolist(), tip_m.tolist(), di)
         return self.state
@@ -298,7 +361,7 @@ class SafetySupervisor:
             if not any(self._velocity):
                 self._hold_ticks -= 1
                 if self._hold_ticks <= 0:
-                    self.state = State.OFF
+                    self._enter(State.OFF)
         return self.goal_rad
 
     def _blend_share(self) -> float:

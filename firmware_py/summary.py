@@ -45,6 +45,10 @@ class RunSummary:
         The last ticks, oldest first, as many as were asked to be kept.
     telemetry_drops : int
         Ticks that the recorder did not get.
+    replugs : int
+        Times that the robot went on after its port had been gone.
+    released : bool
+        Whether every servo confirmed at the end that its torque is off.
     """
 
     ended: Ended
@@ -55,6 +59,8 @@ class RunSummary:
     timing: Timing
     records: NDArray[np.void]
     telemetry_drops: int
+    replugs: int = 0
+    released: bool = True
 
     def as_dict(self) -> dict[str, Any]:
         """Everything but the records, for JSON."""
@@ -65,5 +71,7 @@ class RunSummary:
             "bus_faults": self.bus_faults,
             "out_of_range": self.out_of_range,
             "telemetry_drops": self.telemetry_drops,
+            "replugs": self.replugs,
+            "released": self.released,
             "timing": self.timing.summary(),
         }

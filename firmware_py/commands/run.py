@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         loop = ControlLoop(
             bus, bundle.estimator, bundle.predictor,
-            SafetySupervisor(config.limits, config.dof, config.period_s), goals_rad, clock,
+            SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals_rad, clock,
             slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-            telemetry=telemetry, counters=counters,
+            replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters,
         )  # fmt: skip
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
@@ -120,6 +120,10 @@ def describe(summary: RunSummary, log: Path | None) -> str:
         f"max {busy['max_ns'] / 1e3:.0f} µs; of its own p50 {own['p50_ns'] / 1e3:.0f} µs, "
         f"p99 {own['p99_ns'] / 1e3:.0f} µs",
     ]
+    if summary.replugs:
+        lines.append(f"went on {summary.replugs} times after the port had been gone")
+    if not summary.released:
+        lines.append("not every servo confirmed torque off: switch its power off")
     if summary.out_of_range:
         lines.append(f"{summary.out_of_range} ticks outside the predictor's training range")
     if log is not None:
