@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from firmware_py.motion import GLIDE_S, Motion
+from firmware_py.safety import State
 from firmware_py.signals import joint_signals, tip_names
 from hil.emulator import Truth
 from hil.sil import Options, Result
@@ -18,6 +21,9 @@ from models.trial import Trial, TrialMeta
 Array = NDArray[np.float64]
 PRESSURE_PA: Final = 41_300.0
 """Pressure that the plant's parameters stand for (FACTS §6)."""
+_FIGURES: Final = (
+    "mean_euclidean_distance_m", "rms_m", "p95_m", "max_m", "interval_coverage", "in_range_share",
+)  # fmt: skip
 _MARKERS = tuple(f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz")
 
 
@@ -45,35 +51,71 @@ def predicted_tip_m(records: NDArray[np.void]) -> Array:
     return np.column_stack([records[name] for name in tip_names("predicted_")])
 
 
-def prediction_error(records: NDArray[np.void], truth: Truth) -> dict[str, Any]:
+def programme_s(options: Options) -> dict[str, float]:
+    """Durations of what the run repeats, in order: rest, motion, glide back to zero."""
+    m = options.motion
+    motion = Motion(m.kind, m.amplitude_rad, m.period_s, m.phase_2_rad, options.dof)
+    parts_s = {"rest": m.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
+    period_s = options.period_s  # the loop runs whole slots
+    return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}
+
+
+def parts_of(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
+    """Part of the programme that each time falls into, shape (n,)."""
+    ends_s = np.cumsum(list(programme.values()))
+    # Half a microsecond: a slot's time is its number times the period, rounded.
+    part = np.searchsorted(ends_s, np.mod(time_s + 5e-7, ends_s[-1]), side="right")
+    return np.array([list(programme)[k] for k in part])
+
+
+def prediction_error(
+    records: NDArray[np.void], truth: Truth, programme: Mapping[str, float] | None = None
+) -> dict[str, Any]:
     """Distance between the robot's prediction and the plant's tip over all fresh ticks.
+
+    Parameters
+    ----------
+    records : ndarray
+        Every tick.
+    truth : Truth
+        Of the plant.
+    programme : mapping of str to float, optional
+        As `programme_s` gives it: the error by its parts is added, the controlled stop apart.
 
     Returns
     -------
     dict
         n, mean_euclidean_distance_m, rms_m, p95_m, max_m; interval_coverage is the share of
         coordinates inside the predictor's 95 % interval, in_range_share that of ticks inside its
-        training range. Figures are None where there was no fresh tick.
+        training range. Figures are None where there was no fresh tick. `parts` has the same for
+        in_range, out_of_range and each part of the programme that has fresh ticks.
     """
     error = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.isfinite(error).all(axis=1)
-    names = ("mean_euclidean_distance_m", "rms_m", "p95_m", "max_m", "interval_coverage")
-    if not fresh.any():
-        return {"n": 0, **dict.fromkeys((*names, "in_range_share"))}
-    distance = np.linalg.norm(error[fresh], axis=1)
-    half_width = np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
-    figures = (
-        distance.mean(),
-        np.sqrt(np.mean(distance**2)),
-        np.quantile(distance, 0.95),
-        distance.max(),
-        np.mean(np.abs(error[fresh]) <= half_width[fresh]),
-    )
-    return {
-        "n": int(fresh.sum()),
-        **{name: float(value) for name, value in zip(names, figures, strict=True)},
-        "in_range_share": float(np.mean(records["in_range"][fresh])),
-    }
+    inside = np.abs(error) <= np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
+    in_range = records["in_range"].astype(bool)
+
+    def figures(rows: NDArray[np.bool_]) -> dict[str, Any]:
+        if not rows.any():
+            return {"n": 0, **dict.fromkeys(_FIGURES)}
+        distance = np.linalg.norm(error[rows], axis=1)
+        values = (
+            distance.mean(),
+            np.sqrt(np.mean(distance**2)),
+            np.quantile(distance, 0.95),
+            distance.max(),
+            inside[rows].mean(),
+            in_range[rows].mean(),
+        )
+        return {"n": int(rows.sum())} | dict(zip(_FIGURES, map(float, values), strict=True))
+
+    parts: dict[str, NDArray[np.bool_]] = {"in_range": in_range, "out_of_range": ~in_range}
+    if programme:
+        stopping = records["state"] >= State.STOPPING
+        part = parts_of(records["time_s"], programme)
+        parts |= {n: np.asarray(part == n) & ~stopping for n in programme} | {"stop": stopping}
+    by_part = {name: figures(fresh & rows) for name, rows in parts.items()}
+    return figures(fresh) | {"parts": {name: part for name, part in by_part.items() if part["n"]}}
 
 
 def as_trial(result: Result, options: Options) -> Trial:

@@ -97,7 +97,11 @@ def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
         "faults_injected": result.outcome.faults,
         "telemetry_drops": summary.telemetry_drops,
     }
-    timing["prediction_error"] = outcome.prediction_error(result.records, result.outcome.truth)
+    programme = outcome.programme_s(options)
+    timing["run"]["programme_s"] = programme
+    timing["prediction_error"] = outcome.prediction_error(
+        result.records, result.outcome.truth, programme
+    )
     (out / "timing.json").write_text(json.dumps(timing, indent=1), encoding="utf-8")
     (out / "timing.xml").write_bytes(verify.junit_xml(timing))
     if result.geometry and timing["prediction_error"]["n"]:
@@ -126,6 +130,12 @@ def describe(timing: dict[str, Any], out: Path) -> str:
             f"predicted tip off by {error['mean_euclidean_distance_m'] * 1e3:.1f} mm on average, "
             f"{error['max_m'] * 1e3:.1f} mm at most"
         )
+        lines += [
+            f"  {name.replace('_', ' '):12} {part['mean_euclidean_distance_m'] * 1e3:5.1f} mm, "
+            f"{part['max_m'] * 1e3:5.1f} mm at most, interval covers "
+            f"{100 * part['interval_coverage']:.1f} %"
+            for name, part in error["parts"].items()
+        ]
     lines.append(f"see {out}/summary.svg and timing.json")
     return "\n".join(lines)
 

@@ -18,6 +18,7 @@ from firmware_py.estimator import NoEstimator
 from firmware_py.predictor import Prediction
 from firmware_py.recording import read_recording
 from firmware_py.registers import MODELS
+from firmware_py.safety import State
 from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
 from fmu.build import build_unit
@@ -193,6 +194,23 @@ def test_prediction_error_takes_fresh_ticks_only():
     assert error["max_m"] == pytest.approx(0.2)
     assert error["interval_coverage"] == pytest.approx(5 / 6)
     assert outcome.prediction_error(records[3:], truth)["rms_m"] is None
+
+
+def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
+    records = np.zeros(6, tick_dtype(1))
+    records["time_s"] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    records["deadline_ns"], records["busy_ns"] = np.arange(6) * 100, 50
+    records["in_range"] = (1, 1, 1, 0, 1, 1)
+    records["state"][5] = State.STOPPING
+    true_m = np.zeros((6, 3))
+    true_m[:, 1] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    truth = Truth(np.arange(6) * 100 + 10, true_m)
+    parts = outcome.prediction_error(records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0})[
+        "parts"
+    ]
+    expected = {"in_range": 0.34, "out_of_range": 0.4, "rest": 0.3, "motion": 0.25,
+                "glide": 0.4, "stop": 0.6}  # fmt: skip
+    assert {k: v["mean_euclidean_distance_m"] for k, v in parts.items()} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
