@@ -196,7 +196,10 @@ class ControlLoop:
         start_ns = self._start_ns
         slot = max(0, -((start_ns - clock.now_ns()) // period_ns))
         self._previous_slot = slot - 1
-        self._supervisor.rebase(self._goals[max(slot - 1, 0) % len(self._goals)])
+        if slot:
+            self._supervisor.resume()
+        else:
+            self._supervisor.rebase(self._goals[0])
         while self._supervisor.state is not State.OFF:
             deadline_ns = start_ns + slot * period_ns
             if deadline_ns - clock.now_ns() > 2 * period_ns:
@@ -229,12 +232,12 @@ class ControlLoop:
         wished_rad = goals[slot % len(goals)]
         if missed:
             supervisor.rebase(goals[(slot - 1) % len(goals)])
-        self._heed_requests(slot)
         command_ns = now()
 
         supervisor.check(
             status, bus.alert, bus.angle_rad, bus.current_a, prediction.tip_m, estimate.di, missed
         )
+        self._heed_requests(slot)
         goal_rad = supervisor.admit(wished_rad)
         check_ns = now()
 

@@ -21,7 +21,8 @@ judged at once. Measurements must break a limit `persistence_ticks` times in a r
 wild sample is the sensor's fault more often than the arm's.
 
 Goals never jump. What would be a jump, at the start or after missed slots, becomes an offset
-between the motion and the goal, which fades away smoothly.
+between the motion and the goal, which fades away smoothly. A robot that takes up a motion in its
+midst, after a replug, goes from rest over into it, never beyond what both keep to.
 """
 
 from __future__ import annotations
@@ -172,6 +173,8 @@ class SafetySupervisor:
         self._goal = [0.0] * dof
         self._velocity = [0.0] * dof
         self._offset = [0.0] * dof
+        self._anchor = [0.0] * dof
+        self._anchored = False
         self._angle = [0.0] * dof
         self._blend_tick, self._blend_ticks = 0, 1
         self._strikes = 0
@@ -324,10 +327,29 @@ class SafetySupervisor:
             The motion one period before the goal to come, which the last goal is to stand for;
             the speed of the motion is then kept without a step.
         """
+        if self._anchored and self._blend_tick < self._blend_ticks:
+            self.resume()
+            return
         largest = 0.0
         for joint, wished in enumerate(wished_before_rad.tolist()):
             self._offset[joint] = self._goal[joint] - wished
             largest = max(largest, abs(self._offset[joint]))
+        self._anchored = False
+        self._begin_blend(largest)
+
+    def resume(self) -> None:
+        """Go from where the goals stand over into the motion, wherever it is.
+
+        A goal then lies between the two, so that within the limits it stays within them; an offset
+        to a motion that goes on could leave them.
+        """
+        low, high = self._limits.angle_rad
+        farthest = max(max(high - goal, goal - low) for goal in self._goal)
+        self._anchor[:] = self._goal
+        self._anchored = True
+        self._begin_blend(farthest)
+
+    def _begin_blend(self, largest: float) -> None:
         # The fading quintic is steepest at its middle: 1.875 of its mean slope.
         slow_s = 1.875 * largest / (_BLEND_RATE_SHARE * self._limits.rate_rad_s)
         self._blend_tick = 0
@@ -347,11 +369,7 @@ class SafetySupervisor:
             `goal_rad`, overwritten in place.
         """
         if self.state in (State.RUNNING, State.DEGRADED):
-            share = self._blend_share()
-            goal = [
-                wished + share * offset
-                for wished, offset in zip(wished_rad.tolist(), self._offset, strict=True)
-            ]
+            goal = self._blended(wished_rad.tolist())
             if complaint := self._goal_complaint(goal):
                 self._stop(complaint)
             else:
@@ -363,6 +381,14 @@ class SafetySupervisor:
                 if self._hold_ticks <= 0:
                     self._enter(State.OFF)
         return self.goal_rad
+
+    def _blended(self, wished_rad: Sequence[float]) -> list[float]:
+        share = self._blend_share()
+        if self._anchored:
+            pairs = zip(wished_rad, self._anchor, strict=True)
+            return [wished + share * (anchor - wished) for wished, anchor in pairs]
+        pairs = zip(wished_rad, self._offset, strict=True)
+        return [wished + share * offset for wished, offset in pairs]
 
     def _blend_share(self) -> float:
         """Share of the offset that is left: a quintic from 1 to 0, at rest at both ends."""

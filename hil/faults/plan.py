@@ -1,4 +1,4 @@
-"""Injecting faults of wire and servo: which, when, for how many exchanges; the seed decides the rest.
+"""Injecting faults of wire and servo: which and how often stands in the plan, when in the seed.
 
 An exchange is one synchronous read of the loop, counted from the moment that the torque is on.
 """
@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from hil import packets
+from hil.faults.rates import FaultPlan
 from hil.faults.witness import WatchedServo
 
 FOREVER: Final = 1_000_000
@@ -30,7 +31,7 @@ class Injection(NamedTuple):
     ----------
     kind : str
         A key of `WIRE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host`).
-    count : int
+    times : int
         Exchanges in a row.
     value : float
         Delay in seconds, error in rad or A, hardware error bits: what the kind needs.
@@ -41,7 +42,7 @@ class Injection(NamedTuple):
     """
 
     kind: str
-    count: int = 1
+    times: int = 1
     value: float = 0.0
     joint: int | None = None
     after: int = 0
@@ -103,7 +104,7 @@ SERVO_FAULTS: Final[dict[str, Callable[[WatchedServo, float, bool], None]]] = {
 """What happens to a servo: called with True as the fault begins, with False as it ends."""
 
 
-class Script:
+class Script(FaultPlan):
     """A seeded plan on its way, as `hil.line.Line` and `hil.faults.witness.WatchedChain` want it.
 
     Parameters
@@ -124,6 +125,7 @@ class Script:
     """
 
     def __init__(self, injections: Sequence[Injection], seed: int) -> None:
+        super().__init__(seed=seed)
         self._chance = random.Random(seed)
         self.start = self._chance.randrange(*FIRST_EXCHANGE)
         self.exchange = 0
@@ -138,7 +140,7 @@ class Script:
     def active(self, injection: Injection, exchange: int) -> bool:
         """Whether an injection befalls an exchange."""
         first = self.first(injection)
-        return first <= exchange < first + injection.count
+        return first <= exchange < first + injection.times
 
     def begin_exchange(self, servos: Sequence[WatchedServo], now_ns: int) -> None:
         """Let begin and end what does in the next exchange."""
@@ -148,7 +150,7 @@ class Script:
         for injection in self._injections:
             change = SERVO_FAULTS.get(injection.kind)
             first = self.first(injection)
-            if change is None or self.exchange not in (first, first + injection.count):
+            if change is None or self.exchange not in (first, first + injection.times):
                 continue
             for joint, servo in enumerate(servos):
                 if injection.joint in (None, joint):

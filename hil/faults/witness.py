@@ -7,6 +7,7 @@ got. Both are the truth against which the loop's own record is held.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,6 +55,11 @@ class WatchedServo(EmulatedServo):
     def live(self) -> bool:
         """Whether it drives towards a goal."""
         return self.torque_on and not self.watchdog_tripped
+
+    @property
+    def taken_goal_rad(self) -> float:
+        """Goal that it drives to; NaN where it takes none."""
+        return self.goal_rad if self.live and not self._hushed else math.nan
 
     @property
     def reported_rad(self) -> float:
@@ -109,8 +115,8 @@ class Testimony:
     sample_ns, sample_rad : ndarray, shapes (n,), (n, dof)
         Angles that they reported to the loop, and when.
     goal_ns, goal_rad, stand_rad : ndarray, shapes (m,), (m, dof), (m, dof)
-        Goals that they got while driven, when, and where they stood then. A row of NaN parts
-        stretches between which the torque was off.
+        Goals that they got, when, and where they stood then: NaN for a servo that did not take
+        it, a row of infinities where the torque went off.
     watched : bool
         Whether they have a bus watchdog.
     unheard_ns : int
@@ -168,9 +174,9 @@ class WatchedChain(Chain):
             self._sample_ns.append(now_ns)
             self._sample_rad.extend(servo.reported_rad for servo in self._watched)
         elif packet.instruction == Instruction.SYNC_WRITE and running:
-            self._note_goals(now_ns, [servo.goal_rad for servo in self._watched])
+            self._note_goals(now_ns, [servo.taken_goal_rad for servo in self._watched])
         elif running and not self.driven:
-            self._note_goals(now_ns, [np.nan] * len(self._watched))
+            self._note_goals(now_ns, [math.inf] * len(self._watched))
         return replies
 
     def _note_goals(self, now_ns: int, goals_rad: list[float]) -> None:

@@ -1,0 +1,230 @@
+"""What happened in a case: the loop's record and the servos' testimony put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus import BusStatus
+from firmware_py.safety import State
+from hil.faults.witness import Testimony
+
+Columns = Mapping[str, NDArray[Any]]
+_SAME_RAD: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended, as its process said.
+
+    Attributes
+    ----------
+    ended, reason : str
+        As in `RunSummary`; "refused" and "killed" besides.
+    replugs, telemetry_drops : int
+        As in `RunSummary`.
+    misses : dict of str to int
+        Slots missed by cause.
+    notes : tuple of str
+        What else was looked at.
+    """
+
+    ended: str
+    reason: str
+    replugs: int = 0
+    telemetry_drops: int = 0
+    misses: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What happened in a case; the fields of `faults.json`.
+
+    Attributes
+    ----------
+    ended, reason : str
+        How the run ended.
+    detected_ticks : int or None
+        In which tick from the fault on the record showed it, 1 for the same one.
+    state : str
+        Highest state of the supervisor before the run was over.
+    told : str
+        What the servos were told from then on.
+    recovered_ticks : int or None
+        Ticks from the first sign to the last; None where there was none, or no recovery.
+    lost_ticks : int
+        Slots from the fault on without fresh data, missed ones included.
+    unlogged_ticks : int
+        Ticks that the log lacks.
+    replugs : int
+        Times that the robot went on after its port was gone.
+    misses : dict of str to int
+        Slots missed by cause.
+    unheard_ns : int
+        Longest time for which a servo was driven and heard nothing.
+    watched : bool
+        Whether the servos have a watchdog.
+    live : bool
+        Whether one still drives towards a goal in the end.
+    drift_rad : float
+        How far one moved at most after the last that it heard.
+    goal_jump_rad : float
+        By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
+    stale_as_fresh : int
+        Ticks that took for fresh what the servos had not sent in them.
+    notes : tuple of str
+        What else was looked at.
+    """
+
+    ended: str
+    reason: str
+    detected_ticks: int | None = None
+    state: str = State.STARTING.name
+    told: str = "nothing, the torque stayed off"
+    recovered_ticks: int | None = None
+    lost_ticks: int = 0
+    unlogged_ticks: int = 0
+    replugs: int = 0
+    misses: dict[str, int] = field(default_factory=dict)
+    unheard_ns: int = 0
+    watched: bool = True
+    live: bool = False
+    drift_rad: float = 0.0
+    goal_jump_rad: float = 0.0
+    stale_as_fresh: int = 0
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def observe(
+    outcome: Outcome,
+    columns: Columns,
+    testimony: Testimony,
+    began_ns: int | None,
+    slots: int,
+    period_s: float,
+    rate_rad_s: float,
+    *,
+    stepped_in_tick: int | None = None,
+) -> Observation:
+    """Put together what the loop recorded and what the servos saw.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        How the run ended.
+    columns : mapping of str to ndarray
+        The ticks by column.
+    testimony : Testimony
+        The servos'.
+    began_ns : int or None
+        When the first fault began.
+    slots : int
+        Slots of the motion: what comes later is the stop at its end.
+    period_s, rate_rad_s : float
+        Control period, and limit of the goals' rate.
+    stepped_in_tick : int or None
+        Tick, from 1, in which the record's clock left the servos'.
+    """
+    facts: dict[str, Any] = {}
+    if len(columns.get("tick", ())):
+        first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, began_ns)
+        facts = _course(columns, first, slots, outcome)
+        if not stepped_in_tick:
+            facts["stale_as_fresh"] = _stale_as_fresh(columns, testimony)
+    return Observation(
+        ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
+        misses=outcome.misses, told=_told(outcome, testimony),
+        unheard_ns=testimony.unheard_ns, watched=testimony.watched, live=testimony.live,
+        drift_rad=testimony.drift_rad,
+        goal_jump_rad=_goal_jump_rad(testimony, period_s, rate_rad_s),
+        notes=outcome.notes, **facts,
+    )  # fmt: skip
+
+
+def _first(columns: Columns, began_ns: int | None) -> int | None:
+    """Index of the tick that a time falls into, or that follows it."""
+    if began_ns is None:
+        return None
+    ends_ns = columns["deadline_ns"] + columns["lateness_ns"] + columns["busy_ns"]
+    return int(np.argmax(ends_ns >= began_ns))
+
+
+def _course(columns: Columns, first: int | None, slots: int, outcome: Outcome) -> dict[str, Any]:
+    """Detection, recovery and losses, from the tick that the fault befell to the motion's end."""
+    ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
+    stale = columns["bus_status"] > BusStatus.ALERT
+    missed = columns["missed"].astype(int)
+    span = np.arange(len(ticks))
+    span = span[(span >= (first or 0)) & (ticks - missed < slots)]
+    bad = span[
+        (columns["bus_status"][span] != BusStatus.OK)
+        | (states[span] != State.RUNNING)
+        | (missed[span] > 0)
+    ]
+    good_after = span[span > bad[-1]] if len(bad) else bad
+    return {
+        "detected_ticks": int(bad[0] - first + 1) if len(bad) and first is not None else None,
+        "state": State(int(states[span].max())).name if len(span) else State.RUNNING.name,
+        "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
+        "lost_ticks": int(stale[span].sum() + missed[span].sum()),
+        "unlogged_ticks": outcome.telemetry_drops,
+    }
+
+
+def _stale_as_fresh(columns: Columns, testimony: Testimony) -> int:
+    """Fresh ticks whose angles are not what the servos reported within them."""
+    fresh = columns["bus_status"] <= BusStatus.ALERT
+    starts = columns["deadline_ns"] + columns["lateness_ns"]
+    ends = starts + columns["busy_ns"]
+    dof = testimony.sample_rad.shape[1]
+    angles = np.stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)], axis=1)
+    last = np.searchsorted(testimony.sample_ns, ends, side="right") - 1
+    wrong = testimony.sample_ns[last] < starts
+    wrong |= np.abs(testimony.sample_rad[last] - angles).max(axis=1) > _SAME_RAD
+    return int((wrong & fresh).sum())
+
+
+def _goal_jump_rad(testimony: Testimony, period_s: float, rate_rad_s: float) -> float:
+    """Excess of the largest step of a goal, the first of a stretch counted from where it stood."""
+    excess = 0.0
+    for goals_rad, stands_rad in zip(testimony.goal_rad.T, testimony.stand_rad.T, strict=True):
+        before, before_ns = math.inf, 0
+        for now_ns, goal, stand in zip(
+            testimony.goal_ns.tolist(), goals_rad.tolist(), stands_rad.tolist(), strict=True
+        ):
+            if math.isinf(goal):
+                before = math.inf
+            elif math.isfinite(goal):
+                fresh_start = math.isinf(before)
+                since_s = 0.0 if fresh_start else (now_ns - before_ns) * 1e-9
+                allowed_rad = rate_rad_s * period_s * max(round(since_s / period_s), 1)
+                step_rad = abs(goal - (stand if fresh_start else before))
+                excess = max(excess, step_rad - allowed_rad)
+                before, before_ns = goal, now_ns
+    return excess
+
+
+def _told(outcome: Outcome, testimony: Testimony) -> str:
+    """What the servos were told from the fault on, in words."""
+    if outcome.ended == "refused":
+        return "nothing, the torque stayed off"
+    if testimony.live:
+        return "nothing: without a watchdog it holds its last goal"
+    if testimony.stopped_by_watchdog:
+        stopped = "its own watchdog stopped it where it stood"
+        return f"{stopped}, then the goals blend on from there" if outcome.replugs else stopped
+    if outcome.replugs:
+        return "nothing while unplugged, then the goals blend on from where it stands"
+    if outcome.ended in ("tripped", "signalled"):
+        return "goals slow down to rest, held, torque off"
+    return "goals along the motion"
