@@ -24,7 +24,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.errors import InputError
-from firmware_py.estimator import DeformationEstimator, load_estimator
+from firmware_py.estimator import DeformationEstimator, ObserverEstimator, load_estimator
 from firmware_py.golden import GOLDEN, read_golden, verify
 from firmware_py.predictor import OnnxPredictor
 
@@ -147,6 +147,17 @@ class ModelBundle:
     manifest: Manifest
     estimator: DeformationEstimator
     predictor: OnnxPredictor
+
+    def assume_payload(self, payload_kg: float | None) -> None:
+        """Tell the estimator the payload where it is known (not None) and it has a use for it.
+
+        Raises
+        ------
+        InputError
+            If it is beyond what the observer takes.
+        """
+        if isinstance(self.estimator, ObserverEstimator):
+            self.estimator.assume_payload(payload_kg)
 
     @classmethod
     def load(cls, directory: Path | str) -> ModelBundle:

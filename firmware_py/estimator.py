@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from firmware_py.predictor import OnnxGraph
 from firmware_py.unit import FmiUnit
 
 Array = NDArray[np.float64]
+
+_KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
+"""Of the observer unit; negative, as it starts, has the payload estimated."""
 
 
 class Estimate(NamedTuple):
@@ -138,11 +141,31 @@ class ObserverEstimator:
         self._unit, self._dof = unit, dof
         self._inputs = unit.channel(names)
         self._outputs = unit.channel(["di", "payload_kg"])
+        self._payload_kg: float | None = None
         self.reset()
 
+    def assume_payload(self, payload_kg: float | None) -> None:
+        """Take the payload as known, or have it estimated again (None); forget the past.
+
+        Raises
+        ------
+        InputError
+            If it is beyond what the unit takes.
+        """
+        self._payload_kg = payload_kg
+        try:
+            self.reset()
+        except UnitRefusal as refusal:
+            raise InputError(
+                "payload_kg", f"is {payload_kg}: {str(refusal).rstrip('.')}",
+                "correct it, or leave it out to have it estimated",
+            ) from None  # fmt: skip
+
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget the past; what was assumed still holds."""
         self._unit.reset()
+        if self._payload_kg is not None:
+            self._unit.set([_KNOWN_PAYLOAD], [self._payload_kg])
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample; see `DeformationEstimator.update`.

@@ -33,6 +33,7 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
             path, f"period_s is {config.period_s}, the lagged estimator was trained at "
             f"{manifest.period_s}", "use its period, or a bundle with the observer",
         )  # fmt: skip
+    bundle.assume_payload(config.payload_kg)
     return bundle
 
 
@@ -62,6 +63,7 @@ def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) ->
         "bundle": str(bundle.directory.resolve()),
         "manifest_sha256": sha256_of(bundle.directory / MANIFEST),
         "period_s": repr(config.period_s),
+        "payload_kg": msgspec.json.encode(config.payload_kg).decode(),
         "rest_samples": str(round(config.motion.rest_s / config.period_s)),
         "config": msgspec.json.encode(config).decode(),
     }

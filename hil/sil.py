@@ -207,7 +207,6 @@ def robot_config(options: Options, port: str, cpu: int | None = None) -> RobotCo
         bus=BusConfig(port=port, baud=options.baud),
         servos=tuple(ServoConfig(id=i, model=options.model.name) for i in _ids(options)),
         period_s=options.period_s,
-        payload_kg=options.payload_kg,
         motion=options.motion,
         real_time=RealTimeOptions(cpu=cpu),
     )
@@ -313,7 +312,10 @@ def _loop(
 
 @contextlib.contextmanager
 def _recording(options: Options, config: RobotConfig) -> Iterator[SocketTelemetry]:
-    metadata = log_metadata(config, options.bundle, datetime.now(UTC))
+    # The observer is not told the payload, but whoever imports the log may know it.
+    metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
+        "payload_kg": repr(options.payload_kg)
+    }
     path = options.out / LOG_NAME
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry

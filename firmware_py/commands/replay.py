@@ -6,6 +6,7 @@ Without a log the bundle's golden ticks are replayed, which is what the robot do
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,12 @@ def _bundle_of(path: Path, log: Recording) -> Path:
     return directory
 
 
+def _assumed_payload_kg(log: Recording) -> float | None:
+    """What the run had told its estimator (`payload_kg` of its robot.toml)."""
+    payload_kg: float | None = json.loads(log.metadata.get("config", "{}")).get("payload_kg")
+    return payload_kg
+
+
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     """Run a log's measurements through a bundle's estimator and predictor.
 
@@ -97,6 +104,7 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     step_s = float(log.metadata["period_s"]) * (columns["missed"] + 1)
     recorded = np.column_stack([columns[name] for name in _COMPARED])
     replayed = np.empty_like(recorded)
+    bundle.assume_payload(_assumed_payload_kg(log))
     bundle.estimator.reset()
     for k in range(len(replayed)):
         di, payload_kg = bundle.estimator.update(angle_rad[k], current_a[k], float(step_s[k]))

@@ -61,7 +61,7 @@ def conditions(log: Recording) -> dict[str, Any]:
         "period_s": motion.get("period_s"),
         "amplitude_rad": motion.get("amplitude_rad"),
         "phase_2_rad": motion.get("phase_2_rad"),
-        "payload_kg": config.get("payload_kg"),
+        "payload_kg": json.loads(log.metadata.get("payload_kg", "null")),
         "step_s": float(log.metadata.get("period_s", np.median(np.diff(log.columns["time_s"])))),
     }
     return {key: value for key, value in known.items() if value is not None}

@@ -1,0 +1,135 @@
+"""What a configuration puts together: here, a payload that is known to the observer."""
+
+import dataclasses
+import shutil
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.bundle import ModelBundle
+from firmware_py.commands.replay import compare
+from firmware_py.config import read_config
+from firmware_py.errors import InputError
+from firmware_py.recording import Recording
+from firmware_py.robot import load_bundle
+from firmware_py.signals import PERIOD_S, tip_names
+from firmware_py.unit import FmiUnit
+from fmu.__main__ import main as fmu
+
+CONFIG = """
+bundle = "bundle"
+{payload}
+[bus]
+port = "unix:line"
+[[servos]]
+id = 1
+model = "H54-200-S500-R"
+"""
+
+
+@pytest.fixture(scope="module")
+def directory(toy_bundle, tmp_path_factory):
+    """A robot's directory: a bundle with its observer."""
+    directory = tmp_path_factory.mktemp("robot")
+    bundle = shutil.copytree(toy_bundle, directory / "bundle")
+    plant = str(bundle / "plant.json")
+    assert fmu(["build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
+    return directory
+
+
+@pytest.fixture
+def load(directory):
+    """Load the bundle by a configuration with or without a payload; return both."""
+
+    def load(payload_kg=None):
+        path = directory / "robot.toml"
+        payload = "" if payload_kg is None else f"payload_kg = {payload_kg}"
+        path.write_text(CONFIG.format(payload=payload), encoding="utf-8")
+        config = read_config(path)
+        return config, load_bundle(config, path)
+
+    return load
+
+
+def motion(count=150):
+    """Angles and currents of a link that is heavy at the tip, shape (n, 1) each."""
+    angle_rad = 0.5 * np.sin(2 * np.pi * PERIOD_S / 4.352 * np.arange(count))[:, None]
+    return angle_rad, 2.0 * np.sin(angle_rad)
+
+
+def answers(estimator):
+    estimator.reset()
+    return np.array([estimator.update(q, i, PERIOD_S) for q, i in zip(*motion(), strict=True)])
+
+
+def test_a_known_payload_is_the_observers(load, directory):
+    answered = answers(load(2.0)[1].estimator)
+    assert (answered[:, 1] == 2.0).all()
+    with FmiUnit(directory / "bundle/observer.fmu") as unit:
+        unit.set(["parameters.payload_known_kg"], [2.0])
+        for (q, i), (di, _) in zip(zip(*motion(), strict=True), answered, strict=True):
+            unit.set(["angle_1_rad", "current_1_a"], [q[0], i[0]])
+            unit.step(PERIOD_S)
+            assert unit.get(["di"])[0] == di
+
+
+def test_what_is_known_outlasts_a_reset_and_changes_the_deformation(load):
+    _, bundle = load(2.0)
+    first = answers(bundle.estimator)
+    assert np.array_equal(answers(bundle.estimator), first)
+    bundle.assume_payload(0.0)
+    light = answers(bundle.estimator)
+    assert (light[:, 1] == 0.0).all()
+    assert light[100:, 0].max() < first[100:, 0].max(), "a lighter tip bends the link less"
+
+
+def test_an_unknown_payload_is_estimated(load):
+    _, bundle = load()
+    estimated = answers(bundle.estimator)
+    assert len(np.unique(estimated[:, 1])) > 10
+    bundle.assume_payload(2.0)
+    bundle.assume_payload(None)
+    assert np.array_equal(answers(bundle.estimator), estimated)
+
+
+def test_no_payload_at_all_is_a_known_one(load):
+    assert (answers(load(0.0)[1].estimator)[:, 1] == 0.0).all()
+
+
+def test_more_than_the_observer_takes_is_refused(load):
+    with pytest.raises(InputError, match=r"^payload_kg: is 50\.0.*leave it out"):
+        load(50.0)
+
+
+def test_an_estimator_without_an_opinion_is_left_alone(toy_bundle):
+    bundle = ModelBundle.load(toy_bundle)  # the lagged regressor
+    estimated = answers(bundle.estimator)
+    bundle.assume_payload(1.0)
+    assert np.array_equal(answers(bundle.estimator), estimated, equal_nan=True)
+
+
+@pytest.mark.parametrize("payload_kg", [None, 2.0])
+def test_a_replay_assumes_what_the_run_assumed(load, payload_kg):
+    config, bundle = load(payload_kg)
+    angle_rad, current_a = motion()
+    answered = answers(bundle.estimator)
+    tips_m = [
+        bundle.predictor.predict(q, i, di).tip_m.copy()
+        for q, i, di in zip(angle_rad, current_a, answered[:, 0], strict=True)
+    ]
+    columns = {
+        "angle_1_rad": angle_rad[:, 0],
+        "current_1_a": current_a[:, 0],
+        "missed": np.zeros(len(angle_rad), int),
+        "di": answered[:, 0],
+        "payload_kg": answered[:, 1],
+    } | dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
+    metadata = {
+        "dof": "1",
+        "period_s": str(PERIOD_S),
+        "config": msgspec.json.encode(config).decode(),
+    }
+    log = Recording(columns, metadata, complete=True)
+    fresh = dataclasses.replace(bundle, estimator=ModelBundle.load(bundle.directory).estimator)
+    assert set(compare(log, fresh).values()) == {0.0}
