@@ -12,6 +12,7 @@ COMMANDS = (
     Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
+    Command("gap", "models.commands.gap", "name what the plant lacks, add it"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
 )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import as_text
+from models.gap.learn import with_floor
 from models.plant.identify import identify
 from models.plant.picture import draw
 from models.plant.plant import read_plant
@@ -31,9 +32,10 @@ def run(args: argparse.Namespace) -> int:
     plant, trials = read_plant(args.plant), read_trials(args.trials)
     progress = Progress("identify", 110)
     found = identify(plant, trials, progress.step)
+    plant = with_floor(found.plant, trials)
     progress.total = progress.done + 1
     progress.step("done")
-    found.plant.write(args.out)
+    plant.write(args.out)
     fit, held_out = trials.split()
     picture = draw(found.plant, held_out if len(held_out) else fit, args.out.with_suffix(".svg"))
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]

@@ -1,0 +1,1 @@
+"""How often the gap workflow names a hidden effect rightly, measured on the virtual laboratory."""

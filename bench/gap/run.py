@@ -1,0 +1,108 @@
+"""Run one case: hide, simulate, diagnose, test on a sealed trial of another motion."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.gap.cases import BenchCase
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from models.gap.close import diagnose
+from models.gap.learn import floor_of
+from models.gap.separate import look_alikes
+from models.plant.evaluate import compare
+from models.plant.plant import Plant, read_plant
+from models.rig.case import Case
+from models.rig.parameters import Parameters, read_parameters
+from models.rig.protocol import run_case
+from models.trial import Trial
+from models.trials import TrialSet
+
+PAYLOADS_KG = (0.0, 1.0, 2.0)
+SEALED_KG = 1.0
+
+
+def run(case: BenchCase, plant_path: str, directory: str) -> str:
+    """Run a case unless its result stands; returns the path of the result."""
+    path = Path(directory) / f"{case.key}.json"
+    if not path.exists():
+        result = {"case": asdict(case), **_result(case, read_plant(plant_path))}
+        fresh = path.with_suffix(".part")
+        fresh.write_text(json.dumps(result, indent=1), encoding="utf-8")
+        fresh.replace(path)
+    return str(path)
+
+
+def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
+    rig = read_parameters()
+    rig = rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
+    try:
+        trials = TrialSet(tuple(_trials(rig.hide(case.hidden), case.seed)))
+        sealed = _sealed(rig.hide(case.hidden), case.seed)
+        sealed_floor = _sealed(rig, case.seed)
+    except InputError as error:  # the link folds: no data set
+        return {"impossible": str(error)}
+    start_s, cpu_s = time.perf_counter(), time.process_time()
+    leave_out = list(case.hidden) if case.kind == "outside" else []
+    found = diagnose(plant, trials, leave_out=leave_out)
+    wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - cpu_s
+    naming = found.naming
+    known = found.improved.parameters
+    return {
+        "verdict": found.verdict,
+        "named": list(naming.named),
+        "first": [list(c.effects) for c in naming.chosen[:1]],
+        "separation": [c.separation for c in naming.chosen],
+        "look_alikes": [
+            [list(c.effects) for c in look_alikes(naming, k)] for k in range(len(naming.chosen))
+        ],
+        "largest": max(naming.screened.values(), default=0.0),
+        "own": {e: naming.screened.get(e) for e in case.hidden},
+        "estimates": {
+            name: [known[name].value, known[name].error, plant_value(plant, name)]
+            for k in found.namer.knobs if k.effect in naming.named
+            for name in k.parameters if name in known
+        },
+        "sealed": [
+            sealed_error(plant, sealed), sealed_error(found.improved, sealed),
+            sealed_error(plant, sealed_floor),
+        ],
+        "dispersion": found.namer.dispersion(naming.before),
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
+    }  # fmt: skip
+
+
+def plant_value(plant: Plant, name: str) -> float:
+    """Value before the diagnosis; zero where the plant did not hold the effect."""
+    return plant.parameters[name].value if name in plant.parameters else 0.0
+
+
+def sealed_error(plant: Plant, trial: Trial) -> float:
+    """Error on a trial: root mean square over signals, each in its own noise floor."""
+    floor = floor_of(plant, 1)
+    assert floor is not None, "identify the plant on repeated trials first"
+    comparison = compare(plant, [trial])[0]
+    squares = [
+        np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
+        for s in comparison.simulated if s in floor.noise
+    ]  # fmt: skip
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _trials(rig: Parameters, seed: int) -> list[Trial]:
+    return [
+        run_case(rig, Case(Motion(), payload, trial, seed))
+        for payload in PAYLOADS_KG
+        for trial in (1, 2)
+    ]
+
+
+def _sealed(rig: Parameters, seed: int) -> Trial:
+    return run_case(rig, Case(Motion("multisine"), SEALED_KG, 3, seed))

@@ -1,0 +1,169 @@
+"""The whole workflow: from trials and a plant to what is missing, how sure, and a better plant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.gap.fit import Estimator
+from models.gap.knobs import Knob, candidates, effect_knobs, nuisance_knobs, trial_knobs
+from models.gap.learn import fitted, floor_of, guess
+from models.gap.locate import Cell, locate
+from models.gap.name import Namer, Naming, Report
+from models.gap.noise import Floor, floor_of_residual
+from models.gap.problem import Problem
+from models.gap.spectrum import Array
+from models.plant.plant import Plant
+from models.trials import TrialSet
+
+Verdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
+
+REDUCED: Final = 0.6
+"""Largest share of the gap (in amplitude) that may be left of one that counts as reduced."""
+
+
+@dataclass
+class Diagnosis:
+    """What the workflow found.
+
+    Attributes
+    ----------
+    plant, improved : Plant
+        As given, and with what was named and the nuisance refitted.
+    namer : Namer
+        With problem and estimator.
+    naming : Naming
+        Result of the search.
+    verdict : str
+        See `Verdict`.
+    left : float
+        Share of the gap's amplitude that is left, in units of the noise floor.
+    located, remaining : list of Cell
+        Where the gap is after the nuisance fit, and after what was named.
+    """
+
+    plant: Plant
+    improved: Plant
+    namer: Namer
+    naming: Naming
+    verdict: Verdict
+    left: float
+    located: list[Cell]
+    remaining: list[Cell]
+
+
+def diagnose(
+    plant: Plant,
+    trials: TrialSet,
+    report: Report = lambda text: None,
+    leave_out: Sequence[str] = (),
+) -> Diagnosis:
+    """Find, name and add what is missing.
+
+    Parameters
+    ----------
+    plant : Plant
+        As identified; its provenance may carry the noise floor.
+    trials : TrialSet
+        Of one number of joints.
+    report : callable
+        Called with one phrase after each part of the work.
+    leave_out : sequence of str
+        Effects that may not be named.
+
+    Raises
+    ------
+    InputError
+        If the trials are of one and of two joints, or an effect to leave out is unknown.
+    """
+    catalogue = candidates(plant)
+    for name in leave_out:
+        if name not in catalogue:
+            raise InputError(
+                f"--without {name}", "is no effect of this plant",
+                "choose from " + ", ".join(catalogue),
+            )  # fmt: skip
+    catalogue = [e for e in catalogue if e not in leave_out]
+    problem = Problem(plant, trials.trials, all_knobs(plant, trials, catalogue))
+    floor = floor_of(plant, trials[0].meta.dof) or own_floor(problem)
+    namer = Namer(Estimator(problem, floor), catalogue, report)
+    naming = namer.search()
+    verdict, left = judge(namer, naming)
+    where = [
+        locate(problem.groups, problem.trials, namer.first.whitened(point.rows))
+        for point in (naming.before, naming.after)
+    ]
+    improved = improve(plant, namer, naming, trials)
+    return Diagnosis(plant, improved, namer, naming, verdict, left, *where)
+
+
+def all_knobs(plant: Plant, trials: Sequence[Any], catalogue: Sequence[str]) -> list[Knob]:
+    """Nuisance, trial variation and every effect of the catalogue."""
+    dof = trials[0].meta.dof
+    effects = [k for e in catalogue for k in effect_knobs(plant, e, dof)]
+    return nuisance_knobs(plant, dof) + trial_knobs(plant, trials) + effects
+
+
+def own_floor(problem: Problem) -> Floor:
+    """Floor where the plant file carries none: the spectrum of what the nuisance fit leaves."""
+    base = np.array([k.kind != "effect" for k in problem.knobs])
+    floor = guess(problem)
+    for _ in range(2):
+        point = fitted(problem, floor, base)
+        floor = floor_of_residual(problem.groups, problem.trials, point.rows)
+    return floor
+
+
+def judge(namer: Namer, naming: Naming) -> tuple[Verdict, float]:
+    """Verdict, and the share of the gap's amplitude that is left."""
+    before, after = (excess(namer, p.rows) for p in (naming.before, naming.after))
+    left = float(np.sqrt(after / before)) if before > 0 else 0.0
+    if not naming.named:
+        return ("not in the catalogue", 1.0) if namer.has_gap(naming.before) else ("no gap", 0.0)
+    if not namer.has_gap(naming.after):
+        return "closed", left
+    return ("reduced" if left <= REDUCED else "not in the catalogue"), left
+
+
+def excess(namer: Namer, rows: list[Array]) -> float:
+    """Mean square of a residual, in noise floors, beyond that of noise."""
+    white = namer.first.whitened(rows)
+    return max(sum(float(np.sum(w**2)) for w in white) / sum(w.size for w in white) - 1.0, 0.0)
+
+
+def improve(plant: Plant, namer: Namer, naming: Naming, trials: TrialSet) -> Plant:
+    """Plant with what was named and the refitted nuisance, its parentage in the provenance."""
+    free = namer.free(naming.named)
+    values = naming.after.values
+    own = namer.estimator.covariance(naming.after, free)
+    errors = np.zeros(len(values))
+    spread = np.sqrt(namer.dispersion(naming.after))
+    errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(own), 0.0)) * spread
+    full = plant.with_effects(*naming.named)
+    changed: dict[str, float] = {}
+    uncertain: dict[str, float] = {}
+    for k, knob in enumerate(namer.knobs):
+        if knob.trial is not None or not free[k]:
+            continue
+        for name, weight in knob.parameters.items():
+            if name not in full.parameters:
+                continue
+            q = full.parameters[name]
+            value = changed.get(name, q.value) + weight * values[k]
+            changed[name] = float(np.clip(value, q.low, q.high))
+            uncertain[name] = float(np.hypot(uncertain.get(name, 0.0), weight * errors[k]))
+    provenance = {
+        **{k: v for k, v in plant.provenance.items() if k == "noise_floor"},
+        "parent_sha256": plant.sha256(),
+        "data_sha256": trials.sha256(),
+        "named": list(naming.named),
+        "fitted_trials": [t.name for t in trials],
+    }
+    name = f"{plant.name.removesuffix(', gap closed')}, gap closed" if naming.named else plant.name
+    if not naming.named:
+        return replace(plant, provenance={**plant.provenance, **provenance})
+    return replace(full.with_values(changed, uncertain), name=name, provenance=provenance)

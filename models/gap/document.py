@@ -1,0 +1,157 @@
+"""gap.json: what was found, for machines (DESIGN §3), and the same in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from models.gap.close import Diagnosis
+from models.gap.locate import plain, sentence
+from models.gap.separate import as_document, look_alikes, separating_motion
+from models.gap.spectrum import Array
+from models.plant.evaluate import compare, signal_errors
+from models.trial import Trial
+from models.trials import TrialSet
+
+SCHEMA = 1
+MOST_CELLS = 40
+
+
+def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
+    """Content of gap.json."""
+    namer, naming = found.namer, found.naming
+    cells, left = found.located, found.remaining
+    floor = floor_rms(found)
+    fit, held_out = trials.split()
+    parts = {"fitted": fit, "held_out": held_out} if len(held_out) else {"fitted": fit}
+    before, after = (
+        {part: errors(plant, own, floor) for part, own in parts.items()}
+        for plant in (found.plant, found.improved)
+    )
+    return {
+        "schema": SCHEMA,
+        "verdict": found.verdict,
+        "share_left": round(found.left, 4),
+        "noise_floor": {
+            "learned": namer.first.floor.learned,
+            "signals": floor,
+            "dispersion": round(namer.dispersion(naming.before), 4),
+        },
+        "sentence": sentence(cells),
+        "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
+        "named": [_named(found, turn) for turn in range(len(naming.chosen))],
+        "before": before,
+        "after": after,
+        "remaining": {
+            "sentence": sentence(left),
+            "located": [plain(c) for c in left if c.significant][:10],
+        },
+        "rejected": rejected(found),
+    }
+
+
+def floor_rms(found: Diagnosis) -> dict[str, dict[str, float]]:
+    """Noise floor of each signal as root mean squares over the spectrum."""
+    floor = found.namer.first.floor
+    return {
+        s: {"noise_rms": _rms(floor.noise[s]), "model_rms": _rms(floor.model[s]),
+            "rms": _rms(floor.noise[s] + floor.model[s])}
+        for s in floor.noise
+    }  # fmt: skip
+
+
+def _rms(variance: Array) -> float:
+    return float(np.sqrt(np.mean(variance)))
+
+
+def errors(plant: Any, trials: Sequence[Trial], floor: Any) -> dict[str, dict[str, float]]:
+    """Root mean square of each signal's error, and the same in noise floors."""
+    result = {}
+    for signal, row in signal_errors(plant, compare(plant, trials)).items():
+        size = floor.get(signal, {}).get("rms", np.nan)
+        result[signal] = {"rms": row["rms"], "unit": row["unit"], "floors": row["rms"] / size}
+    return result
+
+
+def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
+    """One inclusion: effects, values, evidence, look-alikes."""
+    namer, naming = found.namer, found.naming
+    chosen = naming.chosen[turn]
+    alike = look_alikes(naming, turn)
+    result: dict[str, Any] = {
+        "effect": " + ".join(chosen.effects),
+        "kept": all(e in naming.named for e in chosen.effects),
+        "parameters": {
+            name: {"value": q.value, "unit": q.unit, "error": q.error,
+                   "before": found.plant.parameters[name].value
+                   if name in found.plant.parameters else 0.0}
+            for knob in namer.knobs if knob.effect in chosen.effects
+            for name in knob.parameters if (q := found.improved.parameters.get(name))
+        },
+        "evidence": {
+            "separation": chosen.separation,
+            "held_out_gain": chosen.held_out_gain,
+            "held_out_error": chosen.held_out_error,
+        },
+        "look_alikes": [
+            {"effect": " + ".join(c.effects), "separation": c.separation} for c in alike
+        ],
+    }  # fmt: skip
+    if alike:
+        label, sizes = separating_motion(namer, found.improved, alike, naming.named)
+        result["separated_by"] = as_document(label, sizes)
+    return result
+
+
+def rejected(found: Diagnosis) -> list[dict[str, Any]]:
+    """Effects that were not named, each with its reason."""
+    naming = found.naming
+    refitted = {e: c for r in naming.rounds for c in r for e in c.effects}
+    result = []
+    for effect, size in sorted(naming.screened.items(), key=lambda row: -row[1]):
+        if effect in naming.named:
+            continue
+        entry: dict[str, Any] = {"effect": effect, "separation": round(size, 3)}
+        if effect in refitted and not np.isnan(refitted[effect].held_out_gain):
+            entry["reason"] = "its gain does not hold on trials left out"
+        elif naming.named:
+            entry["reason"] = "explains less than what was named"
+        else:
+            entry["reason"] = "explains no more than noise"
+        if effect in naming.unexcited:
+            entry["reason"] = "not excited by these trials"
+        result.append(entry)
+    known = {row["effect"] for row in result} | set(naming.named)
+    result += [
+        {"effect": e, "separation": 0.0, "reason": "not excited by these trials"}
+        for e in naming.unexcited if e not in known
+    ]  # fmt: skip
+    return result
+
+
+def in_words(data: dict[str, Any]) -> str:
+    """gap.json for people."""
+    lines = [f"verdict: {data['verdict']}", data["sentence"]]
+    for row in data["named"]:
+        values = ", ".join(
+            f"{name} = {q['value']:.4g} ± {q['error'] or 0:.2g} {q['unit']}"
+            for name, q in row["parameters"].items()
+        )
+        lines.append(f"named: {row['effect']} (d′ {row['evidence']['separation']:.1f}); {values}")
+        if row["look_alikes"]:
+            others = ", ".join(c["effect"] for c in row["look_alikes"])
+            motion = row["separated_by"]["motion"]
+            lines.append(f"  these trials cannot tell it from {others}; {motion} would")
+    if data["verdict"] in ("reduced", "not in the catalogue"):
+        lines.append("what remains: " + data["remaining"]["sentence"])
+    part = "held_out" if "held_out" in data["before"] else "fitted"
+    lines.append(f"{part.replace('_', '-')} trials, in noise floors, before and after:")
+    for signal, row in data["before"][part].items():
+        after = data["after"][part].get(signal, row)
+        lines.append(f"  {signal:14s}{row['floors']:10.2f}{after['floors']:10.2f}")
+    quiet = [r["effect"] for r in data["rejected"] if r["reason"].startswith("not excited")]
+    if quiet:
+        lines.append("not excited: " + ", ".join(quiet))
+    return "\n".join(lines)

@@ -1,0 +1,143 @@
+"""Generalised least squares over the knobs, in units of the noise floor.
+
+The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor, m is the
+error that the plant is known to keep, the second part holds nuisance and trial variation to their
+priors. Gauss–Newton steps stay in the bounds and are taken only where the cost falls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from models.gap.noise import Floor
+from models.gap.problem import Problem
+from models.gap.spectrum import Array
+
+CONVERGED: Final = 0.3
+"""Fall of twice the cost (in squared noise floors) that is not worth another step."""
+
+
+@dataclass
+class Point:
+    """Where the knobs stand, and what is left there.
+
+    Attributes
+    ----------
+    values : ndarray, shape (knobs,)
+        Of all knobs.
+    cost : float
+        See the module's text.
+    rows : list of ndarray
+        Residual spectra, as `Problem.residuals`.
+    """
+
+    values: Array
+    cost: float
+    rows: list[Array]
+    normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    slopes: list[Array] = field(repr=False, default_factory=list)
+
+
+class Estimator:
+    """Fits knobs of a problem against a floor."""
+
+    def __init__(self, problem: Problem, floor: Floor) -> None:
+        self.problem, self.floor = problem, floor
+        self.whiteners = [floor.whitener(g, problem.trials) for g in problem.groups]
+        self.means = [floor.mean(g, problem.trials) for g in problem.groups]
+        spread = np.array([k.spread for k in problem.knobs])
+        self.precision = np.where(np.isfinite(spread), 1 / spread**2, 0.0)
+        self.low = np.array([k.low for k in problem.knobs])
+        self.high = np.array([k.high for k in problem.knobs])
+
+    def whitened(self, rows: list[Array]) -> list[Array]:
+        """Residual spectra in noise floors, (trials, signals, K)."""
+        return [
+            np.einsum("skij,jsk->isk", w, r - m)
+            for w, r, m in zip(self.whiteners, rows, self.means, strict=True)
+        ]
+
+    def at(self, values: Array) -> Point:
+        """Cost and residuals at some values."""
+        rows = self.problem.residuals(values)
+        squares = sum(float(np.sum(w**2)) for w in self.whitened(rows))
+        cost = 0.5 * squares + 0.5 * float(self.precision @ values**2)
+        return Point(values, cost if np.isfinite(cost) else np.inf, rows)
+
+    def linearise(self, point: Point) -> Point:
+        """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
+        if point.slopes:
+            return point
+        rows, slopes = self.problem.jacobian(point.values)
+        white = [
+            np.einsum("skij,jskp->iskp", w, s).reshape(-1, s.shape[-1])
+            for w, s in zip(self.whiteners, slopes, strict=True)
+        ]
+        residual = [w.ravel() for w in self.whitened(rows)]
+        normal = sum(s.T @ s for s in white) + np.diag(self.precision)
+        gradient = sum(s.T @ r for s, r in zip(white, residual, strict=True))
+        point.normal, point.slopes = np.asarray(normal), white
+        point.gradient = np.asarray(gradient - self.precision * point.values)
+        return point
+
+    def step(self, point: Point, free: Array) -> tuple[Array, float]:
+        """Bounded step of the free knobs (zero elsewhere), and the fall of the cost it promises."""
+        self.linearise(point)
+        index = np.flatnonzero(free)
+        normal = point.normal[np.ix_(index, index)]
+        gradient = point.gradient[index]
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(len(index))
+        root = np.linalg.cholesky(scaled).T
+        right = np.linalg.solve(root.T, gradient / size)
+        step = np.linalg.solve(root, right)
+        low = (self.low - point.values)[index] * size
+        high = (self.high - point.values)[index] * size
+        if np.any(step < low) or np.any(step > high):
+            low, high = np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12
+            step = lsq_linear(root, right, (low, high), max_iter=60).x
+        promised = float(right @ right - np.sum((root @ step - right) ** 2)) / 2
+        result = np.zeros(len(point.values))
+        result[index] = step / size
+        return result, promised
+
+    def fit(self, start: Point, free: Array, steps: int = 12, relative: float = 0.0) -> Point:
+        """Lower the cost over the free knobs; never returns a higher one.
+
+        Ends where a step promises less than `CONVERGED`, or than a share `relative` of the fall
+        so far.
+        """
+        point = start
+        for _ in range(steps):
+            step, promised = self.step(point, free)
+            if promised < max(CONVERGED / 2, relative * (start.cost - point.cost)):
+                break
+            better = self.search(point, step)
+            if better is None:
+                break
+            fall, point = point.cost - better.cost, better
+            if fall < CONVERGED / 2:
+                break
+        return point
+
+    def search(self, point: Point, step: Array) -> Point | None:
+        """First point along a step whose cost is lower; None where there is none."""
+        for share in (1.0, 0.5, 0.2, 0.05):
+            values = np.clip(point.values + share * step, self.low, self.high)
+            tried = self.at(values)
+            if tried.cost < point.cost:
+                return tried
+        return None
+
+    def covariance(self, point: Point, free: Array) -> Array:
+        """Covariance of the free knobs, shape (free, free)."""
+        index = np.flatnonzero(free)
+        normal = self.linearise(point).normal[np.ix_(index, index)]
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+        inverse = np.linalg.pinv(normal / np.outer(size, size), hermitian=True)
+        return np.asarray(inverse / np.outer(size, size))

@@ -1,0 +1,69 @@
+"""Measure the noise floor of a plant on trials without a gap: those that it was identified on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from models.gap.fit import Estimator, Point
+from models.gap.knobs import nuisance_knobs, trial_knobs
+from models.gap.noise import Floor, first_guess, learn, read, write
+from models.gap.problem import Problem, group_key
+from models.plant.fit import SCALE
+from models.plant.plant import Plant
+from models.trial import Trial
+
+ROUNDS: Final = 3
+"""Times that floor and trial variation are found in turn."""
+
+KEY: Final = "noise_floor"
+"""Where the plant's provenance holds the floors, by number of joints."""
+
+
+def with_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
+    """Plant whose provenance also holds the noise floor of trials that hold no hidden effect.
+
+    Noise is told from the plant's own error by repetitions; without any there is no floor.
+    """
+    floors: dict[str, Any] = {}
+    for dof in sorted({t.meta.dof for t in trials}):
+        own = [t for t in trials if t.meta.dof == dof]
+        conditions = {(group_key(t), t.meta.payload_kg) for t in own}
+        if len(conditions) < len(own):
+            floors[str(dof)] = write(learn_floor(plant, own))
+    return replace(plant, provenance={**plant.provenance, KEY: floors})
+
+
+def learn_floor(plant: Plant, trials: Sequence[Trial]) -> Floor:
+    """Floor of trials of one number of joints; of the knobs only trial variation is fitted."""
+    dof = trials[0].meta.dof
+    knobs = nuisance_knobs(plant, dof) + trial_knobs(plant, trials)
+    problem = Problem(plant, trials, knobs)
+    floor = guess(problem)
+    free = np.array([k.kind == "trial" for k in knobs])
+    for _ in range(ROUNDS):
+        point = fitted(problem, replace(floor, curves={}), free)
+        floor = learn(problem.groups, problem.trials, point.rows)
+    return floor
+
+
+def guess(problem: Problem) -> Floor:
+    """Floor before anything is known of the signals."""
+    units = {v.name: v.unit for v in problem.model.outputs}
+    signals = list(dict.fromkeys(s for g in problem.groups for s in g.signals))
+    return first_guess(signals, {s: SCALE[units[s]] for s in signals})
+
+
+def fitted(problem: Problem, floor: Floor, free: Any) -> Point:
+    """Fit of the free knobs against a floor."""
+    estimator = Estimator(problem, floor)
+    return estimator.fit(estimator.at(np.zeros(len(problem.knobs))), free)
+
+
+def floor_of(plant: Plant, dof: int) -> Floor | None:
+    """Floor that the plant file carries for a number of joints."""
+    document = plant.provenance.get(KEY, {}).get(str(dof))
+    return read(document) if document else None

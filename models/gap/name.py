@@ -1,0 +1,295 @@
+"""Name what is missing: every effect is tried through the simulator, the best are refitted.
+
+One round of the search, repeated after each inclusion with everything tried again:
+
+1. Screen: from the present fit, and from the plant as given, one step of all free knobs together
+   with those of a candidate, its cost measured by simulation. Effects whose derivative vanishes
+   where they are absent (a limit that is never met) are tried at a ladder of strengths.
+2. Refit the best five from several starts; the cost of a nested model never rises (asserted).
+3. Include the best where its gain passes the threshold and, over payloads left out in turn, its
+   held-out gain exceeds its standard error and is nowhere a loss. Where none does, pairs are tried.
+4. Try to delete what was included before.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from models.gap.crossvalidate import held_out_gains
+from models.gap.fit import Estimator, Point
+from models.gap.noise import FORMULATION
+from models.gap.spectrum import Array
+
+SEPARATION: Final = 5.0
+"""Least d′ of an effect that is named: the largest of 26 on data without a gap stays below it in
+97 % of cases (bench/gap)."""
+
+ALIKE: Final = 3.0
+"""Separation below which two effects cannot be told apart (FACTS §8)."""
+
+REFITTED: Final = 5
+MOST: Final = 3
+"""Effects that one diagnosis may include."""
+
+PER_PARAMETER: Final = 5.0
+"""Fall of twice the cost that each further parameter of an effect must pay (log of some 150
+independent samples)."""
+
+LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
+"""Shares of its bound at which an effect is tried that shows nothing where it is absent."""
+
+Report = Callable[[str], None]
+
+
+@dataclass
+class Candidate:
+    """A candidate (one effect, or two) and its fit."""
+
+    effects: tuple[str, ...]
+    point: Point
+    gain: float
+    held_out_gain: float = np.nan
+    held_out_error: float = np.nan
+    worst_fold: float = np.nan
+
+    @property
+    def separation(self) -> float:
+        """Its d′: root of twice the fall of the cost."""
+        return float(np.sqrt(max(2 * self.gain, 0.0)))
+
+
+@dataclass
+class Naming:
+    """What the search found.
+
+    Attributes
+    ----------
+    before, after : Point
+        Fit of nuisance and trial variation alone, and with what was named.
+    named : list of str
+        In order of inclusion.
+    rounds : list of list of Candidate
+        Refitted candidates of each round, best first.
+    screened : dict of str to float
+        d′ of every effect in the first round's screen.
+    unexcited : list of str
+        Effects that these trials could not show at any strength within bounds.
+    """
+
+    before: Point
+    after: Point
+    named: list[str] = field(default_factory=list)
+    rounds: list[list[Candidate]] = field(default_factory=list)
+    screened: dict[str, float] = field(default_factory=dict)
+    unexcited: list[str] = field(default_factory=list)
+    chosen: list[Candidate] = field(default_factory=list)
+
+
+class Namer:
+    """Searches over the effects of a problem.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Of the problem whose knobs are nuisance, trial variation and effects.
+    catalogue : sequence of str
+        Effects that may be named.
+    report : callable
+        Called with one phrase after each part of the work.
+    """
+
+    def __init__(
+        self, estimator: Estimator, catalogue: Sequence[str], report: Report = lambda text: None
+    ) -> None:
+        self.estimator = self.first = estimator
+        self.report = report
+        self.knobs = estimator.problem.knobs
+        self.base = np.array([k.kind != "effect" for k in self.knobs])
+        self.of = {
+            e: np.array([k.effect == e for k in self.knobs])
+            for e in catalogue
+            if any(k.effect == e for k in self.knobs)
+        }
+        self.absent = [e for e in catalogue if e not in self.of]
+
+    def search(self) -> Naming:
+        """Run the whole search."""
+        zero = self.estimator.at(np.zeros(len(self.knobs)))
+        self.estimator.linearise(zero)
+        before = self.estimator.fit(zero, self.base)
+        self.estimator.linearise(before)
+        self.report("nuisance fitted")
+        found = Naming(before, before)
+        found.unexcited = self.absent + self._unexcited(before)
+        while len(found.named) < MOST:
+            here = found.after
+            screen = self._screen(here, [zero] if not found.named else [], found)
+            if not found.named:
+                found.screened = {e: t.separation for (e,), t in screen.items()}
+            best = sorted(screen.values(), key=self._score, reverse=True)[:REFITTED]
+            refitted = [self._refit(t, here, found.named) for t in best]
+            refitted.sort(key=self._score, reverse=True)
+            found.rounds.append(refitted)
+            choice = self._accept(refitted, here, found)
+            if choice is None and self.has_gap(here):
+                choice = self._pairs(here, found)
+            if choice is None:
+                break
+            found.named += list(choice.effects)
+            found.chosen.append(choice)
+            self._widen(found, choice.point)
+            self._delete(found)
+        return found
+
+    def _score(self, trial: Candidate) -> float:
+        """Twice the gain, less what its parameters cost."""
+        count = sum(int(self.of[e].sum()) for e in trial.effects)
+        return 2 * trial.gain - PER_PARAMETER * count
+
+    def free(self, effects: Sequence[str]) -> Array:
+        """Knobs that are fitted when these effects are named."""
+        free = self.base.copy()
+        for effect in effects:
+            free |= self.of[effect]
+        return free
+
+    def _screen(
+        self, here: Point, others: Sequence[Point], found: Naming
+    ) -> dict[tuple[str, ...], Candidate]:
+        """One simulated step of each effect that is not yet named."""
+        result: dict[tuple[str, ...], Candidate] = {}
+        for effect in (e for e in self.of if e not in found.named):
+            free = self.free([*found.named, effect])
+            tried = [here]
+            for start in [here, *others]:
+                step, promised = self.estimator.step(start, free)
+                if start.cost - promised < here.cost:
+                    tried.append(self.estimator.search(start, step) or start)
+            if effect in found.unexcited and effect not in self.absent:
+                tried += self._ladder(here, effect)
+            point = min(tried, key=lambda p: p.cost)
+            result[effect,] = Candidate((effect,), point, here.cost - point.cost)
+        self.report(f"{len(result)} effects screened")
+        return result
+
+    def _ladder(self, here: Point, effect: str) -> list[Point]:
+        knob = int(np.flatnonzero(self.of[effect])[0])
+        result = []
+        for share in LADDER:
+            values = here.values.copy()
+            values[knob] = share * self.knobs[knob].high
+            result.append(self.estimator.at(values))
+        return result
+
+    def _refit(self, trial: Candidate, here: Point, named: Sequence[str]) -> Candidate:
+        """Fit a candidate from its screened start, from zero and from the other sign."""
+        free = self.free([*named, *trial.effects])
+        starts = [trial.point]
+        mirrored = trial.point.values.copy()
+        own = self.free(trial.effects) & ~self.base
+        mirrored[own] = np.clip(-mirrored[own], self.estimator.low[own], self.estimator.high[own])
+        if np.any(mirrored != trial.point.values):
+            starts.append(self.estimator.at(mirrored))
+        first = [self.estimator.fit(start, free, 1) for start in starts if start.cost < np.inf]
+        point = self.estimator.fit(min([here, *first], key=lambda p: p.cost), free, 5, 1e-3)
+        assert point.cost <= here.cost, "the cost of a nested model rose"
+        self.report(" + ".join(trial.effects))
+        return Candidate(trial.effects, point, here.cost - point.cost)
+
+    def _accept(
+        self, refitted: Sequence[Candidate], here: Point, found: Naming
+    ) -> Candidate | None:
+        """Best candidate that passes threshold and cross-validation."""
+        total = sum(2 * c.gain for c in found.chosen)
+        least = max(SEPARATION**2 * self.dispersion(here), FORMULATION**2 * total)
+        for trial in refitted:
+            if self._score(trial) < least:
+                break
+            free = self.free([*found.named, *trial.effects])
+            gains = held_out_gains(
+                self.estimator, (here, self.free(found.named)), (trial.point, free)
+            )
+            trial.held_out_gain, trial.worst_fold = float(gains.sum()), float(gains.min())
+            spread = float(np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
+            trial.held_out_error = float(np.sqrt(len(gains))) * spread
+            if trial.held_out_gain > trial.held_out_error and trial.worst_fold > -(ALIKE**2) / 2:
+                return trial
+        return None
+
+    def dispersion(self, point: Point) -> float:
+        """Mean squared residual in noise floors, at most that which counts as explained."""
+        rows = self.estimator.whitened(point.rows)
+        mean = sum(float(np.sum(w**2)) for w in rows) / sum(w.size for w in rows)
+        return float(np.clip(mean, 1.0, EXPLAINED))
+
+    def has_gap(self, point: Point) -> bool:
+        """Whether more is left than noise explains."""
+        rows = self.estimator.whitened(point.rows)
+        return sum(float(np.sum(w**2)) for w in rows) > EXPLAINED * sum(w.size for w in rows)
+
+    def _pairs(self, here: Point, found: Naming) -> Candidate | None:
+        """Best pair of effects, by the linear promise, then refitted."""
+        if len(found.named) + 2 > MOST:
+            return None
+        promised = []
+        for pair in itertools.combinations([e for e in self.of if e not in found.named], 2):
+            step, gain = self.estimator.step(here, self.free([*found.named, *pair]))
+            promised.append((gain, pair, step))
+        promised.sort(key=lambda row: -row[0])
+        refitted = []
+        for _, pair, step in promised[:3]:
+            point = self.estimator.search(here, step) or here
+            trial = Candidate(pair, point, here.cost - point.cost)
+            refitted.append(self._refit(trial, here, found.named))
+        refitted.sort(key=self._score, reverse=True)
+        return self._accept(refitted, here, found)
+
+    def _widen(self, found: Naming, point: Point) -> None:
+        """Allow for errors of what was named, a share of all it does, and fit it again so."""
+        estimator = self.estimator
+        groups, trials = estimator.problem.groups, estimator.problem.trials
+        values = point.values.copy()
+        values[~self.base] = 0.0
+        absent = estimator.problem.residuals(values)
+        floor = estimator.floor.widened(groups, trials, absent, point.rows)
+        carried = [k for k, knob in enumerate(self.knobs) if knob.name == "unmodelled_payload_kg"]
+        floor = replace(floor, extra_kg=float(sum(point.values[carried])))
+        self.estimator = Estimator(estimator.problem, floor)
+        found.after = self.estimator.fit(self.estimator.at(point.values), self.free(found.named), 3)
+
+    def _delete(self, found: Naming) -> None:
+        """Drop what is no longer needed beside what came later."""
+        for effect in found.named[:-1]:
+            rest = [e for e in found.named if e != effect]
+            values = found.after.values.copy()
+            values[self.of[effect]] = 0.0
+            without = self.estimator.fit(self.estimator.at(values), self.free(rest), 5)
+            if 2 * (without.cost - found.after.cost) < SEPARATION**2:
+                found.named, found.after = rest, without
+
+    def _unexcited(self, point: Point) -> list[str]:
+        """Effects whose whole range changes these trials by less than can be told apart."""
+        result = []
+        normal = self.estimator.linearise(point).normal
+        base = np.flatnonzero(self.base)
+        inner = normal[np.ix_(base, base)]
+        for effect, own in self.of.items():
+            k = int(np.flatnonzero(own)[0])
+            across = normal[base, k]
+            left = normal[k, k] - across @ np.linalg.solve(
+                inner + 1e-12 * np.eye(len(base)) * np.trace(inner), across
+            )
+            reach = max(abs(self.knobs[k].low), abs(self.knobs[k].high))
+            if np.sqrt(max(left, 0.0)) * reach < ALIKE:
+                result.append(effect)
+        return result
+
+
+EXPLAINED: Final = 1.6
+"""Mean square in noise floors up to which a residual counts as noise: on data without a gap it
+stays below (bench/gap)."""

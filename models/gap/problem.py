@@ -1,0 +1,181 @@
+"""The twin beside the trials: residual spectra and their exact derivatives by every knob."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.gap.knobs import Knob, full_plant, parameters_of
+from models.gap.spectrum import Array, kept, transform
+from models.plant.fit import measured_signals, weights
+from models.plant.plant import Plant
+from models.plant.simulate import CompiledModel, run_trial, sensitivity, trial_parameters
+from models.plant.step import names
+from models.trial import Trial
+
+WORKERS: Final = 2
+SUBSTEP_S: Final = 1e-3
+"""Longest internal step: what a dead time of zero allows (`models.plant.effects.command`)."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Trials of one motion, whose spectra can be compared coefficient by coefficient.
+
+    Attributes
+    ----------
+    key : str
+        Motion, its amplitude, period and number of joints.
+    trials : tuple of int
+        Their indices.
+    signals : tuple of str
+        That simulation and measurement share.
+    coefficients : int
+        Number that is kept.
+    """
+
+    key: str
+    trials: tuple[int, ...]
+    signals: tuple[str, ...]
+    coefficients: int
+
+
+def group_key(trial: Trial) -> str:
+    """Condition of a trial apart from payload and repetition."""
+    m = trial.meta
+    return (
+        f"{m.dof}dof {m.motion} {m.amplitude_rad:.5g}rad {m.period_s:.5g}s {m.phase_2_rad:.4g}rad "
+        f"{len(trial)}x{trial.step_s:.5g}s"
+    )
+
+
+class Problem:
+    """Residuals of the twin that holds every effect, over trials, as spectra.
+
+    Parameters
+    ----------
+    plant : Plant
+        Where all knobs are at zero.
+    trials : sequence of Trial
+        To compare with; of one number of joints.
+    knobs : sequence of Knob
+        What may be turned.
+
+    Attributes
+    ----------
+    groups : list of Group
+        By motion.
+    model : StepModel
+        The twin with every effect.
+    """
+
+    def __init__(self, plant: Plant, trials: Sequence[Trial], knobs: Sequence[Knob]) -> None:
+        dofs = {t.meta.dof for t in trials}
+        if len(dofs) != 1:
+            raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
+        self.plant, self.trials, self.knobs = plant, tuple(trials), tuple(knobs)
+        model = full_plant(plant).step_model(dofs.pop(), "twin")
+        self.model = replace(model, max_substep_s=SUBSTEP_S)
+        moved = [n for n in parameters_of(knobs) if n in names(model.parameters)]
+        self._plain = CompiledModel(self.model)
+        self._sensitive = CompiledModel(sensitivity(model, moved, SUBSTEP_S))
+        self._outputs = names(model.outputs)
+        known = names(model.parameters)
+        self._base = [trial_parameters(model, t) for t in trials]
+        self._by_parameter = np.zeros((len(known), len(knobs)))
+        self._by_output = np.zeros((len(self._outputs), len(knobs)))
+        for k, knob in enumerate(knobs):
+            for name, weight in knob.parameters.items():
+                self._by_parameter[known.index(name), k] = weight
+            for name, weight in knob.outputs.items():
+                self._by_output[self._outputs.index(name), k] = weight
+        self._moved = self._by_parameter[[known.index(n) for n in moved]]
+        self._turns = np.array(
+            [[k.trial is None or k.trial == i for k in knobs] for i in range(len(trials))]
+        )
+        self._measured = [measured_signals(t) for t in trials]
+        self.groups = self._group()
+        self._low = np.array([v.minimum for v in model.parameters])
+        self._high = np.array([v.maximum for v in model.parameters])
+
+    def _group(self) -> list[Group]:
+        found: dict[str, list[int]] = {}
+        for k, trial in enumerate(self.trials):
+            found.setdefault(group_key(trial), []).append(k)
+        result = []
+        for key, rows in found.items():
+            seen = [
+                s for s in self._outputs
+                if all(s in self._measured[k] and np.isfinite(self._measured[k][s]).any()
+                       for k in rows)
+            ]  # fmt: skip
+            first = self.trials[rows[0]]
+            result.append(Group(key, tuple(rows), tuple(seen), kept(len(first), first.step_s)))
+        return result
+
+    def residuals(self, values: Array) -> list[Array]:
+        """Measured minus simulated, a spectrum (trials, signals, K) for each group."""
+        with ThreadPoolExecutor(WORKERS) as pool:
+            runs = list(pool.map(lambda k: self._run(k, values), range(len(self.trials))))
+        return [self._spectra(g, runs) for g in self.groups]
+
+    def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
+        """Residual spectra, and derivatives of the simulated ones (trials, signals, K, knobs)."""
+        with ThreadPoolExecutor(WORKERS) as pool:
+            both = list(pool.map(lambda k: self._run_sensitive(k, values), range(len(self.trials))))
+        rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
+        slopes = []
+        for g in self.groups:
+            block = np.empty((len(g.trials), len(g.signals), g.coefficients, len(self.knobs)))
+            for a, k in enumerate(g.trials):
+                for b, signal in enumerate(g.signals):
+                    block[a, b] = self._coefficients(
+                        k, signal, both[k][1][self._outputs.index(signal)]
+                    )
+            slopes.append(block)
+        return rows, slopes
+
+    def _parameters(self, k: int, values: Array) -> Array:
+        p = self._base[k] + self._by_parameter @ (values * self._turns[k])
+        return np.asarray(np.clip(p, self._low, self._high))
+
+    def _run(self, k: int, values: Array) -> Array:
+        y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
+        return np.asarray(y + self._by_output @ (values * self._turns[k]))
+
+    def _run_sensitive(self, k: int, values: Array) -> tuple[Array, list[Array]]:
+        """Outputs (n, outputs) and, by output, their derivatives (n, knobs)."""
+        y = run_trial(self._sensitive, self.trials[k], self._parameters(k, values))
+        count = len(self._outputs)
+        slopes = [
+            (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._turns[k]
+            for o in range(count)
+        ]
+        return y[:, :count] + self._by_output @ (values * self._turns[k]), slopes
+
+    def _spectra(self, g: Group, runs: Sequence[Array]) -> Array:
+        rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
+        for a, k in enumerate(g.trials):
+            for b, signal in enumerate(g.signals):
+                residual = self._measured[k][signal] - runs[k][:, self._outputs.index(signal)]
+                rows[a, b] = self._coefficients(k, signal, fill(residual))
+        return rows
+
+    def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
+        trial = self.trials[k]
+        weight = weights(trial, signal).reshape(-1, *[1] * (rows.ndim - 1))
+        return transform(weight * rows, trial.step_s)
+
+
+def fill(rows: Array) -> Array:
+    """Rows with what is missing interpolated."""
+    seen = np.isfinite(rows)
+    if seen.all():
+        return rows
+    place = np.arange(len(rows))
+    return np.interp(place, place[seen], rows[seen])

@@ -1,0 +1,66 @@
+"""How far each inclusion lowers the error on trials that its values were not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.gap.close import Diagnosis, all_knobs
+from models.gap.fit import Estimator
+from models.gap.problem import Problem
+from models.gap.spectrum import Array
+from models.trial import Trial
+from models.trials import TrialSet
+
+
+def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:
+    """Error on held-out trials, in noise floors: as given, refitted, with each effect in turn.
+
+    Common knobs are fitted to the trials of the study's split and then held; on the held-out
+    trials only the variation between trials is fitted, as the noise floor allows it.
+    """
+    fit, held_out = trials.split()
+    tested = held_out if len(held_out) else fit
+    namer, naming = found.namer, found.naming
+    learner = _estimator(found, fit.trials)
+    judge = _estimator(found, tested.trials)
+    zero = np.zeros(len(learner.problem.knobs))
+    steps = [("plant as given", _floors(judge, zero, learner))]
+    point = learner.at(zero)
+    named: list[str] = []
+    for label, effects in [("nuisance refitted", []), *((e, [e]) for e in naming.named)]:
+        named += effects
+        start = point.values.copy()
+        for effect in effects:
+            own = [k for k, knob in enumerate(learner.problem.knobs) if knob.effect == effect]
+            here = [k for k, knob in enumerate(namer.knobs) if knob.effect == effect]
+            start[own] = naming.after.values[here]
+        free = np.array([k.kind != "effect" or k.effect in named for k in learner.problem.knobs])
+        candidates = [learner.at(start), point]
+        point = learner.fit(min(candidates, key=lambda p: p.cost), free, 4)
+        steps.append((label.replace("_", " "), _floors(judge, point.values, learner)))
+    steps.append(("noise floor", 1.0))
+    return steps
+
+
+def _estimator(found: Diagnosis, trials: Sequence[Trial]) -> Estimator:
+    catalogue = list(
+        dict.fromkeys(k.effect for k in found.namer.knobs if k.effect in found.naming.named)
+    )
+    knobs = all_knobs(found.plant, trials, catalogue)
+    return Estimator(Problem(found.plant, trials, knobs), found.namer.first.floor)
+
+
+def _floors(judge: Estimator, values: Array, learner: Estimator) -> float:
+    """Root mean square in noise floors with the learner's common knobs."""
+    common = {
+        k.name: v for k, v in zip(learner.problem.knobs, values, strict=True) if k.trial is None
+    }
+    start = np.array(
+        [common.get(k.name, 0.0) if k.trial is None else 0.0 for k in judge.problem.knobs]
+    )
+    own = np.array([k.kind == "trial" for k in judge.problem.knobs])
+    point = judge.fit(judge.at(start), own, 3)
+    white = judge.whitened(point.rows)
+    return float(np.sqrt(sum(np.sum(w**2) for w in white) / sum(w.size for w in white)))
