@@ -60,16 +60,19 @@ demo: build/report.html
 	@echo
 	@echo "open $(CURDIR)/build/report.html"
 
+# The paper gives no phase between the joints of 2DOF: both ends of its range are run.
 build/trials/.done: | $(READY)
-	$(call run,python -m models simulate --out build/trials --dof 1 2 --seed $(SEED))
-	@touch $@
-
-build/trials_phase90/.done: | $(READY)
-	$(call run,python -m models simulate --out build/trials_phase90 --dof 2 --phase-deg 90 --seed $(SEED))
+	$(call run,python -m models simulate --out $(@D) --dof 1 2 --seed $(SEED))
+	$(call run,python -m models simulate --out $(@D) --dof 2 --phase-deg 90 --seed $(SEED))
 	@touch $@
 
 build/unseen_20deg/.done: | $(READY)
-	$(call run,python -m models simulate --out build/unseen_20deg --dof 1 2 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	$(call run,python -m models simulate --out $(@D) --dof 1 2 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	$(call run,python -m models simulate --out $(@D) --dof 2 --phase-deg 90 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	@touch $@
+
+build/unseen_multisine/.done: | $(READY)
+	$(call run,python -m models simulate --out $(@D) --dof 1 2 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
 	@touch $@
 
 build/plant.json: build/trials/.done
@@ -79,6 +82,10 @@ build/plant.json: build/trials/.done
 build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done
 	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
 	$(call run,python -m fmu build $(@D) --plant build/plant.json --unit observer --out $@)
+
+# Studies of one phase each, for the report alone: the robot's bundle is trained on both.
+build/study_2dof_phase%/study.json: build/plant.json build/unseen_20deg/.done
+	$(call run,python -m models train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
 
 build/twin_%dof.fmu: build/bundle_%dof/observer.fmu
 	$(call run,python -m fmu build build/bundle_$*dof --plant build/plant.json --out $@)
@@ -92,11 +99,16 @@ build/evaluate_%.json: build/%/.done build/plant.json
 build/sil_%dof/timing.json: build/twin_%dof.fmu
 	$(call judge,python -m hil sil --bundle build/bundle_$*dof --fmu $< --line virtual --seconds 60 --out $(@D))
 
+build/sil_2dof_phase90/timing.json: build/twin_2dof.fmu
+	$(call judge,python -m hil sil --bundle build/bundle_2dof --fmu $< --phase-deg 90 --line virtual --seconds 60 --out $(@D))
+
 build/sil/timing.json: build/twin_1dof.fmu
 	$(call judge,python -m hil sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out $(@D))
 
 REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(dof)dof/timing.json) \
-  build/evaluate_unseen_20deg.json build/evaluate_trials_phase90.json build/sil/timing.json
+  $(foreach phase,0 90,build/study_2dof_phase$(phase)/study.json) \
+  $(foreach motion,20deg multisine,build/evaluate_unseen_$(motion).json) \
+  build/sil_2dof_phase90/timing.json build/sil/timing.json
 
 build/report.html: $(REPORT_PARTS)
 	$(call run,python -m hil report --build build --out $@)

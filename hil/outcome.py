@@ -91,7 +91,7 @@ def prediction_error(
         in_range, out_of_range and each part of the programme that has fresh ticks.
     """
     error = predicted_tip_m(records) - true_tip_m(records, truth)
-    fresh = np.isfinite(error).all(axis=1)
+    fresh = np.asarray(np.isfinite(error).all(axis=1))
     inside = np.abs(error) <= np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
     in_range = records["in_range"].astype(bool)
 

@@ -95,7 +95,7 @@ def _degree_one_is_worst(by_degree: Mapping[str, float], name: str) -> dict[str,
     return _finding(
         "Degree 1 is worst", worst == "1",
         f"mean Euclidean distance on {name} {MM * by_degree['1']:.1f} mm at degree 1, "
-        f"{MM * min(others):.1f} to {MM * max(others):.1f} mm above",
+        f"{MM * min(others):.1f} to {MM * max(others):.1f} mm at the others",
         "the arc alone is curved: a linear map of the angle cannot follow it at any stiffness",
     )  # fmt: skip
 
@@ -147,7 +147,10 @@ def _negative_angles(training: TrialSet, repeated: TrialSet) -> dict[str, Any]:
 
 
 def _hysteresis(training: TrialSet) -> dict[str, Any]:
-    loops = {payload_key(t.meta.payload_kg): loop(t) for t in training}
+    loops: dict[str, Loop] = {}
+    for payload in sorted({t.meta.payload_kg for t in training}):
+        of_payload = [loop(t) for t in training if t.meta.payload_kg == payload]
+        loops[payload_key(payload)] = Loop(*np.mean(of_payload, axis=0).tolist())
     beyond = {k: found.width > NOISE_FACTOR * found.noise for k, found in loops.items()}
     heaviest = max(loops, key=float)
     listed = ", ".join(

@@ -101,6 +101,9 @@ def deployed_table(predictor: GuardedPredictor, samples: Samples) -> dict[str, A
         "mean_euclidean_distance_m": float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
         "interval_coverage": {axis: float(inside[:, k].mean()) for k, axis in axes},
         "interval_coverage_mean": float(inside.mean()),
+        "interval_coverage_by_part": {
+            key: float(inside[rows].mean()) for key, rows in samples.parts().items()
+        },
         "mean_half_width_m": {axis: float(half_width_m[:, k].mean()) for k, axis in axes},
         "in_range_share": float(predictor.in_range(features).mean()),
     }

@@ -6,12 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.report.svg import DOF_COLOUR, INK, Drawing, Figure, log_axis, ramp
+from hil.report.svg import INK, Drawing, Figure, log_axis, ramp
 
 Json = dict[str, Any]
-Studies = dict[int, Json]
+Studies = dict[str, Json]
+"""By what they were trained on."""
 
 MM: Final = 1e3
+LINE: Final = "#1d6a96"
 TEST: Final = "trial_2"
 VARIANTS: Final = {
     "with_di": ("true DI", "solid"),
@@ -21,11 +23,11 @@ VARIANTS: Final = {
 
 
 def error_figures(studies: Studies) -> list[Figure]:
-    """Error over time and degree, and what DI takes off it; by dof, from `study.json`.
+    """Error over time and degree, and what DI takes off it; one panel per study.
 
     Studies without a trial 2 have none of these figures.
     """
-    tested = {dof: study for dof, study in studies.items() if TEST in study["tests"]}
+    tested = {name: study for name, study in studies.items() if TEST in study["tests"]}
     if not tested:
         return []
     return [_error_over_time(tested), _error_over_degree(tested), _gain_by_di(tested)]
@@ -39,7 +41,7 @@ def _error_over_time(studies: Studies) -> Figure:
         for curve in study["series"]["error"][TEST]["euclidean_distance_m"].values()
         for v in curve
     ]
-    for dof, study in studies.items():
+    for name, study in studies.items():
         error = study["series"]["error"][TEST]
         curves = error["euclidean_distance_m"]
         with Drawing() as (drawing, ax):
@@ -50,9 +52,8 @@ def _error_over_time(studies: Studies) -> Figure:
         listed = ", ".join(f"degree {d} {MM * np.mean(c):.1f} mm" for d, c in curves.items())
         panels.append(
             drawing.panel(
-                f"{dof}DOF",
-                f"Euclidean distance over time in {dof}DOF, mean over payloads: {listed} on "
-                "average.",
+                name,
+                f"Euclidean distance over time, {name}, mean over payloads: {listed} on average.",
             )
         )
     degrees = list(next(iter(studies.values()))["series"]["error"][TEST]["euclidean_distance_m"])
@@ -71,10 +72,10 @@ def _error_over_degree(studies: Studies) -> Figure:
         for study in studies.values()
         for v in (
             *study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"].values(),
-            *(fold["blocks_m"] for fold in study["cross_validation"]["with_di"].values()),
+            *(fold["median_m"] for fold in study["cross_validation"]["with_di"].values()),
         )
     ]
-    for dof, study in studies.items():
+    for name, study in studies.items():
         mean = study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"]
         std = study["std_euclidean_distance_m"][TEST]["pooled"]["with_di"]
         folds = study["cross_validation"]["with_di"]
@@ -82,21 +83,19 @@ def _error_over_degree(studies: Studies) -> Figure:
         centre, band = (MM * np.array([table[d] for d in mean]) for table in (mean, std))
         with Drawing() as (drawing, ax):
             ax.fill_between(degrees, np.maximum(centre - band, 1e-3), centre + band,
-                            color=DOF_COLOUR[dof], alpha=0.15, linewidth=0)  # fmt: skip
-            ax.plot(degrees, centre, color=DOF_COLOUR[dof], marker="o", markersize=4)
-            ax.plot(degrees, [MM * folds[d]["blocks_m"] for d in mean], color=INK, linestyle=":")
+                            color=LINE, alpha=0.15, linewidth=0)  # fmt: skip
+            ax.plot(degrees, centre, color=LINE, marker="o", markersize=4)
+            ax.plot(degrees, [MM * folds[d]["median_m"] for d in mean], color=INK, linestyle=":")
             ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
             log_axis(ax, everything)
         listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(centre, 1))
-        panels.append(
-            drawing.panel(f"{dof}DOF", f"Mean Euclidean distance on trial 2, {dof}DOF: {listed}.")
-        )
+        panels.append(drawing.panel(name, f"Mean Euclidean distance on trial 2, {name}: {listed}."))
     return Figure(
         "Error over the degree",
-        "With true DI, pooled over payloads; the band is one standard deviation of the samples.",
+        "With true DI, pooled over payloads; the band is one standard deviation of the samples. "
+        "Cross-validation: median over five blocks of time and every payload left out.",
         panels, "14",
-        [*((DOF_COLOUR[dof], f"{dof}DOF on trial 2", "solid") for dof in studies),
-         (INK, "cross-validation on trial 1", "dotted")],
+        [(LINE, "trial 2", "solid"), (INK, "cross-validation on trial 1", "dotted")],
     )  # fmt: skip
 
 
@@ -108,14 +107,14 @@ def _gain_by_di(studies: Studies) -> Figure:
         for by_degree in study["mean_euclidean_distance_m"][TEST]["pooled"].values()
         for v in by_degree.values()
     ]
-    for dof, study in studies.items():
+    for name, study in studies.items():
         table = study["mean_euclidean_distance_m"][TEST]["pooled"]
         with Drawing() as (drawing, ax):
             for variant, (_, dash) in VARIANTS.items():
                 degrees = [int(d) for d in table[variant]]
                 ax.plot(
                     degrees, [MM * v for v in table[variant].values()],
-                    color=DOF_COLOUR[dof], linestyle=dash, marker="o", markersize=3.5,
+                    color=LINE, linestyle=dash, marker="o", markersize=3.5,
                 )  # fmt: skip
             ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
             log_axis(ax, everything)
@@ -124,9 +123,7 @@ def _gain_by_di(studies: Studies) -> Figure:
             for variant, (label, _) in VARIANTS.items()
         )
         panels.append(
-            drawing.panel(
-                f"{dof}DOF", f"Mean Euclidean distance by degree 1 to 6, {dof}DOF: {listed}."
-            )
+            drawing.panel(name, f"Mean Euclidean distance by degree 1 to 6, {name}: {listed}.")
         )
     return Figure(
         "What DI is worth",

@@ -3,11 +3,11 @@
 ::
 
     bundle_1dof/study.json, manifest.json     python -m models train
+    study_2dof_phase90/study.json             python -m models train --phase-deg 90
     plant.json                                python -m models identify
     evaluate*.json                            python -m models evaluate … --json
     check_twin_1dof.json                      python -m fmu check … --json
     sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
-    trials_phase90/                           python -m models simulate --phase-deg 90
     commands.log                              make demo
 """
 
@@ -24,9 +24,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.recording import read_recording
-from models.deformation import deformation_index
-from models.trials import TrialSet, read_trial, read_trials
-from models.validation import payload_key
+from models.trials import read_trial
 
 Json = dict[str, Any]
 
@@ -45,12 +43,15 @@ class Loop:
         The recorded ticks by column, where the run kept them.
     true_tip_m : ndarray, shape (n, 3), or None
         Where the plant's tip was in each recorded tick.
+    phase_2_rad : float
+        Lead of joint 2.
     """
 
     name: str
     timing: Json
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None
+    phase_2_rad: float = 0.0
 
     @property
     def dof(self) -> int | None:
@@ -72,29 +73,16 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class PhaseRun:
-    """2DOF with joint 2 a quarter turn ahead, by payload; empty where it was not run.
-
-    Attributes
-    ----------
-    path : dict
-        Payload to `tip_x_m` …, as `study.json` holds them.
-    mean_di : dict
-        Payload to mean DI.
-    """
-
-    path: Json
-    mean_di: dict[str, float]
-
-
-@dataclass(frozen=True)
 class Inputs:
     """Everything that was found.
 
     Attributes
     ----------
     studies, manifests : dict
-        By dof.
+        Of the bundles that the robot gets, by dof.
+    motions : dict
+        Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" where the phases
+        were not studied apart.
     plant : dict or None
         The identified plant.
     evaluations : dict
@@ -103,20 +91,24 @@ class Inputs:
         Of units, by their name.
     loops : list of Loop
         Runs in real time first.
-    phase_90 : PhaseRun
-        The other 2DOF motion.
     commands : list of str
         What made all this.
     """
 
     studies: dict[int, Json]
+    motions: dict[str, Json]
     manifests: dict[int, Json]
     plant: Json | None
     evaluations: dict[str, Json]
     checks: dict[str, Json]
     loops: list[Loop]
-    phase_90: PhaseRun
     commands: list[str]
+
+    @property
+    def every_study(self) -> dict[str, Json]:
+        """The studies of one kind of motion, then those of several."""
+        mixed = {f"{dof}DOF, all phases": s for dof, s in self.studies.items() if _phases(s) > 1}
+        return self.motions | {k: s for k, s in mixed.items() if s not in self.motions.values()}
 
 
 def read_inputs(directory: Path) -> Inputs:
@@ -132,8 +124,10 @@ def read_inputs(directory: Path) -> Inputs:
     bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
     path = directory / "plant.json"
     plant = _read_json(path) if path.is_file() else None
+    studies = _by_dof({dof: path / "study.json" for dof, path in bundles.items()})
     return Inputs(
-        studies=_by_dof({dof: path / "study.json" for dof, path in bundles.items()}),
+        studies=studies,
+        motions=_motions(directory, studies),
         manifests=_by_dof({dof: path / "manifest.json" for dof, path in bundles.items()}),
         plant=plant,
         evaluations=_evaluations(directory, plant),
@@ -145,7 +139,6 @@ def read_inputs(directory: Path) -> Inputs:
             (_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
             key=lambda loop: not loop.in_real_time,
         ),
-        phase_90=_phase_run(_trials(directory / "trials_phase90")),
         commands=_commands(directory / "commands.log"),
     )
 
@@ -162,6 +155,21 @@ def _read_json(path: Path) -> Json:
 
 def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
     return {dof: _read_json(path) for dof, path in paths.items() if path.is_file()}
+
+
+def _motions(directory: Path, studies: dict[int, Json]) -> dict[str, Json]:
+    apart = {
+        int(path.parent.name.removeprefix("study_2dof_phase")): _read_json(path)
+        for path in directory.glob("study_2dof_phase*/study.json")
+    }
+    motions = {"1DOF": studies[1]} if 1 in studies else {}
+    if apart:
+        return motions | {f"2DOF, phase {phase}°": apart[phase] for phase in sorted(apart)}
+    return motions | ({"2DOF": studies[2]} if 2 in studies else {})
+
+
+def _phases(study: Json) -> int:
+    return len(study["training"]["phase_2_rad"])
 
 
 def _evaluations(directory: Path, plant: Json | None) -> dict[str, Json]:
@@ -183,27 +191,10 @@ def _loop(directory: Path) -> Loop:
     if not trial.is_file():
         return Loop(directory.name, timing, ticks)
     slot = (ticks["tick"] - ticks["tick"][0]).astype(int)  # the trial has a row for every slot
-    tip_m = read_trial(trial).tip_m
-    known = slot < len(tip_m)
+    run = read_trial(trial)
+    known = slot < len(run)
     ticks = {name: column[known] for name, column in ticks.items()}
-    return Loop(directory.name, timing, ticks, tip_m[slot[known]])
-
-
-def _trials(directory: Path) -> TrialSet | None:
-    return read_trials(directory) if any(directory.glob("*.csv")) else None
-
-
-def _phase_run(trials: TrialSet | None) -> PhaseRun:
-    """Moving rows of the trials 1."""
-    run = PhaseRun({}, {})
-    for t in sorted(trials.split()[0] if trials else (), key=lambda t: t.meta.payload_kg):
-        payload = payload_key(t.meta.payload_kg)
-        run.mean_di[payload] = float(np.nanmean(deformation_index(t)[t.moving]))
-        run.path[payload] = {
-            f"tip_{axis}_m": column[::2].tolist()
-            for axis, column in zip("xyz", t.tip_m[t.moving].T, strict=True)
-        }
-    return run
+    return Loop(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
 
 
 def _commands(path: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,7 @@ BINS: Final = 240
 SHOWN_S: Final = 10.0
 WHOLE: Final = "#1d6a96"
 OWN: Final = "#b4532a"
+BETWEEN: Final = "#e6e9ed"
 
 
 def loop_figures(loop: Loop) -> list[Figure]:
@@ -29,7 +31,8 @@ def loop_figures(loop: Loop) -> list[Figure]:
         return []
     figures = [_timing(loop, loop.ticks)] if loop.in_real_time else []
     if loop.true_tip_m is not None:
-        figures.append(_prediction(loop.ticks, loop.true_tip_m))
+        programme = loop.timing.get("run", {}).get("programme_s", {})
+        figures.append(_prediction(loop.ticks, loop.true_tip_m, programme))
     return figures
 
 
@@ -97,7 +100,7 @@ def _histogram(whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
     )
 
 
-def _prediction(ticks: Ticks, true_m: Array) -> Figure:
+def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> Figure:
     """The robot's tip beside the plant's over the first seconds, and the distance over all."""
     time_s = ticks["time_s"]
     predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
@@ -116,22 +119,54 @@ def _prediction(ticks: Ticks, true_m: Array) -> Figure:
         "The end effector's x as the robot predicted it, with its 95 % interval, over the plant's; "
         f"the plant's spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
     )
-    groups = np.array_split(np.arange(len(time_s)), min(BINS, len(time_s)))
-    with Drawing() as (drawing, ax):
-        middle_s = [float(np.median(time_s[g])) for g in groups]
-        ax.plot(middle_s, [float(np.nanmean(distance_mm[g])) for g in groups], color=WHOLE)
-        ax.set(xlabel="time in s", ylabel="distance in mm", ylim=(0, None))
-    distance = drawing.panel(
-        "Distance between prediction and plant",
-        f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
-        "at most.",
-    )
     return Figure(
         "What the robot predicted",
-        "From angle, current and estimated DI alone; the plant stands behind the servos.",
-        [tip, distance],
-        legend=[(INK, "plant", "solid"), (WHOLE, "robot's prediction", "dashed")],
+        "From angle, current and estimated DI alone; the plant stands behind the servos. Each "
+        "moment shows its worst and its median tick.",
+        [tip, _distance(time_s, distance_mm, ticks["in_range"] > 0, programme)],
+        legend=[
+            (INK, "plant", "solid"),
+            (WHOLE, "robot's prediction and its distance", "dashed"),
+            (ALARM, "inputs outside the training range", "dotted"),
+            (BETWEEN, "glide and rest: not in training", "solid"),
+        ],
     )
+
+
+def _distance(
+    time_s: Array, distance_mm: Array, in_range: NDArray[np.bool_], programme: Mapping[str, float]
+) -> Panel:
+    groups = np.array_split(np.arange(len(time_s)), min(BINS, len(time_s)))
+    with Drawing() as (drawing, ax):
+        for start_s, end_s in _between_motions(programme, float(time_s[-1])):
+            ax.axvspan(start_s, end_s, color=BETWEEN, linewidth=0)
+        middle_s = [float(np.median(time_s[g])) for g in groups]
+        for statistic, width, alpha in ((np.nanmax, 0.7, 0.7), (np.nanmedian, 1.4, 1.0)):
+            values = [float(statistic(distance_mm[g])) for g in groups]
+            ax.plot(middle_s, values, color=WHOLE, linewidth=width, alpha=alpha)
+        outside = ~in_range
+        ax.plot(time_s[outside], distance_mm[outside], ".", color=ALARM, markersize=3)
+        ax.set(xlabel="time in s", ylabel="distance in mm", ylim=(0, None))
+        ax.set_xlim(time_s[0], time_s[-1])
+    return drawing.panel(
+        "Distance between prediction and plant",
+        f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
+        f"at most; {int(outside.sum())} of {len(time_s)} ticks lie outside the training range.",
+    )
+
+
+def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
+    """Spans of the run in which it glides to zero or rests; see `hil.outcome.programme_s`."""
+    if not programme:
+        return []
+    rest_s, motion_s, _ = programme.values()
+    cycle_s = sum(programme.values())
+    starts_s = np.arange(-cycle_s, end_s, cycle_s) + rest_s + motion_s
+    return [
+        (max(start_s, 0.0), min(start_s + cycle_s - motion_s, end_s))
+        for start_s in starts_s.tolist()
+        if start_s < end_s
+    ]
 
 
 def stages(loop: Loop) -> list[tuple[str, list[str]]]:

@@ -6,47 +6,43 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.report.inputs import PhaseRun
-from hil.report.svg import DOF_COLOUR, QUIET, Drawing, Figure, Panel, ramp
+from hil.report.svg import MOTION_COLOURS, QUIET, Drawing, Figure, Panel, ramp
 
 Json = dict[str, Any]
-Studies = dict[int, Json]
+Studies = dict[str, Json]
+"""By kind of motion."""
 
 PERCENT: Final = 1e2
-AHEAD: Final = "2DOF, joint 2 ahead by 90°"
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
 
 
-def motion_figures(studies: Studies, phase_90: PhaseRun) -> list[Figure]:
-    """Paths, poses and DI, 1DOF beside 2DOF.
+def motion_figures(studies: Studies) -> list[Figure]:
+    """Paths, poses and DI, one kind of motion beside the other.
 
     Parameters
     ----------
     studies : dict
-        `study.json` by dof.
-    phase_90 : PhaseRun
-        2DOF with joint 2 a quarter turn ahead; may be empty.
+        `study.json` by kind of motion.
     """
-    return [
-        _paths(studies, phase_90.path),
-        _poses(studies),
-        _di_over_angle(studies),
-        _mean_di(studies, phase_90.mean_di),
-    ]
+    return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
 def _payload_legend(labels: list[str]) -> list[tuple[str, str, str]]:
     return [
-        (colour, f"{label} kg", "solid")
+        (colour, _in_words(label), "solid")
         for label, colour in zip(labels, ramp(len(labels)), strict=True)
     ]
 
 
-def _paths(studies: Studies, phase_90: Json) -> Figure:
-    motions = {f"{dof}DOF": study["series"]["path"] for dof, study in studies.items()}
-    if phase_90:
-        motions[AHEAD] = phase_90
+def _in_words(label: str) -> str:
+    """Words for the key of a run: "0.5 kg", "2 kg, phase 90°"."""
+    payload, _, phase = label.partition(" phase ")
+    return f"{payload} kg" + (f", phase {phase.removesuffix('deg')}°" if phase else "")
+
+
+def _paths(studies: Studies) -> Figure:
+    motions = {motion: study["series"]["path"] for motion, study in studies.items()}
     panels: list[Panel] = []
     for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
@@ -103,10 +99,10 @@ def _draw_axes(ax: Any) -> None:
 
 def _poses(studies: Studies) -> Figure:
     panels = []
-    for dof, study in studies.items():
+    for motion, study in studies.items():
         poses = study["series"]["poses"]
         line_m = np.array(poses["centre_line_m"])
-        for plane, k in (("x–z plane", 0), ("y–z plane", 1))[:dof]:
+        for plane, k in (("x–z plane", 0), ("y–z plane", 1))[: study["dof"]]:
             with Drawing() as (drawing, ax):
                 colours = ramp(len(line_m))
                 for points, colour in zip(line_m, colours, strict=True):
@@ -117,26 +113,24 @@ def _poses(studies: Studies) -> Figure:
             di = [PERCENT * v for v in poses["di"]]
             panels.append(
                 drawing.panel(
-                    f"{dof}DOF, {plane}, {poses['payload_kg']:g} kg",
+                    f"{motion}, {plane}, {poses['payload_kg']:g} kg",
                     f"Centre line of the link at {len(di)} equal times of the first cycle, "
                     f"{plane}; its DI goes from {min(di):.2f} to {max(di):.2f} %.",
                 )
             )
     with Drawing() as (drawing, ax):
-        for dof, study in studies.items():
+        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False):
             poses = study["series"]["poses"]
             ax.plot(
                 poses["time_s"], PERCENT * np.array(poses["di"]),
-                color=DOF_COLOUR[dof], marker="o", markersize=4,
-            )  # fmt: skip
-            ax.annotate(
-                f"{dof}DOF", (poses["time_s"][-1], PERCENT * poses["di"][-1]),
-                color=DOF_COLOUR[dof], xytext=(6, 0), textcoords="offset points",
-                va="bottom" if dof == 1 else "top",
+                color=colour, marker="o", markersize=4, label=motion,
             )  # fmt: skip
         ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
+        ax.legend(frameon=False, fontsize=8, handlelength=1.4, loc="upper right")
     panels.append(
-        drawing.panel("DI of these poses", "DI of the poses over time, one line for each dof.")
+        drawing.panel(
+            "DI of these poses", "DI of the poses over time, one line for each kind of motion."
+        )
     )
     times = next(iter(studies.values()))["series"]["poses"]["time_s"]
     legend = [(c, f"{t:.1f} s", "solid") for t, c in zip(times, ramp(len(times)), strict=True)]
@@ -150,7 +144,7 @@ def _poses(studies: Studies) -> Figure:
 def _di_over_angle(studies: Studies) -> Figure:
     panels = []
     top = max(max(c["di"]) for s in studies.values() for c in s["series"]["di"].values())
-    for dof, study in studies.items():
+    for motion, study in studies.items():
         curves = study["series"]["di"]
         with Drawing() as (drawing, ax):
             for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
@@ -160,12 +154,13 @@ def _di_over_angle(studies: Studies) -> Figure:
                 )  # fmt: skip
             ax.set(xlabel="angle 1 in °", ylabel="DI in %", xticks=[-30, -15, 0, 15, 30])
             ax.set_ylim(0, 1.05 * PERCENT * top)
-        peaks = ", ".join(f"{PERCENT * max(c['di']):.2f} % at {k} kg" for k, c in curves.items())
+        peaks = ", ".join(
+            f"{PERCENT * max(c['di']):.2f} % at {_in_words(k)}" for k, c in curves.items()
+        )
         panels.append(
             drawing.panel(
-                f"{dof}DOF",
-                f"DI over the angle of joint 1 in {dof}DOF motion, one loop per payload; peaks: "
-                f"{peaks}.",
+                motion,
+                f"DI over the angle of joint 1, {motion}, one loop per payload; peaks: {peaks}.",
             )
         )
     labels = list(next(iter(studies.values()))["series"]["di"])
@@ -175,29 +170,27 @@ def _di_over_angle(studies: Studies) -> Figure:
     )  # fmt: skip
 
 
-def _mean_di(studies: Studies, phase_90: dict[str, float]) -> Figure:
+def _mean_di(studies: Studies) -> Figure:
     lines = [
-        (study["mean_di"], f"{dof}DOF" + (", in phase" if dof == 2 and phase_90 else ""),
-         DOF_COLOUR[dof], "solid")
-        for dof, study in studies.items()
-    ]  # fmt: skip
-    if phase_90:
-        lines.append((phase_90, AHEAD, DOF_COLOUR[2], "dashed"))
+        (motion, study["mean_di"], colour)
+        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False)
+    ]
     with Drawing() as (drawing, ax):
-        for values, _, colour, dash in lines:
+        for _, values, colour in lines:
             ax.plot(
                 [float(k) for k in values], [PERCENT * v for v in values.values()],
-                color=colour, linestyle=dash, marker="o", markersize=4,
+                color=colour, marker="o", markersize=4,
             )  # fmt: skip
         ax.set(xlabel="payload in kg", ylabel="mean DI in %", ylim=(0, None))
+        ax.set_xticks(sorted({float(k) for _, values, _ in lines for k in values}))
     alt = "; ".join(
-        f"{label}: " + ", ".join(f"{PERCENT * v:.2f} % at {k} kg" for k, v in values.items())
-        for values, label, *_ in lines
+        f"{motion}: " + ", ".join(f"{PERCENT * v:.2f} % at {k} kg" for k, v in values.items())
+        for motion, values, _ in lines
     )
     return Figure(
         "Mean DI by payload",
-        "The paper does not give the phase of joint 2, so both ends of its range are here."
-        if phase_90 else "Moving rows of trial 1.",
+        "Moving rows of trial 1. The paper does not give the phase by which joint 2 leads joint 1: "
+        "at 0° both move together, at 90° the tip goes round.",
         [drawing.panel("1DOF and 2DOF", f"Mean DI over payload. {alt}.")], "11",
-        [(colour, label, dash) for _, label, colour, dash in lines],
+        [(colour, motion, "solid") for motion, _, colour in lines],
     )  # fmt: skip

@@ -18,7 +18,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 INK: Final = "#1f2933"
 QUIET: Final = "#8a94a0"
-DOF_COLOUR: Final = {1: "#1d6a96", 2: "#b4532a"}
+MOTION_COLOURS: Final = ("#1d6a96", "#b4532a", "#7a4fa3", "#2e7d4f")
+"""Of the kinds of motion: 1DOF, 2DOF at each phase, 2DOF at all phases."""
 ALARM: Final = "#b3261e"
 SIZE_IN: Final = (4.3, 2.9)
 """On a phone its 9 pt text measures about 10 px, in two columns about 15 px."""
