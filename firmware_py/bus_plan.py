@@ -97,8 +97,12 @@ class Plan(NamedTuple):
     def read_s(self) -> float:
         """From the first bit of the instruction to the last one of the answers."""
         sent = _INSTRUCTION_OVERHEAD + self.servos + self.answer_bytes
-        pauses = 1 if self.fast else self.servos
-        return sent * BITS_PER_BYTE / self.baud + pauses * self.return_delay_s
+        return sent * BITS_PER_BYTE / self.baud + self.pause_s
+
+    @property
+    def pause_s(self) -> float:
+        """Return delays within `read_s`."""
+        return self.return_delay_s * (1 if self.fast else self.servos)
 
     @property
     def write_s(self) -> float:

@@ -159,18 +159,26 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
 
     def txPacket(self, port: DeadlinePort, txpacket: list[int]) -> int:
         """Send an instruction; `txpacket` itself stays as it was."""
-        if port.is_using:
-            return int(COMM_PORT_BUSY)
-        port.is_using = True
+        return self.send(port, self.finished(txpacket))
+
+    def finished(self, txpacket: list[int]) -> bytes:
+        """Return an instruction as it goes over the wire: header, stuffing and CRC filled in."""
         packet = self.addStuffing(txpacket)
         packet[:4] = (*_HEADER, 0)
         crc = self.updateCRC(0, packet, len(packet) - 2)
         packet[-2:] = (crc & 0xFF, crc >> 8)
+        return bytes(packet)
+
+    def send(self, port: DeadlinePort, packet: bytes) -> int:
+        """Send a finished instruction."""
+        if port.is_using:
+            return int(COMM_PORT_BUSY)
+        port.is_using = True
         if len(packet) > _MAX_PACKET:
             port.is_using = False
             return int(COMM_TX_ERROR)
         port.clearPort()
-        if port.writePort(bytes(packet)) != len(packet):
+        if port.writePort(packet) != len(packet):
             port.is_using = False
             return int(COMM_TX_FAIL)
         return int(COMM_SUCCESS)

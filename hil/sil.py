@@ -5,7 +5,7 @@ the port that they open belongs to an emulator. On the virtual line the clock is
 
 ::
 
-    processor A   loop (FIFO 50) · probe (FIFO 80)
+    processor A   loop (FIFO 50) · probe, cyclictest (FIFO 80)
     processor B   emulator (FIFO 60) · recorder · probe (FIFO 80) · declared load
 """
 
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bundle import ModelBundle
 from firmware_py.bus import ServoBus
+from firmware_py.bus_plan import Plan
 from firmware_py.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
 from firmware_py.dynamixel import DynamixelBus
@@ -43,6 +44,7 @@ from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
 from hil.host import Probe, Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.line import VirtualWire
+from hil.reference import cyclictest
 from hil.twin import build_twin
 
 LineKind = Literal["pty", "socket", "virtual"]
@@ -126,6 +128,10 @@ class Result(NamedTuple):
         Time that the run took.
     environment : dict
         Machine, scheduler, load, line.
+    plan : Plan
+        How the servos were read.
+    reference : dict or None
+        Wake-up jitter by cyclictest, where it is installed.
     geometry : dict of str to float
         The link's base_offset_m, link_length_m and link_width_m, as far as the plant has them.
     """
@@ -136,6 +142,8 @@ class Result(NamedTuple):
     line_cpu: Watch
     wall_s: float
     environment: dict[str, Any]
+    plan: Plan
+    reference: dict[str, Any] | None = None
     geometry: dict[str, float] | None = None
 
     @property
@@ -236,8 +244,9 @@ def _run_virtual(options: Options, specification: Specification) -> Result:
         "records_sha256": digest.hexdigest(),
     }
     return Result(
-        summary, outcome, Watch(), Watch(), wall_s, environment() | _line_facts(options) | facts
-    )
+        summary, outcome, Watch(), Watch(), wall_s, environment() | _line_facts(options) | facts,
+        bus.plan,
+    )  # fmt: skip
 
 
 def _put(telemetry: SocketTelemetry, record: bytes) -> None:
@@ -269,6 +278,7 @@ def _run_in_real_time(
         neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
         loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
         line_probe = enter(contextlib.closing(Probe(line_cpu)))
+        reference = enter(cyclictest(loop_cpu, options.period_s, scratch))
         with (
             open_bus(config, clock) as bus,
             contextlib.closing(KernelCounters()) as counters,
@@ -289,7 +299,7 @@ def _run_in_real_time(
             "load_is": "declared host load, normal priority, on the emulator's processor",
         }
         facts = environment() | _line_facts(options) | facts
-        return Result(summary, emulator.stop(), *watches, wall_s, facts)
+        return Result(summary, emulator.stop(), *watches, wall_s, facts, bus.plan, reference.stop())
 
 
 def _loop(
@@ -303,7 +313,7 @@ def _loop(
     slots = round(options.seconds / config.period_s)
     return ControlLoop(
         bus, options.bundle.estimator, options.bundle.predictor,
-        SafetySupervisor(config.limits, options.dof, config.period_s),
+        SafetySupervisor(config.limits_in_force, options.dof, config.period_s),
         config.goals_rad(repeated=True), clock,
         slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
         telemetry=telemetry, counters=counters, keep=slots + _STOP_TICKS,

@@ -223,7 +223,7 @@ def test_the_bound_is_clopper_and_pearsons(slots, data):
 
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=200))
 def test_percentiles_are_values_that_at_least_that_share_does_not_exceed(values):
-    summary = verify._summary(np.array(values))
+    summary = verify.summarise(np.array(values))
     for share, name in ((0.5, "p50_ns"), (0.99, "p99_ns"), (0.999, "p99_9_ns"), (1.0, "max_ns")):
         assert summary[name] in values
         assert np.mean(np.array(values) <= summary[name]) >= share - 1e-12
