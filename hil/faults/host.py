@@ -94,10 +94,6 @@ class FaultyEstimator:
         """See `DeformationEstimator.reset`."""
         self._inner.reset()
 
-    def assume_payload(self, payload_kg: float | None) -> None:
-        """See `DeformationEstimator.assume_payload`."""
-        self._inner.assume_payload(payload_kg)
-
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """See `DeformationEstimator.update`."""
         host = self._host

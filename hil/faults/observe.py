@@ -30,8 +30,8 @@ class Outcome:
         As in `RunSummary`.
     misses : dict of str to int
         Slots missed by cause.
-    notes : tuple of str
-        What else was looked at.
+    unlogged_stale : int
+        Ticks without fresh data in a run whose log is not whole.
     """
 
     ended: str
@@ -39,7 +39,7 @@ class Outcome:
     replugs: int = 0
     telemetry_drops: int = 0
     misses: dict[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    unlogged_stale: int = 0
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,6 @@ class Observation:
         By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
     stale_as_fresh : int
         Ticks that took for fresh what the servos had not sent in them.
-    notes : tuple of str
-        What else was looked at.
     """
 
     ended: str
@@ -98,7 +96,6 @@ class Observation:
     drift_rad: float = 0.0
     goal_jump_rad: float = 0.0
     stale_as_fresh: int = 0
-    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -135,19 +132,21 @@ def observe(
     stepped_in_tick : int or None
         Tick, from 1, in which the record's clock left the servos'.
     """
-    facts: dict[str, Any] = {}
+    facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
     if len(columns.get("tick", ())):
         first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, began_ns)
-        facts = _course(columns, first, slots, outcome)
+        facts |= _course(columns, first, slots)
         if not stepped_in_tick:
             facts["stale_as_fresh"] = _stale_as_fresh(columns, testimony)
+    if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
+        facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
     return Observation(
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
         misses=outcome.misses, told=_told(outcome, testimony),
         unheard_ns=testimony.unheard_ns, watched=testimony.watched, live=testimony.live,
         drift_rad=testimony.drift_rad,
         goal_jump_rad=_goal_jump_rad(testimony, period_s, rate_rad_s),
-        notes=outcome.notes, **facts,
+        **facts,
     )  # fmt: skip
 
 
@@ -159,7 +158,7 @@ def _first(columns: Columns, began_ns: int | None) -> int | None:
     return int(np.argmax(ends_ns >= began_ns))
 
 
-def _course(columns: Columns, first: int | None, slots: int, outcome: Outcome) -> dict[str, Any]:
+def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
     """Detection, recovery and losses, from the tick that the fault befell to the motion's end."""
     ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
     stale = columns["bus_status"] > BusStatus.ALERT
@@ -177,7 +176,6 @@ def _course(columns: Columns, first: int | None, slots: int, outcome: Outcome) -
         "state": State(int(states[span].max())).name if len(span) else State.RUNNING.name,
         "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
         "lost_ticks": int(stale[span].sum() + missed[span].sum()),
-        "unlogged_ticks": outcome.telemetry_drops,
     }
 
 

@@ -184,6 +184,13 @@ class WatchedChain(Chain):
         self._goal_rad.extend(goals_rad)
         self._stand_rad.extend(self.physics.angle_rad.tolist())
 
+    def resume(self, now_ns: int) -> None:
+        """See `Chain.resume`; once servos are driven their time does not stand still."""
+        if self.driven:
+            self.advance(now_ns)
+        else:
+            super().resume(now_ns)
+
     def advance(self, now_ns: int) -> None:
         """See `Chain.advance`."""
         super().advance(now_ns)

@@ -1,0 +1,153 @@
+"""Emulated servos with faults in a process of their own, whose port can be unplugged.
+
+It outlives the robot that talks to it, so that it can tell what the servos did when the robot died.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_py.clock import RealTimeOptions, real_time
+from hil.emulator import PRIORITY
+from hil.faults.plan import Script
+from hil.faults.robot import servos_of
+from hil.faults.table import Row
+from hil.faults.witness import Testimony, WatchedChain, WatchedServo
+from hil.line import Line, pty_endpoint, serve, socket_endpoint
+from hil.physics import UnitPhysics
+
+_SPAWN: Final = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to be.
+
+    Attributes
+    ----------
+    unit : Path
+        Twin behind the servos.
+    dof : int
+        Joints.
+    row : Row
+        The fault.
+    number, seed : int
+        Model of the servos; moment and bits of the fault.
+    kind : str
+        "pty" or "socket".
+    port : Path
+        Name of the port: the socket itself, or a link to the pseudo-terminal.
+    cpu : int
+        Processor to stay on.
+    """
+
+    unit: Path
+    dof: int
+    row: Row
+    number: int
+    seed: int
+    kind: str
+    port: Path
+    cpu: int
+
+
+@contextlib.contextmanager
+def _plugged(task: Task, port: Path, stop_fd: int) -> Iterator[Callable[[], int | None]]:
+    """The port under a name, for as long as it is plugged in."""
+    if task.kind == "socket":
+        with socket_endpoint(port, stop_fd) as (_, connect):
+            yield connect
+        return
+    with pty_endpoint() as (name, connect):
+        port.symlink_to(name)
+        try:
+            yield connect
+        finally:
+            port.unlink()
+
+
+class _CountedScript(Script):
+    """A script whose progress another process can see."""
+
+    counter: Any
+
+    def begin_exchange(self, servos: Sequence[WatchedServo], now_ns: int) -> None:
+        """See `Script.begin_exchange`."""
+        super().begin_exchange(servos, now_ns)
+        self.counter.value = self.exchange
+
+
+def _run(pipe: Connection, counter: Any, task: Task) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    script = _CountedScript(task.row.injections, task.seed)
+    script.counter = counter
+    servos = servos_of(task.dof, task.row, task.number)
+    chain = WatchedChain(servos, UnitPhysics(task.unit, task.dof), script)
+    line = Line(chain, dict(task.row.setup).get("latency_s", 1e-3), script)
+    chain.resume(time.monotonic_ns())
+    port: Path | None = task.port
+    gc.freeze()
+    with real_time(RealTimeOptions(priority=PRIORITY, cpu=task.cpu)):
+        pipe.send(os.getpid())
+        while port is not None:
+            with _plugged(task, port, pipe.fileno()) as connect:
+                while (fd := connect()) is not None and serve(line, fd, pipe.fileno()):
+                    pass
+            command = pipe.recv()
+            while command == "unplug":
+                pipe.send(time.monotonic_ns())
+                while not pipe.poll(0.01):
+                    chain.advance(time.monotonic_ns())
+                command = pipe.recv()
+            port = command
+    pipe.send(chain.testify(time.monotonic_ns()))
+
+
+class Station:
+    """The process; see the module's text."""
+
+    def __init__(self, task: Task) -> None:
+        self._ours, theirs = _SPAWN.Pipe()
+        self._counter: Any = _SPAWN.RawValue("q", 0)
+        self._process = _SPAWN.Process(target=_run, args=(theirs, self._counter, task), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.pid: int = self._receive()
+
+    @property
+    def exchange(self) -> int:
+        """Exchanges of the running robot so far."""
+        return int(self._counter.value)
+
+    def _receive(self) -> Any:
+        return self._ours.recv()
+
+    def unplug(self) -> int:
+        """Take the port away; returns when that was."""
+        self._ours.send("unplug")
+        return int(self._receive())
+
+    def plug(self, port: Path) -> None:
+        """Bring it back under a name."""
+        self._ours.send(port)
+
+    def testify(self) -> Testimony:
+        """End it and return what the servos saw."""
+        self._ours.send(None)
+        testimony: Testimony = self._receive()
+        return testimony
+
+    def close(self) -> None:
+        """End the process if it still runs."""
+        self._ours.close()
+        self._process.join()
