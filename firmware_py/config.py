@@ -77,6 +77,21 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     rest_s: float = 1.0
 
 
+class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[live]`: where `dropstitch run --live` serves the ticks to Foxglove.
+
+    Attributes
+    ----------
+    host : str
+        Address to listen at. Whoever reaches it sees the robot, but cannot command it.
+    port : int
+        TCP port; 0 takes any that is free.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8765
+
+
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """`robot.toml`; see the commented example at the root of the repository.
 
@@ -102,6 +117,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     logs: str = "logs"
     motion: MotionConfig = MotionConfig()
     limits: Limits = Limits()
+    live: LiveConfig = LiveConfig()
     real_time: RealTimeOptions = RealTimeOptions()
 
     @property
@@ -226,6 +242,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("limits.blend_s", limits.blend_s, 0.0, 60.0),
         ("limits.stop_deceleration_rad_s2", limits.stop_deceleration_rad_s2, 1e-2, 1e4),
         ("limits.hold_s", limits.hold_s, 0.0, 3600.0),
+        ("live.port", config.live.port, 0, 65535),
         ("real_time.priority", config.real_time.priority, 0, 99),
     )
     for key, value, low, high in ranges:

@@ -1,8 +1,9 @@
-"""The recorder: a process beside the loop that writes its ticks to an MCAP file.
+"""The recorder: a process beside the loop that writes its ticks to a file and shows them live.
 
 ::
 
     loop ── SEQPACKET, one packed record a tick ──► receiving thread ── queue ──► writing thread
+                                                                    viewers ◄──┘ └──► MCAP file
 
 The kernel queues only a few packets for a socket (`net.unix.max_dgram_qlen`, often 10), so one
 thread does nothing but receive, and a slow disk fills memory here instead of dropping ticks there.
@@ -22,24 +23,17 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
-import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.recording import (
-    CHUNK_BYTES,
-    METADATA,
-    SCHEMA_NAME,
-    TOPIC,
-    require_packages,
-    tick_schema,
-)
-from firmware_py.signals import tick_dtype
+from firmware_py.recording import require_packages
+from firmware_py.sinks import LiveSink, McapSink, Sink, TickEncoder, require_live_package
 from firmware_py.telemetry import SocketTelemetry
 
 _READY: Final = b"ready"
+_ANSWER_BYTES: Final = 4096
 _START_TIMEOUT_S: Final = 20.0
 _STOP_TIMEOUT_S: Final = 10.0
 _NICENESS: Final = 5
@@ -52,8 +46,10 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     ----------
     fd : int
         Descriptor of the socket, inherited.
-    path : str
+    path : str or None
         File to write.
+    live : tuple of str and int, or None
+        Host and port of the live view.
     dof : int
         Number of joints, which fixes the record.
     start_ns : int
@@ -63,7 +59,8 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """
 
     fd: int
-    path: str
+    path: str | None
+    live: tuple[str, int] | None = None
     dof: int
     start_ns: int
     metadata: dict[str, str]
@@ -71,13 +68,17 @@ class Task(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 @contextlib.contextmanager
 def recording(
-    path: Path, dof: int, start_ns: int, metadata: dict[str, str]
+    path: Path | None,
+    dof: int,
+    start_ns: int,
+    metadata: dict[str, str],
+    live: tuple[str, int] | None = None,
 ) -> Iterator[SocketTelemetry]:
     """Run a recorder for the duration of the context.
 
     Parameters
     ----------
-    path : Path
+    path : Path or None
         File to write; its directory is made.
     dof : int
         Number of joints.
@@ -85,6 +86,8 @@ def recording(
         Wall time of the run's start.
     metadata : dict of str to str
         Written into the file, `dof` is added.
+    live : tuple of str and int, optional
+        Host and port at which to serve the ticks to Foxglove.
 
     Yields
     ------
@@ -94,19 +97,17 @@ def recording(
     Raises
     ------
     InputError
-        If the packages are missing or the file cannot be written.
+        If the packages are missing, the file cannot be written or the port not be listened at.
     """
-    require_packages()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            path.parent, f"cannot be made ({error.strerror})", "name another directory for logs"
-        ) from None
+    if path is not None:
+        require_packages()
+        _make_directory(path.parent)
+    if live is not None:
+        require_live_package()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     task = Task(
-        fd=theirs.fileno(), path=str(path), dof=dof, start_ns=start_ns,
-        metadata={"dof": str(dof)} | metadata,
+        fd=theirs.fileno(), path=None if path is None else str(path), live=live, dof=dof,
+        start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
     )  # fmt: skip
     process = subprocess.Popen(
         [sys.executable, "-m", "firmware_py.recorder"],
@@ -120,9 +121,7 @@ def recording(
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(msgspec.json.encode(task))
             process.stdin.close()
-        ours.settimeout(_START_TIMEOUT_S)
-        if ours.recv(len(_READY)) != _READY:
-            raise InputError(path, "cannot be written", "see the recorder's message above")
+        _await_start(ours)
         yield SocketTelemetry(ours)
     finally:
         ours.close()
@@ -130,30 +129,58 @@ def recording(
             process.wait(_STOP_TIMEOUT_S)
 
 
+def _make_directory(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be made ({error.strerror})", "name another directory for logs"
+        ) from None
+
+
+def _await_start(ours: socket.socket) -> None:
+    """Wait until the recorder is ready, or raise what it refuses."""
+    ours.settimeout(_START_TIMEOUT_S)
+    try:
+        answer = ours.recv(_ANSWER_BYTES)
+    except TimeoutError:
+        answer = b""
+    if not answer:
+        raise InputError("recorder", "does not start", "see its message above")
+    if answer != _READY:
+        raise InputError(*msgspec.json.decode(answer, type=tuple[str, str, str]))
+
+
 def main() -> int:
-    """Write one file, until the loop closes its end."""
+    """Pass one run on, until the loop closes its end; 1 where a file could not be finished."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it outlives the loop by design
     os.nice(_NICENESS)
     task = msgspec.json.decode(sys.stdin.buffer.read(), type=Task)
     end = socket.socket(fileno=task.fd)
-    packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     try:
-        with open(task.path, "wb") as stream:
-            writer = _Writer(stream, task)
-            end.send(_READY)
-            threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
-            while record := packets.get():
-                writer.write(record)
-            writer.finish()
-    except OSError as error:
-        print(f"recorder: {task.path}: {error.strerror}", file=sys.stderr)
+        sinks = list(_sinks(task))
+    except InputError as error:
+        end.send(msgspec.json.encode((error.where, error.what, error.remedy)))
         return 1
-    return 0
+    packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    end.send(_READY)
+    threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
+    return _pass_on(packets, sinks, TickEncoder(task.dof, task.start_ns))
+
+
+def _sinks(task: Task) -> Iterator[Sink]:
+    """Where the ticks go; the live view first, for it never waits."""
+    if task.live is not None:
+        live = LiveSink(*task.live, task.dof)
+        print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
+        yield live
+    if task.path is not None:
+        yield McapSink(task.path, task.dof, task.metadata)
 
 
 def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
-    """Pass packets on; an empty one, as the closed socket gives, ends the file."""
+    """Put packets into the queue; an empty one, as the closed socket gives, ends the run."""
     record = b"-"
     while record:
         try:
@@ -163,46 +190,28 @@ def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
         packets.put(record)
 
 
-class _Writer:
-    """The MCAP file; flushed to the disk whenever a chunk is full."""
+def _pass_on(packets: queue.SimpleQueue[bytes], sinks: list[Sink], encode: TickEncoder) -> int:
+    """Give every tick to every sink; one that fails (a full disk) is left out from then on."""
+    code = 0
+    while (record := packets.get()) and sinks:
+        message = encode(record)
+        for sink in tuple(sinks):
+            try:
+                sink.write(*message)
+            except OSError as error:
+                code = _give_up(sinks, sink, error)
+    for sink in tuple(sinks):
+        try:
+            sink.finish()
+        except OSError as error:
+            code = _give_up(sinks, sink, error)
+    return code
 
-    def __init__(self, stream: Any, task: Task) -> None:
-        from mcap.writer import CompressionType, Writer
 
-        self._dtype = tick_dtype(task.dof)
-        self._names = self._dtype.names or ()
-        self._time_index = self._names.index("time_s")
-        self._start_ns, self._stream = task.start_ns, stream
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start(profile="", library="dropstitch")
-        self._writer.add_metadata(METADATA, task.metadata)
-        schema = self._writer.register_schema(
-            SCHEMA_NAME, "jsonschema", msgspec.json.encode(tick_schema(task.dof))
-        )
-        self._channel = self._writer.register_channel(TOPIC, "json", schema)
-        self._encode = msgspec.json.Encoder().encode
-        self._sequence, self._flushed = 0, stream.tell()
-        self._flush()
-
-    def write(self, record: bytes) -> None:
-        """Add one tick; non-finite numbers become null."""
-        values = np.frombuffer(record, self._dtype)[0].item()
-        time_ns = self._start_ns + round(values[self._time_index] * 1e9)
-        data = self._encode(dict(zip(self._names, values, strict=True)))
-        self._writer.add_message(self._channel, time_ns, data, time_ns, self._sequence)
-        self._sequence += 1
-        if self._stream.tell() != self._flushed:  # a chunk was written
-            self._flush()
-
-    def _flush(self) -> None:
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._flushed = self._stream.tell()
-
-    def finish(self) -> None:
-        """Write the last chunk and the index."""
-        self._writer.finish()
-        self._flush()
+def _give_up(sinks: list[Sink], sink: Sink, error: OSError) -> int:
+    sinks.remove(sink)
+    print(f"recorder: the log ends here ({error.strerror})", file=sys.stderr)
+    return 1
 
 
 if __name__ == "__main__":

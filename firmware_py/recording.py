@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import io
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +27,11 @@ METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"
 CHUNK_BYTES: Final = 64 * 1024
 
-_DAMAGE: Final = (EOFError, RuntimeError, ValueError, struct.error)
-"""What mcap and lz4 raise, beside their own errors, where a file ends or is damaged."""
+_DAMAGE: Final = (
+    EOFError, LookupError, OverflowError, RuntimeError, ValueError, struct.error,
+    msgspec.MsgspecError,
+)  # fmt: skip
+"""What is raised, beside mcap's own errors, where a file ends or holds litter."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +41,15 @@ class Recording:
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        By name, as `firmware_py.signals.tick_signals` lists them; NaN where the log has null.
+        By name, as `firmware_py.signals.tick_signals` lists them, to the bit; NaN where the log
+        has null. Integers are integers.
     metadata : dict of str to str
         What the run wrote about itself: `dof`, `started_utc`, `bundle_sha256`, `config` (JSON) …
     complete : bool
         False where the file was cut off.
     """
 
-    columns: dict[str, NDArray[np.float64]]
+    columns: dict[str, NDArray[Any]]
     metadata: dict[str, str]
     complete: bool
 
@@ -82,6 +87,13 @@ def require_packages() -> None:
         )  # fmt: skip
 
 
+def _number(value: int | float | str | None) -> int | float:
+    """Undo `firmware_py.sinks.TickEncoder`: null is NaN, an infinity a string."""
+    if value is None:
+        return np.nan
+    return float(value) if isinstance(value, str) else value
+
+
 def read_recording(path: Path | str) -> Recording:
     """Read a log.
 
@@ -98,11 +110,13 @@ def read_recording(path: Path | str) -> Recording:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "is missing", "name a log that 'dropstitch run' has written")
-    rows: list[dict[str, float | None]] = []
+    rows: list[dict[str, int | float | str | None]] = []
     metadata: dict[str, str] = {}
     complete = False
-    decode = msgspec.json.Decoder(dict[str, float | None]).decode
-    with path.open("rb") as stream, contextlib.suppress(McapError, *_DAMAGE):
+    decode = msgspec.json.Decoder(dict[str, int | float | str | None]).decode
+    # From memory, where litter that asks for more bytes than any machine has gets what is left.
+    stream = io.BytesIO(path.read_bytes())
+    with contextlib.suppress(McapError, *_DAMAGE):
         for record in StreamReader(stream, validate_crcs=True).records:
             if isinstance(record, Message):
                 rows.append(decode(record.data))
@@ -115,7 +129,7 @@ def read_recording(path: Path | str) -> Recording:
         raise InputError(path, "holds no whole chunk of ticks", "record for longer")
     return Recording(
         {
-            s.name: np.array([np.nan if (v := row.get(s.name)) is None else v for row in rows])
+            s.name: np.array([_number(row.get(s.name)) for row in rows])
             for s in tick_signals(int(metadata["dof"]))
         },
         metadata,

@@ -41,6 +41,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", choices=KINDS, help="instead of the configured one")
     parser.add_argument("--amplitude-deg", type=float, help="instead of the configured one")
     parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
+    parser.add_argument(
+        "--live", action="store_true", help="serve the ticks to Foxglove, see [live] in the file"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -97,15 +100,15 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
 def _telemetry(
     config: RobotConfig, args: argparse.Namespace, bundle: ModelBundle
 ) -> Iterator[tuple[Telemetry, Path | None]]:
-    if not config.record:
+    if not (config.record or args.live):
         yield NoTelemetry(), None
         return
     started = datetime.now(UTC)
-    log = args.log or (
-        args.config.parent / config.logs / f"{started:%Y%m%dT%H%M%SZ}_{config.motion.kind}.mcap"
-    )
+    name = f"{started:%Y%m%dT%H%M%SZ}_{config.motion.kind}.mcap"
+    log = (args.log or args.config.parent / config.logs / name) if config.record else None
+    live = (config.live.host, config.live.port) if args.live else None
     metadata = log_metadata(config, bundle, started)
-    with recording(log, config.dof, time.time_ns(), metadata) as telemetry:
+    with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
         yield telemetry, log
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from firmware_py.console import DONE, emit
+from firmware_py.recording import read_recording
 from models.importers import KINDS, read_series
 from models.importers.assemble import align, assemble
 from models.importers.mapping import read_mapping
@@ -46,8 +47,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Import one recording; what is written has passed the same checks as any trial."""
     mapping = read_mapping(args.map)
-    for log in filter(_is_recording, (args.file, args.servo)):
+    cut_off = []
+    for path in filter(_is_recording, (args.file, args.servo)):
+        log = read_recording(path)
         mapping = with_conditions(mapping, log)
+        if not log.complete:
+            cut_off.append(str(path))
     series = align(read_series(args.file, args.kind, mapping), mapping)
     result: dict[str, Any] = {}
     if args.servo is not None:
@@ -67,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
         "step_s": trial.step_s,
         "rest_samples": trial.meta.rest_samples,
         "occluded_share": float(np.mean(np.isnan(trial.markers_m))),
+        "cut_off": cut_off,
     }
     text = (
         f"{path}: {len(trial)} rows of {trial.step_s * 1e3:.3g} ms, {trial.meta.rest_samples} at "
@@ -76,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
         text += (
             f"; servo clock {result['offset_s']:+.4f} s, correlation {result['correlation']:.4f}"
         )
+    for name in cut_off:
+        text += f"; {name} was cut off: read up to its last whole chunk"
     emit(args, result, text)
     return DONE
 

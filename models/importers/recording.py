@@ -39,9 +39,9 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
     return [Series(time_s, goals, path), Series(time_s[fresh], held, path)]
 
 
-def with_conditions(mapping: Mapping, path: Path) -> Mapping:
+def with_conditions(mapping: Mapping, log: Recording) -> Mapping:
     """Complete `[trial]` and `step_s` of a map by what the log knows; the map's own word holds."""
-    known = conditions(read_recording(path))
+    known = conditions(log)
     step_s = known.pop("step_s")
     return msgspec.structs.replace(
         mapping,

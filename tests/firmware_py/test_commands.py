@@ -192,6 +192,14 @@ def test_without_a_recorder_the_robot_runs_and_leaves_no_file(servos, config, ca
     assert not list(config.parent.rglob("*.mcap"))
 
 
+def test_a_run_is_shown_live_with_or_without_a_file(servos, config, capfd):
+    config.write_text("record = false\n" + config.read_text() + "[live]\nport = 0\n")
+    code, output = call(capfd, "run", "--config", config, "--live", "--json")
+    assert (code, json.loads(output.out)["log"]) == (0, None)
+    assert "live view at ws://127.0.0.1:" in output.err
+    assert not list(config.parent.rglob("*.mcap"))
+
+
 def test_the_golden_ticks_of_a_bundle_are_replayed(toy_bundle, tmp_path, capsys):
     code, output = call(capsys, "replay", "--bundle", toy_bundle)
     assert (code, "golden ticks agree" in output.out) == (0, True)
