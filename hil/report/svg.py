@@ -112,7 +112,7 @@ class Drawing:
 
     def panel(self, title: str, alt: str) -> Panel:
         """What was drawn, with its title and its description."""
-        return Panel(title, alt, self._svg)
+        return Panel(title, alt, _with_own_ids(self._svg, title + alt))
 
 
 def log_axis(ax: Any, values: Iterable[float]) -> None:
@@ -128,7 +128,7 @@ def log_axis(ax: Any, values: Iterable[float]) -> None:
 
 
 def _to_svg(figure: Any) -> str:
-    """Inline SVG: scales with its box, takes the page's font; ids are unique in the page."""
+    """Inline SVG: scales with its box, takes the page's font."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
@@ -139,10 +139,16 @@ def _to_svg(figure: Any) -> str:
     text = re.sub(r"\n\s*", "\n", text)
     head, end, body = text.partition(">")
     head = re.sub(r' (width|height|version|xmlns)="[^"]*"', "", head)
-    # Definitions (markers, clips) are named by their content: the same name may come up in
-    # another figure, so each figure gets a prefix; other ids serve nobody.
-    prefix = hashlib.sha256(body.encode()).hexdigest()[:6]
-    used = set(re.findall(r'[("]#([\w.-]+)', body))
-    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", body)
-    body = re.sub(r'([("]#)', rf"\g<1>{prefix}", body)
     return head + end + body
+
+
+def _with_own_ids(svg: str, about: str) -> str:
+    """The drawing with ids that are unique in the page.
+
+    Definitions (markers, clips) are named by their content, and another figure may hold the same,
+    so each drawing gets a prefix; ids that nothing refers to are left out.
+    """
+    prefix = hashlib.sha256((about + svg).encode()).hexdigest()[:6]
+    used = set(re.findall(r'[("]#([\w.-]+)', svg))
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", svg)
+    return re.sub(r'([("]#)', rf"\g<1>{prefix}", svg)

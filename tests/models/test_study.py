@@ -9,7 +9,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.__main__ import main
-from models.commands.train import name_tests, refuse_fitted, refuse_mixed_steps
+from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
 from models.deformation import deformation_index
 from models.findings import loop
 from models.lagged import LaggedRegressor, lagged_features
@@ -162,8 +162,22 @@ def test_tests_are_named_by_what_they_are(toy_trials):
 
     multisine = changed(held_out[0], motion="multisine", amplitude_rad=0.35)
     third = changed(training[0], trial=3)
-    named = name_tests(training, (*held_out, multisine, third))
-    assert list(named) == ["trial_2", "trial_3", "unseen_20deg", "unseen_multisine_20deg"]
+    ahead = changed(held_out[0], amplitude_rad=training[0].meta.amplitude_rad, phase_2_rad=0.7854)
+    named = name_tests(training, (*held_out, multisine, third, ahead))
+    assert list(named) == [
+        "trial_2", "trial_3", "unseen_20deg", "unseen_multisine_20deg", "unseen_phase_45deg_30deg",
+    ]  # fmt: skip
+
+
+def test_phases_are_chosen_among_2dof_trials_only(toy_trials):
+    one, two = toy_trials(1), toy_trials(2)
+    ahead = replace(two[0], meta=msgspec.structs.replace(two[0].meta, phase_2_rad=np.pi / 2))
+    trials = TrialSet((*one, *two, ahead))
+    assert of_phases(trials, None, "DIR") is trials
+    assert of_phases(trials, [90.0], "DIR").trials == (*one, ahead)
+    assert of_phases(trials, [0.0, 90.0], "DIR").trials == trials.trials
+    with pytest.raises(InputError, match=r"45 degrees.*--phase-deg 45"):
+        of_phases(trials, [0.0, 45.0], "DIR")
 
 
 def test_an_unseen_trial_that_the_plant_was_fitted_on_is_refused(toy_trials):

@@ -1,6 +1,7 @@
 """A small build directory made by the commands' own code: a toy link, three seconds of SIL."""
 
 import json
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -12,19 +13,30 @@ from fmu.stepper import Archive
 from fmu.units import parts_inside
 from hil import sil
 from hil.commands.sil import write_results
-from hil.physics import build_twin
 from hil.report import write_report
+from hil.twin import build_twin
 from models.commands.train import name_tests
 from models.plant.evaluate import evaluation
 from models.plant.plant import NOMINAL, read_plant
 from models.study import run_study
-from models.trials import TrialSet, write_trial
+from models.trials import TrialSet
 
 COMMANDS = [
     "python -m models simulate --out build/trials --dof 1 2 --seed 1",
     "python -m models train build/trials --dof 1 --plant build/plant.json --out build/bundle_1dof",
     "python -m hil report --build build --out build/report.html",
 ]
+
+
+def with_phase(trials, phase_2_rad):
+    """The same trials, said to be of another phase of joint 2."""
+    return TrialSet(
+        tuple(
+            replace(t, name=f"{t.name}_ahead",
+                    meta=msgspec.structs.replace(t.meta, phase_2_rad=phase_2_rad))
+            for t in trials
+        )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -35,10 +47,17 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     training, held_out = toy_trials(2).split()
     one, _ = toy_trials(1).split()
     study = run_study(training, name_tests(training, tuple(held_out)), toy_observer(2), one)
-    (directory / "bundle_2dof" / "study.json").write_text(json.dumps(study.document))
-    for trial in training:
-        meta = msgspec.structs.replace(trial.meta, phase_2_rad=1.5708)
-        write_trial(type(trial)(trial.name, meta, trial.columns), directory / "trials_phase90")
+    both = TrialSet((*training, *with_phase(training, 1.5708)))
+    tests = name_tests(both, (*held_out, *with_phase(held_out, 1.5708)))
+    pooled = run_study(both, tests, toy_observer(2), one)
+    (directory / "bundle_2dof" / "study.json").write_text(json.dumps(pooled.document))
+    around = with_phase(training, 1.5708)
+    apart = run_study(around, name_tests(around, tuple(with_phase(held_out, 1.5708))),
+                      toy_observer(2), one)  # fmt: skip
+    for name, of_phase in (("phase0", study), ("phase90", apart)):
+        (directory / f"study_2dof_{name}").mkdir()
+        text = json.dumps(of_phase.document)
+        (directory / f"study_2dof_{name}" / "study.json").write_text(text)
     plant = read_plant()
     few = TrialSet((*held_out[:1], *one[:1]))
     (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluation(plant, few)))

@@ -11,10 +11,10 @@ import pytest
 from hil.__main__ import main
 from hil.report.inputs import Loop, read_inputs
 from hil.report.loop_figures import loop_figures
+from hil.report.motion_figures import motion_figures
 from hil.report.page import render
-from hil.report.tables import at_a_glance, verdict
+from hil.report.tables import at_a_glance, prediction, verdict
 from hil.verify import judge
-from models.deformation import deformation_index
 
 
 class Page(HTMLParser):
@@ -85,7 +85,7 @@ def test_all_the_papers_figures_are_there(html):
     text = Page(html).text
     for number in ("7", "8", "9 and 10", "11", "12 and 13", "14", "15"):
         assert f"paper, Fig. {number} " in text
-    for word in ("1DOF, trial 2", "2DOF, unseen 20° motion", "joint 2 ahead by 90°"):
+    for word in ("1DOF, trial 2", "2DOF, unseen 20° motion", "2DOF, phase 90°"):
         assert word in text
 
 
@@ -95,20 +95,33 @@ def test_the_tables_hold_the_inputs_figures(build, html):
     degree = str(study["chosen_degree"])
     table = study["mean_euclidean_distance_m"]["unseen_20deg"]["pooled"]
     figures = [f"{1e3 * table[v][degree]:.1f}" for v in ("without_di", "estimated_di", "with_di")]
-    assert f"2DOF, unseen 20° motion {degree}" in text and " ".join(figures) in text
+    assert f"2DOF, all phases, unseen 20° motion {degree}" in text and " ".join(figures) in text
     check = json.loads((build / "check_twin_1dof.json").read_text())
     assert all(c["detail"] in text for c in check["checks"])
     for finding in study["findings"]:
         assert finding["claim"] in text and finding["depends_on"] in text
 
 
-def test_mean_di_of_the_other_phase_is_taken_from_its_trials(build, toy_trials):
-    training, _ = toy_trials(2).split()
-    found = read_inputs(build).phase_90.mean_di
-    assert list(found) == ["0", "1", "2"]
-    for trial in training:
-        expected = np.nanmean(deformation_index(trial)[trial.moving])
-        assert found[f"{trial.meta.payload_kg:g}"] == pytest.approx(expected, rel=1e-12)
+def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
+    inputs = read_inputs(build)
+    assert list(inputs.motions) == ["1DOF", "2DOF, phase 0°", "2DOF, phase 90°"]
+    assert list(inputs.every_study) == [*inputs.motions, "2DOF, all phases"]
+    assert inputs.every_study["2DOF, all phases"] is inputs.studies[2]
+    (figure,) = [f for f in motion_figures(inputs.motions) if f.title == "Mean DI by payload"]
+    (panel,) = figure.panels
+    for motion, study in inputs.motions.items():
+        assert f"{motion}: {100 * study['mean_di']['0']:.2f} % at 0 kg" in panel.alt
+    badges = re.findall(r'class="badge \w+">(.*?)</span>', html)
+    assert set(badges) == set(inputs.every_study)
+
+
+def test_a_bundle_alone_is_drawn_with_all_its_phases(copy):
+    for phase in (0, 90):
+        shutil.rmtree(copy / f"study_2dof_phase{phase}")
+    inputs = read_inputs(copy)
+    assert list(inputs.every_study) == ["1DOF", "2DOF"]
+    paths, *_ = motion_figures({"2DOF": inputs.studies[2]})
+    assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
 
 
 def test_commands_stand_once_in_the_order_of_their_last_run(build, html):
@@ -138,7 +151,8 @@ def test_text_from_files_is_text(copy):
     [
         (
             {"bundle_1dof": "python -m models train", "bundle_2dof": "python -m models train",
-             "commands.log": "make demo"},
+             "study_2dof_phase0": "python -m models train",
+             "study_2dof_phase90": "python -m models train", "commands.log": "make demo"},
             "twin_1dof",
         ),
         (
@@ -159,8 +173,8 @@ def test_a_section_without_inputs_says_what_makes_them(copy, missing, rest):
 
 
 def test_one_dof_alone_is_enough(copy):
-    shutil.rmtree(copy / "bundle_2dof")
-    shutil.rmtree(copy / "trials_phase90")
+    for path in copy.glob("*2dof*"):
+        shutil.rmtree(path)
     text = Page(render(read_inputs(copy))).text
     assert "1DOF, trial 2" in text and "2DOF, trial 2" not in text
 
@@ -227,6 +241,18 @@ def test_prediction_and_plant_are_compared_tick_by_tick(build):
     assert error["n"] == len(distance_m)
     assert distance_m.mean() == pytest.approx(error["mean_euclidean_distance_m"], rel=1e-9)
     assert distance_m.max() == pytest.approx(error["max_m"], rel=1e-9)
+
+
+def test_the_error_is_listed_by_part_of_the_run(build):
+    (loop,) = read_inputs(build).loops
+    table = prediction(loop)
+    parts = loop.timing["prediction_error"]["parts"]
+    assert row_of(table, "all ticks")[1].text == str(loop.timing["prediction_error"]["n"])
+    counts = [int(row_of(table, w)[1].text) for w in ("rest between", "motion, as", "stop")]
+    assert sum(counts) == loop.timing["prediction_error"]["n"]  # three seconds reach no glide
+    assert row_of(table, "motion, as")[2].text == (
+        f"{1e3 * parts['motion']['mean_euclidean_distance_m']:.1f}"
+    )
 
 
 @pytest.fixture
