@@ -19,7 +19,7 @@ endef
 # The same for a command whose verdict belongs into the report, good or bad (exit 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo test lint sil bench lock clean
+.PHONY: help setup demo test lint sil faults mutate soak bench lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -27,6 +27,9 @@ help:
 	@echo "make demo    the main job end to end; ends by naming the report to open"
 	@echo "make test    lint, types, import contract and tests"
 	@echo "make sil     the loop in software for 10 s, its timing judged"
+	@echo "make soak    the same for 28 minutes under load with faults on the wire"
+	@echo "make faults  every fault injected and judged, three minutes"
+	@echo "make mutate  every comparison of the safety supervisor changed: do the tests notice?"
 	@echo "make bench   ratios against peers, measured side by side"
 	@echo "make lock    renew requirements/ from pyproject.toml"
 	@echo "make clean   remove what was built (keeps .venv)"
@@ -127,8 +130,14 @@ lint: $(READY)
 sil: build/twin_1dof.fmu
 	$(call run,python -m hil sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out build/sil)
 
-bench: $(READY)
+# 100,000 ticks under load with lost and damaged replies: 28 minutes.
+soak: build/twin_2dof.fmu
+	$(call run,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 1700 \
+	  --load 1 --faults lost=0.01 corrupt=0.01 --out build/soak)
+
+bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
+	$(BIN)/python -m bench.loop --bundle build/bundle_2dof --fmu $<
 
 lock:
 	for extra in record:robot test:workshop; do \

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import Plan
 from firmware_py.signals import STAGES
 from hil.verify import summarise
@@ -64,8 +65,9 @@ def account(
     Returns
     -------
     dict
-        "budget" by stage; "read" by part; "slack"; "high_water_mark_ns"; "cpu_share" of the loop;
-        "exchange": read and write against the wire's own time; "lateness_against_reference".
+        "budget" by stage; "read" by part; "slack"; "high_water_mark_ns"; "without_data": ticks in
+        which a reply was lost or spoilt; "cpu_share" of the loop; "exchange": read and write
+        against the wire's own time; "lateness_against_reference".
     """
     period_ns = round(period_s * 1e9)
     waited = records["bus_wait_ns"]
@@ -76,20 +78,26 @@ def account(
         stages_own = summarise(own_read if stage == "read" else records[f"{stage}_ns"])
         met = stages_own["p99_ns"] <= BUDGET_NS[stage]
         budget[stage] = {**stages_own, "budget_p99_ns": BUDGET_NS[stage], "within_budget": met}
+    every_tick = np.ones(len(records), np.int64)
     read = {
         "own": summarise(own_read),
-        "wire": dict.fromkeys(("p50_ns", "p99_ns", "p99_9_ns", "max_ns"), wire["wire_ns"]),
-        "servo": dict.fromkeys(("p50_ns", "p99_ns", "p99_9_ns", "max_ns"), wire["servo_ns"]),
+        "wire": summarise(wire["wire_ns"] * every_tick),
+        "servo": summarise(wire["servo_ns"] * every_tick),
         "wait": summarise(waited - wire["wire_ns"] - wire["servo_ns"]),
     }
     exchange = summarise(records["read_ns"] + records["write_ns"])
     on_wire_ns = wire["wire_ns"] + wire["servo_ns"] + wire["write_ns"]
     slack = period_ns - taken
+    blind = records["bus_status"] > BusStatus.ALERT
     return {
         "budget": budget,
         "read": read,
         "slack": {**summarise(slack), "min_ns": int(slack.min()) if len(slack) else 0},
         "high_water_mark_ns": int(taken.max()) if len(taken) else 0,
+        "without_data": {
+            **summarise(taken[blind]),
+            "missed_slots": int(np.append(records["missed"][1:], 0)[blind].sum()),
+        },
         "cpu_share": _share(records["busy_ns"] - waited, period_ns),
         "exchange": {
             **exchange,
@@ -129,6 +137,12 @@ def describe(account: dict[str, Any]) -> list[str]:
         f"{exchange['until_goals_arrived_ratio_p50']:.2f} × until the goals have arrived; the loop "
         f"computes for {account['cpu_share']:.1%} of the time"
     )
+    blind = account["without_data"]
+    if blind["n"]:
+        rows.append(
+            f"{blind['n']} ticks without data took at most {blind['max_ns'] / 1e6:.2f} ms, p99 "
+            f"{blind['p99_ns'] / 1e6:.2f} ms, and cost {blind['missed_slots']} slots"
+        )
     if ratios:
         late = ", ".join(
             f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"

@@ -173,6 +173,9 @@ def stages(loop: Loop) -> list[tuple[str, list[str]]]:
     """Rows of the stage table: name, then n, p50, p99, p99.9 and maximum in ms."""
     timing = loop.timing
     rows = {f"stage: {name}": summary for name, summary in timing["stages"].items()}
+    if account := timing.get("account"):
+        rows |= {f"read: {part}": summary for part, summary in account["read"].items()}
+        rows["slack"] = account["slack"]
     rows |= {
         "whole tick": timing["tick"],
         "waiting for the wire": timing["bus_wait"],

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import plans
 from firmware_py.registers import PRO_P
 from firmware_py.signals import STAGES, tick_dtype
@@ -85,6 +86,19 @@ def test_one_long_tick_is_the_high_water_mark_and_the_least_slack():
     account = budget.account(records, 0.017, wire, {})
     assert account["high_water_mark_ns"] == 16 * MS + 20_000
     assert account["slack"]["min_ns"] == PERIOD_NS - account["high_water_mark_ns"]
+
+
+def test_a_lost_reply_is_accounted_for_with_what_it_cost():
+    records = run_of(100)
+    records["bus_status"][[20, 40]] = BusStatus.TIMEOUT, BusStatus.CORRUPT
+    records["bus_status"][60] = BusStatus.ALERT  # which is fresh data
+    records["busy_ns"][40] = 18 * MS
+    records["missed"][41] = 1
+    wire = budget.wire_facts(plans(PRO_P, 1, 1_000_000)[0])
+    account = budget.account(records, 0.017, wire, {})
+    blind = account["without_data"]
+    assert (blind["n"], blind["max_ns"], blind["missed_slots"]) == (2, 18 * MS + 20_000, 1)
+    assert "2 ticks without data" in "\n".join(budget.describe(account))
 
 
 def events_of(path):
