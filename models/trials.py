@@ -123,7 +123,7 @@ def check_meta(document: dict[str, object], where: Path) -> TrialMeta:
     try:
         meta = msgspec.convert(document, TrialMeta)
     except msgspec.ValidationError as error:
-        raise InputError(where, str(error), "see the trial contract in the README") from None
+        raise InputError(where, str(error), "see docs/trials.md for its form") from None
     for key, (low, high) in _META_RANGE.items():
         value = getattr(meta, key)
         if not low <= value <= high:

@@ -122,7 +122,7 @@ def read_mapping(path: Path | None) -> Mapping:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
     except msgspec.ValidationError as error:
-        raise InputError(path, str(error), "see models/importers/mapping.py for its form") from None
+        raise InputError(path, str(error), "see docs/trials.md for its form") from None
     for name in mapping.markers:
         if name not in (*MARKERS, "tip"):
             raise InputError(path, f"[markers] {name!r} is no marker", "use m01 … m16 or tip")
