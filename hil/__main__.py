@@ -1,4 +1,4 @@
-"""The loop against an emulated servo: emulate, sil, report."""
+"""The loop against an emulated servo: emulate, sil, faults, report."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from firmware_py.console import Command, dispatch
 COMMANDS = (
     Command("emulate", "hil.commands.emulate", "be a servo for any Dynamixel program"),
     Command("sil", "hil.commands.sil", "run the loop in software, judge its timing"),
+    Command("faults", "hil.commands.faults", "inject every fault, judge what happens"),
     Command("report", "hil.commands.report", "write the HTML report of a whole run"),
 )
 

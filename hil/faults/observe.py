@@ -50,6 +50,8 @@ class Observation:
     ----------
     ended, reason : str
         How the run ended.
+    injected : bool
+        Whether the fault befell the run at all.
     detected_ticks : int or None
         In which tick from the fault on the record showed it, 1 for the same one.
     state : str
@@ -82,6 +84,7 @@ class Observation:
 
     ended: str
     reason: str
+    injected: bool = True
     detected_ticks: int | None = None
     state: str = State.STARTING.name
     told: str = "nothing, the torque stayed off"
@@ -141,6 +144,7 @@ def observe(
     if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
         facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
     return Observation(
+        injected=began_ns is not None or stepped_in_tick is not None,
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
         misses=outcome.misses, told=_told(outcome, testimony),
         unheard_ns=testimony.unheard_ns, watched=testimony.watched, live=testimony.live,

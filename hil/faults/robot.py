@@ -41,13 +41,10 @@ class Rig:
         What the robot runs.
     unit : Path
         Twin behind the servos.
-    out : Path
-        Directory for what a case leaves behind.
     """
 
     bundle: ModelBundle
     unit: Path
-    out: Path
 
     @property
     def dof(self) -> int:

@@ -34,6 +34,8 @@ class Must:
         Words that the reason must hold; "|" parts alternatives.
     replugs : int
         Times that the robot must go on after its port was gone.
+    unlogged : bool
+        Whether the log must lack ticks, and nothing but the log.
     """
 
     ended: str
@@ -41,6 +43,7 @@ class Must:
     lost: int | None = None
     reason: str = ""
     replugs: int = 0
+    unlogged: bool = False
 
     def __str__(self) -> str:
         parts = [self.ended]
@@ -48,6 +51,8 @@ class Must:
             parts.append(f"seen within {self.within} ticks")
         if self.lost is not None:
             parts.append(f"at most {self.lost} ticks lost" if self.lost else "no tick lost")
+        if self.unlogged:
+            parts.append("only the log suffers")
         if self.replugs:
             parts.append("goes on from the measured position")
         if self.reason:
@@ -141,6 +146,7 @@ def _process(fault: str, how: str, must: Must, **setup: float) -> Row:
     return Row(fault, how, must, (), ("process",), tuple(setup.items()), models)
 
 
+_UNLOGGED: Final = Must("finished", lost=0, unlogged=True)
 _BACK: Final = Must("finished", within=1, reason="the motion is over", replugs=1)
 
 WIRE: Final = (
@@ -260,9 +266,9 @@ PROCESS: Final = (
     _process("host stall of 20 ms", "process stopped", Must("finished", lost=3), freeze_s=20e-3),
     _process("host stall of 100 ms", "process stopped", _tripped("slots missed in a row", 2),
              freeze_s=0.1),
-    _process("recorder dead", "killed", HARMLESS, recorder=9),
-    _process("recorder blocked", "stopped for good", HARMLESS, recorder=19),
-    _process("full disk", "no byte more from now on", HARMLESS, disk=1),
+    _process("recorder dead", "killed", _UNLOGGED, recorder=9),
+    _process("recorder blocked", "stopped for good", _UNLOGGED, recorder=19),
+    _process("full disk", "no byte more from now on", _UNLOGGED, disk=1),
     _process("bundle swapped on disk", "every file", HARMLESS, swap=1),
     _process("unplug", "for good", _tripped("PORT_GONE", 1), unplug_s=9.0),
     _process("unplug and replug", "same name, configured to go on", _BACK,

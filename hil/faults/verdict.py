@@ -22,8 +22,6 @@ RESOLUTION_RAD: Final = 2e-3
 """Goals are rounded to pulses (1.5 mrad with an X servo)."""
 HELD_RAD: Final = 0.2
 """Without a watchdog a servo may still go to its last goal: the following error's limit."""
-UNWATCHED_S: Final = 0.5
-"""From when on a live servo without a watchdog counts as left alone."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +120,10 @@ def _unsafe(seen: Observation, period_s: float) -> list[str]:
 def _astray(row: Row, seen: Observation) -> list[str]:
     """Where the course differs from the row."""
     must, complaints = row.must, []
+    if row.injections and not seen.injected:
+        complaints.append("the fault never befell it")
+    if must.unlogged and not seen.unlogged_ticks:
+        complaints.append("the log is whole: nothing was tried")
     if seen.ended not in must.ended.split(" or "):
         complaints.append(f"{seen.ended} ({seen.reason}), not {must.ended}")
     elif must.reason and not any(words in seen.reason for words in must.reason.split("|")):

@@ -8,6 +8,7 @@
     evaluate*.json                            python -m models evaluate … --json
     check_twin_1dof.json                      python -m fmu check … --json
     sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
+    faults/faults.json                        make faults
     commands.log                              make demo
 """
 
@@ -93,6 +94,8 @@ class Inputs:
         Runs in real time first.
     commands : list of str
         What made all this.
+    faults : dict or None
+        A campaign of faults (see `hil.faults.verdict.report`).
     """
 
     studies: dict[int, Json]
@@ -103,6 +106,7 @@ class Inputs:
     checks: dict[str, Json]
     loops: list[Loop]
     commands: list[str]
+    faults: Json | None = None
 
     @property
     def every_study(self) -> dict[str, Json]:
@@ -140,6 +144,9 @@ def read_inputs(directory: Path) -> Inputs:
             key=lambda loop: not loop.in_real_time,
         ),
         commands=_commands(directory / "commands.log"),
+        faults=_read_json(faults)
+        if (faults := directory / "faults" / "faults.json").is_file()
+        else None,
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from hil.report import tables
+from hil.report import fault_tables, tables
 from hil.report.error_figures import error_figures
 from hil.report.estimator_figures import estimates, predictors_by_payload
 from hil.report.inputs import Inputs, Json
@@ -41,21 +41,32 @@ class Section:
 
 def render(inputs: Inputs) -> str:
     """The whole page as HTML."""
+    return _rendered(
+        "page.html",
+        glance=tables.at_a_glance(inputs),
+        findings=_findings(inputs.every_study),
+        sections=[_study(inputs), _estimators(inputs), _plant(inputs), _units(inputs),
+                  *_loops(inputs), _faults(inputs)],
+        commands=inputs.commands,
+        versions=_versions(inputs.manifests),
+    )  # fmt: skip
+
+
+def render_faults(document: Json) -> str:
+    """The page of a campaign of faults as HTML."""
+    return _rendered("faults.html", section=_campaign(document))
+
+
+def _rendered(template: str, **values: Any) -> str:
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    page = environment.get_template("page.html")
-    return page.render(
+    return environment.get_template(template).render(
         style=(HERE / "style.css").read_text(encoding="utf-8"),
         made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC"),
-        glance=tables.at_a_glance(inputs),
-        findings=_findings(inputs.every_study),
-        sections=[_study(inputs), _estimators(inputs), _plant(inputs), _units(inputs),
-                  *_loops(inputs)],
-        commands=inputs.commands,
-        versions=_versions(inputs.manifests),
-    )  # fmt: skip
+        **values,
+    )
 
 
 def _study(inputs: Inputs) -> Section:
@@ -146,6 +157,21 @@ def _loops(inputs: Inputs) -> list[Section]:
             section.tables.append(Table("Where the time goes", header, rows))
         sections.append(section)
     return sections
+
+
+def _faults(inputs: Inputs) -> Section:
+    if inputs.faults is None:
+        return Section("faults", "Faults", missing="make faults")
+    return _campaign(inputs.faults)
+
+
+def _campaign(document: Json) -> Section:
+    return Section(
+        "faults", "Faults",
+        paragraphs=fault_tables.summary(document),
+        tables=fault_tables.matrix(document),
+        facts=fault_tables.facts(document),
+    )  # fmt: skip
 
 
 def _findings(studies: dict[str, Json]) -> list[dict[str, Any]]:

@@ -184,7 +184,7 @@ def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
-    assert text.count("Left out") == 7
+    assert text.count("Left out") == 8
 
 
 @pytest.mark.parametrize("damage", ["{", "[1]", "\xff\xfe"])

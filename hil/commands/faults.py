@@ -1,0 +1,93 @@
+"""Inject every fault of the table by name and seed, and hold what happens against it.
+
+Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix). Exit 0 every fault was
+survived as stated, 1 one was not, 3 inconclusive: the host kept the processor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from firmware_py.bundle import ModelBundle
+from firmware_py.console import emit
+from firmware_py.errors import InputError
+
+if TYPE_CHECKING:
+    from hil.faults.verdict import Judged
+
+EXAMPLE = "python -m hil faults --bundle build/bundle_2dof --out build/faults"
+LINES = ("virtual", "socket", "process")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--bundle", type=Path, required=True, help="what the robot runs")
+    parser.add_argument("--out", type=Path, required=True, help="directory for the results")
+    parser.add_argument(
+        "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
+    )
+    parser.add_argument(
+        "--line", nargs="+", choices=LINES, default=LINES,
+        help="simulated time, real time, real processes (default: all)",
+    )  # fmt: skip
+    parser.add_argument("--only", metavar="WORDS", help="faults whose name holds these words")
+    parser.add_argument("--seed", type=int, default=1, help="the first (default: %(default)s)")
+    parser.add_argument(
+        "--seeds", type=int, default=1, metavar="N", help="on the virtual line (default: 1)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the campaign, judge, write."""
+    from hil.faults import verdict
+    from hil.faults.campaign import cases_of, facts, run_campaign
+    from hil.faults.robot import Rig
+    from hil.faults.table import ROWS
+    from hil.report import write_fault_report
+    from hil.twin import build_twin
+
+    if args.seeds < 1:
+        raise InputError("--seeds", f"is {args.seeds}", "give at least 1")
+    bundle = ModelBundle.load(args.bundle)
+    rows = [row for row in ROWS if not args.only or args.only in row.fault]
+    seeds = range(args.seed, args.seed + args.seeds)
+    cases = cases_of(bundle.manifest.dof, args.line, seeds, rows)
+    if not cases:
+        raise InputError("--only", f"'{args.only}' leaves no fault", "see docs/safety.md for names")
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            args.out, f"cannot be made a directory ({error.strerror})", "name another --out"
+        ) from None
+    with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
+        plant = bundle.directory / "plant.json"
+        unit = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
+        rig = Rig(bundle, unit)
+        judged = run_campaign(rig, cases)
+    document = verdict.report(judged, facts(rig, cases))
+    (args.out / "faults.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    (args.out / "faults.xml").write_bytes(verdict.junit_xml(judged))
+    write_fault_report(document, args.out / "report.html")
+    emit(args, document, describe(judged, document, args.out))
+    return verdict.exit_code(document)
+
+
+def describe(judged: list[Judged], document: dict[str, Any], out: Path) -> str:
+    """The result for people: what did not pass, then the sums."""
+    counts = document["counts"]
+    lines = [
+        f"{one.verdict}: {one.case.name}: {'; '.join(one.unsafe + one.astray)}"
+        for one in judged
+        if one.verdict != "pass"
+    ]
+    lines.append(
+        f"{document['verdict']}: {document['faults']} faults in {len(judged)} cases, "
+        f"{counts['pass']} passed, {counts['fail']} failed, {counts['inconclusive']} inconclusive"
+    )
+    lines.append(f"see {out}/report.html and faults.json")
+    return "\n".join(lines)

@@ -1,0 +1,72 @@
+"""The campaign: every row of the table on every line, servo and seed that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+from firmware_py.console import Progress
+from firmware_py.dynamixel import watchdog_units
+from firmware_py.registers import MODELS, WATCHDOG_UNIT_S
+from hil.faults.live import run_live
+from hil.faults.observe import Observation
+from hil.faults.process import run_process
+from hil.faults.robot import Rig
+from hil.faults.table import ROWS, Row
+from hil.faults.verdict import Case, Judged, judge
+from hil.faults.virtual import run_virtual
+from hil.host import environment
+
+RUNNERS: Final[dict[str, Callable[[Rig, Row, int, int], Observation]]] = {
+    "virtual": run_virtual,
+    "socket": run_live,
+    "process": run_process,
+}
+"""What runs a case, by its line."""
+
+
+def cases_of(
+    dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[Row] = ROWS
+) -> list[Case]:
+    """What there is to run, in the order of the table, the virtual line first.
+
+    In real time a row runs once, on its first model: the bits are the virtual line's to try.
+    """
+    cases = []
+    for line in RUNNERS:
+        if line not in lines:
+            continue
+        for row in rows:
+            if line not in row.lines or row.joints > dof:
+                continue
+            many = line == "virtual"
+            for number in row.models if many else row.models[:1]:
+                cases += [Case(row, line, number, s) for s in (seeds if many else seeds[:1])]
+    return cases
+
+
+def run_campaign(rig: Rig, cases: Sequence[Case]) -> list[Judged]:
+    """Run and judge every case."""
+    progress = Progress("faults", len(cases))
+    judged = []
+    for case in cases:
+        seen = RUNNERS[case.line](rig, case.row, case.number, case.seed)
+        judged.append(judge(case, seen, rig.bundle.manifest.period_s))
+        progress.step(case.row.fault)
+    return judged
+
+
+def facts(rig: Rig, cases: Sequence[Case]) -> dict[str, Any]:
+    """What a report says about the campaign as a whole."""
+    period_s = rig.bundle.manifest.period_s
+    rows = {case.row for case in cases}
+    return {
+        "dof": rig.dof,
+        "period_s": period_s,
+        "watchdog_s": watchdog_units(period_s) * WATCHDOG_UNIT_S,
+        "faults": len({row.fault for row in rows}),
+        "rows": len(rows),
+        "models": [MODELS[n].name for n in sorted({case.number for case in cases})],
+        "seeds": sorted({case.seed for case in cases}),
+        "environment": environment(),
+    }
