@@ -9,6 +9,7 @@ from firmware_py.console import Command, dispatch
 
 COMMANDS = (
     Command("run", "firmware_py.commands.run", "drive the servos at the fixed rate"),
+    Command("release", "firmware_py.commands.release", "switch the torque off"),
     Command("doctor", "firmware_py.commands.doctor", "say what would spoil the timing here"),
     Command("replay", "firmware_py.commands.replay", "replay a log through the bundle"),
     Command("bench", "firmware_py.commands.bench", "measure the tick's own cost"),

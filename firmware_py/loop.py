@@ -34,6 +34,7 @@ from firmware_py.estimator import DeformationEstimator
 from firmware_py.predictor import Predictor
 from firmware_py.records import TickRing
 from firmware_py.safety import SafetySupervisor, State
+from firmware_py.service import NoService, Service
 from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.telemetry import NoTelemetry, Telemetry
@@ -76,6 +77,8 @@ class ControlLoop:
         Where finished records go.
     counters : Counters, optional
         The kernel's counters, made in the thread that calls `run`.
+    service : Service, optional
+        Hears in every tick that the loop is alive.
     keep : int
         Number of records to keep for the summary.
     """
@@ -95,6 +98,7 @@ class ControlLoop:
         replug_s: float = 0.0,
         telemetry: Telemetry | None = None,
         counters: Counters | None = None,
+        service: Service | None = None,
         keep: int = 4096,
     ) -> None:
         if goals_rad.ndim != 2 or goals_rad.shape[1] != bus.dof or len(goals_rad) < 1:
@@ -112,6 +116,7 @@ class ControlLoop:
         self._replug_ns = round(replug_s * 1e9)
         self._telemetry: Telemetry = telemetry or NoTelemetry()
         self._counters: Counters = counters or NoCounters()
+        self._service: Service = service or NoService()
         self._timing = Timing()
         self._statuses: Counter[BusStatus] = Counter()
         self._out_of_range = 0
@@ -175,6 +180,7 @@ class ControlLoop:
             return False
         while clock.now_ns() < deadline_ns and not self._signal:
             clock.sleep_until(clock.now_ns() + _REPLUG_POLL_NS)
+            self._service.alive()
             if not self._bus.reopen():
                 continue
             with contextlib.suppress(InputError):  # the port may be back, the servos not yet
@@ -245,6 +251,7 @@ class ControlLoop:
         write_ns = now()
 
         self._hand_over()
+        self._service.alive()
         bus_wait_ns = bus.wait_ns - waited_ns
         run_delay_ns, steal_ns = self._counters.run_delay_ns(), self._counters.steal_ns()
         preempted_ns = run_delay_ns - self._run_delay_ns

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import getpass
+import os
 import sys
 from pathlib import Path
 from typing import Final
 
-from firmware_py.config import read_config
+from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 
@@ -20,21 +21,32 @@ RULE_PATH: Final = "etc/udev/rules.d/99-dropstitch.rules"
 _UNIT: Final = """\
 [Unit]
 Description=Control loop of the inflatable link
+# A robot does not start to move by itself: no [Install] section, no restart.
 
 [Service]
-# A robot does not start to move by itself: no [Install] section, no restart.
-Type=exec
+# Started once the servos have passed every check and the first tick has run.
+Type=notify
+NotifyAccess=main
+TimeoutStartSec=60
 Restart=no
 User={user}
 SupplementaryGroups=dialout
-ExecStart={python} -m firmware_py run --config {config}
+ExecStart={command} run --config {config}
+# The loop says from its log stage that it is alive. A process that hangs or is killed cannot
+# release the servos itself: this does it, however the loop ended.
+WatchdogSec=2
+WatchdogSignal=SIGKILL
+ExecStopPost={command} release --config {config}
+# SIGTERM brings the robot to a controlled stop; the recorder ends by itself afterwards.
+KillMode=mixed
+TimeoutStopSec=20
+
 # The loop's thread asks for SCHED_FIFO itself; a policy here would promote every thread.
 AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
 LimitRTPRIO=99
 LimitMEMLOCK=infinity
-# SIGTERM brings the robot to a controlled stop; the recorder ends by itself afterwards.
-KillMode=mixed
-TimeoutStopSec=15
+# {affinity_is}
+CPUAffinity={affinity}
 """
 
 _RULE: Final = """\
@@ -46,35 +58,81 @@ ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}=
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
-    parser.add_argument("--user", default=getpass.getuser(), help="who the service runs as")
+    parser.add_argument(
+        "--user", default=os.environ.get("SUDO_USER") or getpass.getuser(),
+        help="who the service runs as (default: who calls sudo)",
+    )  # fmt: skip
     parser.add_argument("--root", type=Path, default=Path("/"), help="where to write")
     parser.add_argument("--dry-run", action="store_true", help="show the files, write nothing")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write both files, or show them."""
-    config = args.config.resolve()
-    read_config(config)
-    unit = _UNIT.format(user=args.user, python=sys.executable, config=config)
-    files = {UNIT_PATH: unit, RULE_PATH: _RULE}
+    path = args.config.resolve()
+    files = {UNIT_PATH: unit(read_config(path), path, args.user), RULE_PATH: _RULE}
     if args.dry_run:
         text = "\n".join(f"# {args.root / name}\n{content}" for name, content in files.items())
         emit(args, {"files": files, "written": False}, text)
         return DONE
+    if args.root == Path("/") and os.geteuid() != 0:
+        raise InputError(
+            "install-service", "writes to /etc, which needs root", "run it with sudo, or --dry-run"
+        )
     for name, content in files.items():
-        path = args.root / name
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8")
-        except OSError as error:
-            raise InputError(
-                path, f"cannot be written ({error.strerror})", "run it with sudo, or --dry-run"
-            ) from None
+        _write(args.root / name, content)
     emit(
         args,
         {"files": files, "written": True},
         "written: " + ", ".join(str(args.root / name) for name in files) + "\n"
         "next: sudo systemctl daemon-reload && sudo udevadm control --reload && "
-        "sudo udevadm trigger; then sudo systemctl start dropstitch",
+        "sudo udevadm trigger --action=add --subsystem-match=usb-serial; "
+        "then sudo systemctl start dropstitch",
     )
     return DONE
+
+
+def unit(
+    config: RobotConfig, path: Path, user: str, processors: frozenset[int] | None = None
+) -> str:
+    """Text of the systemd unit.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        With `real_time.cpu` the loop has that processor for itself: the loop's thread goes there,
+        and the unit's affinity keeps everything else of the service away from it.
+    path : Path
+        The configuration's absolute path.
+    user : str
+        Who the service runs as.
+    processors : frozenset of int, optional
+        What the machine has; by default it is asked.
+    """
+    processors = processors or frozenset(range(os.cpu_count() or 1))
+    own = config.real_time.cpu
+    others = processors - {own}
+    affinity_is = (
+        f"The recorder and every other thread; the loop's own goes to processor {own} by itself."
+        if own in processors and others
+        else "All there are; real_time.cpu in the configuration keeps one for the loop alone."
+    )
+    return _UNIT.format(
+        user=user, command=f"{_quoted(sys.executable)} -m firmware_py", config=_quoted(path),
+        affinity_is=affinity_is, affinity=" ".join(map(str, sorted(others or processors))),
+    )  # fmt: skip
+
+
+def _quoted(path: Path | str) -> str:
+    """Write a path as one word of a command line of systemd (systemd.service(5))."""
+    text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if set(text) & set(" \t'\"") else text
+
+
+def _write(path: Path, content: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be written ({error.strerror})", "run it with sudo, or --dry-run"
+        ) from None

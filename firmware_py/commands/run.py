@@ -25,6 +25,7 @@ from firmware_py.motion import KINDS
 from firmware_py.recorder import recording
 from firmware_py.robot import load_bundle, log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
+from firmware_py.service import SystemdService
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.telemetry import NoTelemetry, Telemetry
 from firmware_py.timing import KernelCounters
@@ -57,11 +58,13 @@ def run(args: argparse.Namespace) -> int:
         bus = stack.enter_context(open_bus(config, clock))
         telemetry, log = stack.enter_context(_telemetry(config, args, bundle))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
+        service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = ControlLoop(
             bus, bundle.estimator, bundle.predictor,
             SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals_rad, clock,
             slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
             replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters,
+            service=service,
         )  # fmt: skip
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)

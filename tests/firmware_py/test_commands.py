@@ -4,7 +4,6 @@ import contextlib
 import json
 import shutil
 import socket
-import subprocess
 import threading
 
 import numpy as np
@@ -266,9 +265,29 @@ def test_the_service_is_shown_before_it_is_written(config, tmp_path, capsys):
     assert all(path.read_text() in shown for path in written)
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_systemd_accepts_the_unit(config, tmp_path, capsys):
-    call(capsys, "install-service", "--config", config, "--root", tmp_path / "root")
-    unit = tmp_path / "root/etc/systemd/system/dropstitch.service"
-    verdict = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
-    assert verdict.returncode == 0, verdict.stderr
+def test_a_run_tells_systemd_when_it_is_ready_and_when_it_stops(
+    servos, config, capsys, monkeypatch, tmp_path
+):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+        assert call(capsys, "run", "--config", config)[0] == 0
+        heard = [systemd.recv(100)]
+        while heard[-1] != b"STOPPING=1":
+            heard.append(systemd.recv(100))
+    assert (heard[0], set(heard[1:-1])) == (b"READY=1", {b"WATCHDOG=1"})
+
+
+def test_a_servo_that_somebody_left_driven_is_released(servos, config, capsys):
+    servos.put(1, Register.TORQUE_ENABLE, 1)
+    code, output = call(capsys, "release", "--config", config)
+    assert (code, output.out) == (0, "torque off\n")
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+def test_a_servo_that_does_not_confirm_its_release_is_told(servos, config, capsys):
+    config.write_text(config.read_text().replace("id = 1", "id = 2"))
+    code, output = call(capsys, "release", "--config", config)
+    assert (code, "switch its power off" in output.out) == (1, True)

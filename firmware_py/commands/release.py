@@ -1,0 +1,32 @@
+"""Switch the torque of every servo off, whatever became of the loop that had switched it on."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.bus import BusStatus
+from firmware_py.clock import DeadlineClock
+from firmware_py.config import read_config
+from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.robot import open_bus
+
+EXAMPLE = "dropstitch release --config robot.toml"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Release the servos; the verdict is negative where one does not confirm it."""
+    config = read_config(args.config)
+    with open_bus(config, DeadlineClock()) as bus:
+        released = bus.torque(False) is BusStatus.OK
+    emit(
+        args,
+        {"released": released},
+        "torque off" if released else "not every servo confirmed torque off: switch its power off",
+    )
+    return DONE if released else NEGATIVE
