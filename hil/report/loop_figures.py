@@ -22,7 +22,7 @@ BINS: Final = 240
 SHOWN_S: Final = 10.0
 WHOLE: Final = "#1d6a96"
 OWN: Final = "#b4532a"
-BETWEEN: Final = "#e6e9ed"
+BETWEEN: Final = "#d5dbe1"
 
 
 def loop_figures(loop: Loop) -> list[Figure]:

@@ -143,11 +143,7 @@ def _loops(inputs: Inputs) -> list[Section]:
             f"The loop: {motion} the {loop.line} line",
             figures=loop_figures(loop),
             paragraphs=tables.verdict(loop),
-            facts=[
-                (name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value))
-                for name, value in loop.timing["environment"].items()
-                if value not in ({}, [])
-            ],
+            facts=_facts(loop.timing["environment"]),
         )
         if predicted := tables.prediction(loop):
             section.tables.append(predicted)
@@ -172,6 +168,20 @@ def _campaign(document: Json) -> Section:
         tables=fault_tables.matrix(document),
         facts=fault_tables.facts(document),
     )  # fmt: skip
+
+
+def _facts(environment: Json) -> list[tuple[str, str]]:
+    """What a run's environment says, in readable units."""
+    facts = []
+    for name, value in environment.items():
+        if value in ({}, []) or (name == "load_is" and not environment["load_processes"]):
+            continue
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        for suffix, unit, factor in (("_ns", "ms", 1e-6), ("_kg", "kg", 1.0)):
+            if name.endswith(suffix):
+                name, text = name.removesuffix(suffix), f"{factor * value:g}\u00a0{unit}"
+        facts.append((name.replace("_", " "), text))
+    return facts
 
 
 def _findings(studies: dict[str, Json]) -> list[dict[str, Any]]:

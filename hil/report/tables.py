@@ -326,6 +326,6 @@ def prediction(loop: Loop) -> Table | None:
         rows,
         "Training saw the motion and nothing else. In the glide and the rest after it the link "
         "swings on while the joints hardly move: angle, current and DI, which has no sign, lie in "
-        "the training range there but do not tell which way the link swings, so neither the range "
-        "nor the interval can warn.",
+        "the training range there but do not tell which way the link swings, so the range cannot "
+        "warn and the interval is too narrow where it covers less than 95\u00a0%.",
     )
