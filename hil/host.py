@@ -1,8 +1,6 @@
-"""What the machine did beside the loop: probes pinned to its processors, and a load on request.
+"""What the machine did beside the loop: accounts of its processors, and a load on request.
 
-A probe is a process of higher priority than everything else of ours. It wakes every few
-milliseconds on the processor that it is pinned to and notes how late it was: the reference jitter
-of the machine, and, where it is milliseconds, proof that nobody of ours could have run there.
+A `Watch` is what a probe (`hil.probe`) saw of a processor, `Releases` what the emulator did.
 """
 
 from __future__ import annotations
@@ -12,18 +10,13 @@ import multiprocessing
 import os
 import platform
 import signal
-import time
-from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-
-from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
 
 Nanoseconds = NDArray[np.int64]
 
@@ -113,70 +106,6 @@ class Releases:
         """Run-queue delay of the emulator that may fall into the window."""
         first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
         return int(self.run_delay_ns[first : last + 1].sum())
-
-
-class Probe:
-    """A probe on one processor, running from `start` until `stop`.
-
-    Parameters
-    ----------
-    cpu : int
-        Processor to pin it to.
-    neighbours : sequence of int
-        Processes of ours that may run on the same processor beside the one that is watched.
-    """
-
-    def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
-        self._ours, theirs = _SPAWN.Pipe()
-        self._process = _SPAWN.Process(
-            target=_probe, args=(theirs, cpu, tuple(neighbours)), daemon=True
-        )
-        self._process.start()
-        theirs.close()
-        self._privileged: bool = self._ours.recv()
-
-    def stop(self) -> Watch:
-        """End the probe and return what it saw."""
-        self._ours.send(None)
-        wake, lateness, ours = (np.array(column, np.int64) for column in self._ours.recv())
-        return Watch(wake, lateness, ours, privileged=self._privileged)
-
-    def close(self) -> None:
-        """End the probe if it still runs."""
-        self._ours.close()
-        self._process.join()
-
-
-def _probe(pipe: Connection, cpu: int, neighbours: tuple[int, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
-    clock = DeadlineClock()
-    wake, lateness, ours = array("q"), array("q"), array("q")
-    accounts = [os.open(f"/proc/{pid}/schedstat", os.O_RDONLY) for pid in neighbours]
-
-    def spent_ns() -> int:
-        spent = time.thread_time_ns()
-        for account in accounts:
-            with contextlib.suppress(OSError):  # it may have ended
-                spent += int(os.pread(account, 64, 0).split()[0])
-        return spent
-
-    with real_time(RealTimeOptions(priority=PROBE_PRIORITY, cpu=cpu)):
-        pipe.send(os.sched_getparam(0).sched_priority == PROBE_PRIORITY)
-        before_ns = spent_ns()
-        deadline_ns = clock.now_ns()
-        while not pipe.poll():
-            deadline_ns += PROBE_PERIOD_NS
-            clock.sleep_until(deadline_ns)
-            now_ns = clock.now_ns()
-            after_ns = spent_ns()
-            wake.append(now_ns)
-            lateness.append(now_ns - deadline_ns)
-            ours.append(after_ns - before_ns)
-            before_ns = after_ns
-            if now_ns - deadline_ns > PROBE_PERIOD_NS:  # keep the phase, do not catch up
-                deadline_ns += (now_ns - deadline_ns) // PROBE_PERIOD_NS * PROBE_PERIOD_NS
-    with contextlib.suppress(BrokenPipeError):  # nobody may want to know any more
-        pipe.send((wake, lateness, ours))
 
 
 @contextlib.contextmanager

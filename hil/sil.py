@@ -42,8 +42,9 @@ from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.timing import Counters, KernelCounters, NoCounters
 from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
-from hil.host import Probe, Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
+from hil.host import Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.line import VirtualWire
+from hil.probe import Probe
 from hil.reference import cyclictest
 from hil.twin import build_twin
 
