@@ -1,8 +1,9 @@
 """Whether an effect also helps on trials that its values were not fitted to.
 
-Whole payloads are left out in turn (motions, or repetitions, where there is one payload). Both
-models are taken as linear around their fits, which costs no simulation; the variation of a trial
-that was left out is its own and is fitted to it, within its spread.
+Whole payloads are left out in turn (motions, or repetitions, where there is one payload), and the
+effects fitted without them. Both models are taken as linear around their fits, which costs no
+simulation; nuisance stays where all trials put it, for to extrapolate it to another payload is not
+the question. The variation of a trial that was left out is fitted to it, within its spread.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def folds(trials: Sequence[Trial]) -> list[list[int]]:
 
 
 def _held_out_cost(estimator: Estimator, point: Point, free: Array, fold: Sequence[int]) -> float:
-    """Cost of the trials of a fold when the common knobs are fitted without them."""
+    """Cost of the trials of a fold when the effects are fitted without them."""
     estimator.linearise(point)
     inside: tuple[list[Array], list[Array]] = ([], [])
     outside: tuple[list[Array], list[Array]] = ([], [])
@@ -53,7 +54,8 @@ def _held_out_cost(estimator: Estimator, point: Point, free: Array, fold: Sequen
             side[1].append(blocks[a])
     precision = estimator.precision
     own = np.array([k.trial in fold for k in estimator.problem.knobs])
-    train = np.flatnonzero(free & ~own)
+    effect = np.array([k.kind == "effect" for k in estimator.problem.knobs])
+    train = np.flatnonzero(free & effect)
     step = np.zeros(len(estimator.problem.knobs))
     if outside[0]:
         step[train] = _ridge(outside, train, precision, point.values)

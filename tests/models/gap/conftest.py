@@ -1,0 +1,71 @@
+"""Trials that a plant of our own makes: sensor noise and trial variation put on its simulation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_py.motion import Motion
+from firmware_py.signals import PERIOD_S
+from models.gap.learn import with_floor
+from models.plant.plant import read_plant
+from models.plant.simulate import CompiledModel, run_trial
+from models.plant.step import names
+from models.trial import Trial, TrialMeta, TrialSet
+
+NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
+REST_ROWS = 60
+SPREAD = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
+
+
+def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
+    """Trials of a plant, each with its own pressure, friction, clock and frame."""
+    rng = np.random.default_rng(seed)
+    rich = plant.with_effects("sync_offset")
+    compiled = CompiledModel(rich.step_model(1, "twin"))
+    known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
+    motion = Motion(period_s=2.6)  # shorter than the study's, for the tests' time
+    goal = motion.table_rad(rest_samples=REST_ROWS)[:, 0]
+    trials = []
+    for payload_kg in payloads:
+        for number in range(1, repeats + 1):
+            meta = TrialMeta(
+                dof=1, payload_kg=payload_kg, pressure_pa=41300.0, trial=number,
+                motion="sinusoid", source="test", period_s=motion.period_s,
+                amplitude_rad=motion.amplitude_rad, base_offset_m=0.06, link_length_m=0.95,
+                link_width_m=0.15, rest_samples=REST_ROWS,
+            )  # fmt: skip
+            trial = Trial(
+                f"payload{payload_kg:g}_{number}", meta,
+                {"time_s": PERIOD_S * np.arange(len(goal)), "goal_1_rad": goal},
+            )  # fmt: skip
+            p = compiled.model.parameter_values()
+            stiff, rough = 1 + np.array([SPREAD["pressure"], SPREAD["friction"]]) * rng.normal(size=2)
+            for k, name in enumerate(known):
+                if name.endswith("stiffness_1_nm_rad") or name == "root_limit_moment_nm":
+                    p[k] *= stiff
+                if "_friction_" in name:
+                    p[k] *= rough
+            p[known.index("sync_offset_s")] += SPREAD["sync_s"] * rng.standard_normal()
+            y = run_trial(compiled, trial, p)
+            shift = SPREAD["frame_m"] * rng.standard_normal(3)
+            columns = dict(trial.columns)
+            for k, name in enumerate(outputs):
+                noise = NOISE[name.rsplit("_", 1)[-1]] * rng.standard_normal(len(y))
+                moved = shift["xyz".index(name[4])] if name.startswith("tip_") else 0.0
+                columns[name] = y[:, k] + noise + moved
+            trials.append(replace(trial, columns=columns))
+    return TrialSet(tuple(trials))
+
+
+@pytest.fixture(scope="session")
+def plant():
+    """Nominal plant with the noise floor of its own trials."""
+    nominal = read_plant()
+    return with_floor(nominal, make_trials(nominal, 1).trials)
+
+
+@pytest.fixture(scope="session")
+def trials_of():
+    """Function (plant, seed, payloads, repeats) -> trials as that plant makes them."""
+    return make_trials

@@ -1,0 +1,120 @@
+"""What is hidden in trials of our own plant is named; nothing is where nothing is."""
+
+import json
+
+import numpy as np
+import pytest
+
+from models.gap.close import diagnose
+from models.gap.document import document, in_words
+from models.gap.knobs import candidates
+from models.gap.report import write_report
+from models.plant.plant import read_plant
+from models.plant.simulate import CompiledModel
+
+CONSIDERED = (
+    "dead_time", "current_bias", "current_scale", "viscous_friction", "creep",
+    "unmodelled_payload", "marker_frame_tilt", "current_saturation",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def hidden(plant, trials_of):
+    """Two payloads of the plant with something hidden, never from the floor's own seed."""
+
+    def hide(**strengths):
+        full = plant.with_effects(*candidates(plant))
+        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
+        return trials_of(full.with_values(values), 7, (0.0, 1.0))
+
+    return hide
+
+
+def diagnosed(plant, trials):
+    others = [e for e in candidates(plant) if e not in CONSIDERED]
+    return diagnose(plant, trials, leave_out=others)
+
+
+@pytest.fixture(scope="module")
+def nothing(plant, hidden):
+    return diagnosed(plant, hidden())
+
+
+@pytest.fixture(scope="module")
+def late(plant, hidden):
+    trials = hidden(dead_time_1_s=0.02)
+    return diagnosed(plant, trials), trials
+
+
+def test_without_a_hidden_effect_nothing_is_named(nothing):
+    assert nothing.verdict == "no gap"
+    assert nothing.naming.named == []
+    assert nothing.improved.parameters == nothing.plant.parameters
+
+
+def test_a_limit_that_is_never_met_and_a_plane_that_never_moves_are_not_excited(nothing):
+    assert "current_saturation" in nothing.naming.unexcited
+
+
+def test_a_dead_time_is_named_with_its_value_and_added(late):
+    found, _ = late
+    assert found.naming.named[0] == "dead_time"
+    assert found.verdict == "closed"
+    q = found.improved.parameters["dead_time_1_s"]
+    assert abs(q.value - 0.02) < max(4 * q.error, 5e-4)
+    assert found.improved.provenance["parent_sha256"] == found.plant.sha256()
+    assert "dead_time" in found.improved.effects
+
+
+def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden):
+    found = diagnosed(plant, hidden(viscous_friction_1_nm_s_rad=4.0))
+    assert found.naming.named == ["viscous_friction"]
+    q = found.improved.parameters["viscous_friction_1_nm_s_rad"]
+    before = plant.parameters["viscous_friction_1_nm_s_rad"].value
+    assert q.value - before == pytest.approx(4.0, rel=0.2)
+
+
+def test_nuisance_alone_is_refitted_and_never_called_missing(plant, hidden):
+    found = diagnosed(
+        plant,
+        hidden(link_mass_kg=0.06, root_stiffness_1_nm_rad=25.0, root_damping_1_nm_s_rad=0.3),
+    )
+    assert found.verdict == "no gap"
+
+
+def test_no_nested_model_costs_more(late):
+    found, _ = late
+    naming = found.naming
+    assert naming.after.cost <= naming.before.cost
+    assert all(c.gain >= 0 for turn in naming.rounds for c in turn)
+
+
+def test_gap_json_holds_what_the_contract_names(late, tmp_path):
+    found, trials = late
+    data = json.loads(json.dumps(document(found, trials)))
+    assert {"verdict", "noise_floor", "located", "named", "before", "after", "rejected"} <= set(
+        data
+    )
+    entry = data["named"][0]
+    assert entry["effect"] == "dead_time"
+    assert {"value", "unit", "error"} <= set(entry["parameters"]["dead_time_1_s"])
+    assert {"evidence", "look_alikes"} <= set(entry)
+    angle = [data[k]["held_out"]["angle_1_rad"]["floors"] for k in ("before", "after")]
+    assert angle[1] < 0.2 * angle[0]
+    assert all({"signal", "size"} <= set(row) for row in data["located"])
+    reasons = {row["effect"]: row["reason"] for row in data["rejected"]}
+    assert reasons["current_saturation"] == "not excited by these trials"
+    assert "dead_time" in in_words(data)
+    page = write_report(found, data, trials, tmp_path / "report.html").read_text()
+    assert page.count("<svg") >= 4
+    assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_the_improved_plant_is_read_and_runs(late, tmp_path):
+    found, trials = late
+    found.improved.write(tmp_path / "plant.json")
+    again = read_plant(tmp_path / "plant.json")
+    model = CompiledModel(again.step_model(1, "twin"))
+    y = model.simulate(np.zeros((5, 2)), 0.017)
+    assert np.isfinite(y).all()
+    assert trials
