@@ -19,7 +19,7 @@ endef
 # The same for a command whose verdict belongs into the report, good or bad (exit 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo test lint sil faults mutate soak bench lock clean
+.PHONY: help setup demo test lint sil faults mutate soak hitl hitl-emulated bench lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -30,6 +30,7 @@ help:
 	@echo "make soak    the same for 28 minutes under load with faults on the wire"
 	@echo "make faults  every fault injected and judged, three minutes"
 	@echo "make mutate  every comparison of the safety supervisor changed: do the tests notice?"
+	@echo "make hitl    tests on a real servo at DROPSTITCH_HITL_PORT; hitl-emulated: without one"
 	@echo "make bench   ratios against peers, measured side by side"
 	@echo "make lock    renew requirements/ from pyproject.toml"
 	@echo "make clean   remove what was built (keeps .venv)"
@@ -134,6 +135,15 @@ sil: build/twin_1dof.fmu
 soak: build/twin_2dof.fmu
 	$(call run,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 1700 \
 	  --load 1 --faults lost=0.01 corrupt=0.01 --out build/soak)
+
+# The same tests at DROPSTITCH_HITL_PORT, a real servo's port, and at an emulated one's.
+hitl: $(READY)
+	@test -n "$$DROPSTITCH_HITL_PORT" || \
+	  { echo "set DROPSTITCH_HITL_PORT to the port of a real servo (docs/robot.md)"; exit 2; }
+	$(BIN)/python -m pytest tests/hitl
+
+hitl-emulated: $(READY)
+	$(BIN)/python -m tests.hitl.emulated
 
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx

@@ -1,0 +1,143 @@
+"""The rig: real servos at a port that the environment names, asked gently, left as they were found.
+
+    DROPSTITCH_HITL_PORT     serial device; without it every test here is skipped
+    DROPSTITCH_HITL_BAUD     default 1000000
+    DROPSTITCH_HITL_IDS      one per joint, like "1" (default) or "1,2"
+    DROPSTITCH_HITL_MODEL    default H54-200-S500-R
+
+The arm moves by ±3° about its zero at 0.2 rad/s at most, and goals beyond ±5° are refused, so bring
+it there first and keep clear of it. `make hitl-emulated` runs the same against emulated servos.
+"""
+
+import math
+import os
+from collections import Counter
+
+import dynamixel_sdk as sdk
+import numpy as np
+import pytest
+
+from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
+from firmware_py.estimator import NoEstimator
+from firmware_py.loop import ControlLoop
+from firmware_py.predictor import Prediction
+from firmware_py.registers import Register, model_named
+from firmware_py.robot import open_bus
+from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.signals import PERIOD_S
+
+REACH_RAD = math.radians(5.0)
+AMPLITUDE_RAD = math.radians(3.0)
+RATE_RAD_S = 0.2
+
+
+class UprightPredictor:
+    """A tip that stays where it is: the servos are under test, not the link."""
+
+    def predict(self, angle_rad, current_a, di):
+        return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
+
+
+class Witness:
+    """Looks at the servos through the SDK as it comes, past everything of ours."""
+
+    def __init__(self, config):
+        self.config = config
+        self.table = model_named(config.servos[0].model).table
+
+    def registers(self, register, value=None):
+        """Read a register of every servo, or write it."""
+        port, packets = sdk.PortHandler(self.config.bus.port), sdk.PacketHandler(2.0)
+        assert port.openPort() and port.setBaudRate(self.config.bus.baud)
+        try:
+            return [self._ask(packets, port, s.id, self.table[register], value)
+                    for s in self.config.servos]  # fmt: skip
+        finally:
+            port.closePort()
+
+    def _ask(self, packets, port, id_, cell, value):
+        for _ in range(20):  # the SDK gives up after 34 ms, which on a busy machine proves nothing
+            if value is None:
+                data, result, _ = packets.readTxRx(port, id_, cell.address, cell.size)
+            else:
+                data = list(value.to_bytes(cell.size, "little"))
+                result, _ = packets.writeTxRx(port, id_, cell.address, cell.size, data)
+            if result == sdk.COMM_SUCCESS:
+                return cell.decode(bytes(data), 0)
+        raise AssertionError(f"servo {id_} does not answer")
+
+
+class Rig:
+    """What a test may do with the servos; it counts what goes wrong."""
+
+    def __init__(self, config):
+        self.config, self.clock = config, DeadlineClock()
+        self.witness = Witness(config)
+        self.faults = Counter()
+
+    def bus(self):
+        """The servos, for a with statement; torque off at its end."""
+        return open_bus(self.config, self.clock)
+
+    def read(self, bus):
+        """Measure once, with a whole period to answer in."""
+        status = bus.read(self.clock.now_ns() + round(self.config.period_s * 1e9))
+        self.faults[status.name] += 1
+        return status
+
+    def loop(self, bus, limits=None, telemetry=None):
+        """The robot's own loop over the motion."""
+        config = self.config
+        supervisor = SafetySupervisor(limits or config.limits_in_force, config.dof, config.period_s)
+        return ControlLoop(
+            bus, NoEstimator(), UprightPredictor(), supervisor, config.goals_rad(), self.clock,
+            period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
+            telemetry=telemetry,
+        )  # fmt: skip
+
+    def run(self, loop):
+        """Run it as the robot does; return its summary."""
+        with real_time(self.config.real_time):
+            summary = loop.run()
+        self.faults.update(summary.bus_faults)
+        return summary
+
+
+def configured():
+    """The configuration that the environment describes, or a skip."""
+    port = os.environ.get("DROPSTITCH_HITL_PORT")
+    if not port:
+        pytest.skip("set DROPSTITCH_HITL_PORT to the port of a real servo")
+    model = os.environ.get("DROPSTITCH_HITL_MODEL", "H54-200-S500-R")
+    ids = os.environ.get("DROPSTITCH_HITL_IDS", "1").split(",")
+    config = RobotConfig(
+        bundle="none",
+        bus=BusConfig(
+            port=port, baud=int(os.environ.get("DROPSTITCH_HITL_BAUD", "1000000")),
+            reply_timeout_s=PERIOD_S,  # servos are under test here, not this machine's timing
+        ),
+        servos=tuple(ServoConfig(id=int(id_), model=model) for id_ in ids),
+        motion=MotionConfig(amplitude_rad=AMPLITUDE_RAD, period_s=2.176, rest_s=0.2),
+        limits=Limits(
+            angle_rad=(-REACH_RAD, REACH_RAD), rate_rad_s=RATE_RAD_S, following_error_rad=0.1,
+            hold_s=0.2,
+        ),
+        real_time=RealTimeOptions(),
+    )  # fmt: skip
+    check_config(config, "the environment")
+    return config
+
+
+@pytest.fixture
+def rig():
+    """The rig; whatever a test did, it ends without an error and without torque."""
+    rig = Rig(configured())
+    assert rig.witness.registers(Register.TORQUE_ENABLE) == [0] * rig.config.dof, "released before"
+    yield rig
+    driven = rig.witness.registers(Register.TORQUE_ENABLE)
+    if any(driven):
+        rig.witness.registers(Register.TORQUE_ENABLE, 0)
+    assert driven == [0] * rig.config.dof, "torque is off"
+    assert rig.witness.registers(Register.HARDWARE_ERROR) == [0] * rig.config.dof
+    assert {name: n for name, n in rig.faults.items() if name != "OK"} == {}, "no error was counted"
