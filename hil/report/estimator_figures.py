@@ -54,8 +54,11 @@ def estimates(studies: dict[int, Json]) -> Figure:
                     f"and {judged['lagged']['r2_di']:.2f} for the lagged regressor.",
                 )
             )
+    mixed = any(len(study["training"]["phase_2_rad"]) > 1 for study in studies.values())
     return Figure(
-        "DI without motion capture", "The heaviest payload of each test.", panels,
+        "DI without motion capture",
+        "The heaviest payload of each test" + (", 2DOF at its least phase." if mixed else "."),
+        panels,
         legend=[(colour, label, dash) for label, colour, dash in SOURCES.values()],
     )  # fmt: skip
 
