@@ -11,6 +11,7 @@ together their angles are one input. --phase-deg keeps to some phases, as a stud
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -118,7 +119,7 @@ def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path)
 
 def phase_deg(trial: Trial) -> int:
     """Lead of joint 2 in whole degrees."""
-    return round(np.degrees(trial.meta.phase_2_rad))
+    return round(math.degrees(trial.meta.phase_2_rad))
 
 
 def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
