@@ -69,10 +69,10 @@ def run(args: argparse.Namespace) -> int:
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
         summary = loop.run()
-    result = summary.as_dict() | {"log": str(log) if log else None}
+    result = summary.as_dict() | {"log": str(log) if log else None, "bus_plan": bus.plan.name}
     if log is not None:
         _write_timing(log.with_suffix(".timing.json"), result)
-    emit(args, result, describe(summary, log))
+    emit(args, result, f"{describe(summary, log)}\nservos were read by {bus.plan.name}")
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return DONE
