@@ -1,6 +1,8 @@
 """The supervisor: every limit just inside, at and just outside, and no goal that jumps."""
 
 import math
+import tomllib
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 from firmware_py.bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, Motion
-from firmware_py.safety import Limits, SafetySupervisor, State, check_motion
+from firmware_py.safety import TRANSITIONS, Limits, SafetySupervisor, State, check_motion
 
 PERIOD_S = 0.017
 TIP = np.array([0.1, 0.0, 1.0])
@@ -307,3 +309,93 @@ def test_the_default_limits_admit_the_motions(kind, dof):
 def test_a_motion_beyond_the_limits_is_refused_before_it_starts():
     with pytest.raises(InputError, match=r"motion decay: the goal of joint 1 moves at .* rad/s"):
         check_motion(Motion("decay").table_rad(), Limits(), PERIOD_S, "motion decay")
+
+
+# --- slots missed over a time, and a robot that takes up a motion in its midst ---------------
+
+
+@pytest.mark.parametrize(("missed", "stops"), [(11, False), (12, False), (13, True)])
+def test_slots_missed_one_at_a_time_at_their_limit(missed, stops):
+    supervisor = started()
+    for _ in range(missed):
+        check(supervisor, missed=1)
+    assert (supervisor.state is State.STOPPING) is stops
+    assert ("too slow" in supervisor.reason) is stops
+
+
+@pytest.mark.parametrize(("punctual", "stops"), [(0, True), (1, False), (2, False)])
+def test_a_punctual_tick_makes_up_for_one_missed_slot(punctual, stops):
+    supervisor = started()
+    for _ in range(punctual + 1):  # the first finds nothing to make up for
+        check(supervisor)
+    for _ in range(12):
+        check(supervisor, missed=1)
+    assert supervisor.state is State.RUNNING
+    for _ in range(punctual):
+        check(supervisor)
+    check(supervisor, missed=1)
+    assert (supervisor.state is State.STOPPING) is stops
+
+
+@given(angles, st.integers(0, 255), st.sampled_from([0.5, 1.0, 2.0]))
+def test_a_motion_taken_up_in_its_midst_is_reached_from_rest_within_the_limits(stands, slot, rate):
+    limits = msgspec.structs.replace(LIMITS, rate_rad_s=rate, angle_rad=(-0.4, 0.4))
+    goals = 0.4 * np.sin(2 * np.pi * np.arange(2000) / 256 / 4)
+    supervisor = started(limits, at=stands)
+    supervisor.resume()
+    before, velocity = stands, 0.0
+    for wished in goals[slot : slot + 700]:
+        goal = first_goal_after(supervisor, wished)
+        assert supervisor.state is State.RUNNING, supervisor.reason
+        assert -0.4 <= goal <= 0.4
+        assert abs((goal - before) / EXACT_S - velocity) <= 0.02, "no step in the speed"
+        velocity, before = (goal - before) / EXACT_S, goal
+    ticks = math.ceil(1.875 * (0.4 + abs(stands)) / (0.25 * rate) / EXACT_S)
+    if ticks < 700:
+        assert goal == pytest.approx(wished, abs=1e-12)
+
+
+def test_a_slot_missed_while_a_motion_is_taken_up_begins_that_anew():
+    supervisor = started(at=0.2)
+    supervisor.resume()
+    for _ in range(20):
+        goal = first_goal_after(supervisor, -0.3)
+    supervisor.rebase(np.array([-0.3]))
+    assert first_goal_after(supervisor, -0.3) == pytest.approx(goal, abs=1e-4)
+    assert supervisor.state is State.RUNNING
+
+
+def test_a_robot_whose_port_is_back_starts_with_a_clean_slate():
+    supervisor = started()
+    check(supervisor, missed=2)
+    for _ in range(3):
+        check(supervisor, status=BusStatus.PORT_GONE)
+    first_goal_after(supervisor, 0.0)
+    while supervisor.state is not State.OFF:
+        supervisor.admit(np.zeros(1))
+    supervisor.restart()
+    assert (supervisor.state, supervisor.reason, supervisor.tripped) == (State.STARTING, "", False)
+    assert supervisor.stale_ticks == 0
+    supervisor.arm(np.array([0.3]))
+    supervisor.start()
+    for _ in range(12):
+        assert check(supervisor, angle=0.3, missed=1) is State.RUNNING
+
+
+def test_the_machine_makes_no_step_that_is_not_drawn():
+    steps = {(t.source, t.target) for t in TRANSITIONS}
+    assert (State.STARTING, State.RUNNING) not in steps
+    with pytest.raises(ValueError, match="STARTING does not lead to RUNNING"):
+        SafetySupervisor(LIMITS, 1, EXACT_S).start()
+    with pytest.raises(ValueError, match="RUNNING does not lead to STARTING"):
+        started().restart()
+    reached = {State.STARTING}
+    for _ in State:
+        reached |= {t.target for t in TRANSITIONS if t.source in reached}
+    assert reached == set(State)
+
+
+def test_the_default_limits_are_those_that_robot_toml_shows():
+    document = tomllib.loads((Path(__file__).parents[2] / "robot.toml").read_text())
+    assert msgspec.convert(document["limits"], Limits) == Limits()
+    assert set(document["limits"]) == set(Limits.__struct_fields__)
