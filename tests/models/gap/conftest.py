@@ -40,7 +40,9 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
                 {"time_s": PERIOD_S * np.arange(len(goal)), "goal_1_rad": goal},
             )  # fmt: skip
             p = compiled.model.parameter_values()
-            stiff, rough = 1 + np.array([SPREAD["pressure"], SPREAD["friction"]]) * rng.normal(size=2)
+            stiff, rough = 1 + np.array([SPREAD["pressure"], SPREAD["friction"]]) * rng.normal(
+                size=2
+            )
             for k, name in enumerate(known):
                 if name.endswith("stiffness_1_nm_rad") or name == "root_limit_moment_nm":
                     p[k] *= stiff
