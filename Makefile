@@ -145,6 +145,12 @@ hitl: $(READY)
 hitl-emulated: $(READY)
 	$(BIN)/python -m tests.hitl.emulated
 
+faults: build/twin_2dof.fmu
+	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out build/faults)
+
+mutate: $(READY)
+	$(BIN)/python tests/firmware_py/mutation.py
+
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
 	$(BIN)/python -m bench.loop --bundle build/bundle_2dof --fmu $<

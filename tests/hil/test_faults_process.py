@@ -1,0 +1,38 @@
+"""Faults with real processes: a loop that is killed, and a port that comes back as another one."""
+
+import pytest
+
+from firmware_py.bundle import ModelBundle
+from hil.faults.process import run_process
+from hil.faults.robot import Rig
+from hil.faults.table import PROCESS
+from hil.faults.verdict import Case, judge
+from hil.twin import build_twin
+from models.plant.plant import NOMINAL
+
+PERIOD_S = 0.017
+CASES = {
+    "killed": "SIGKILL in motion, once",
+    "replugged": "unplug and replug, another name, configured to go on",
+}
+
+
+@pytest.fixture(scope="session")
+def rig(toy_bundle, tmp_path_factory):
+    twin = build_twin(NOMINAL, 1, tmp_path_factory.mktemp("twin"))
+    return Rig(ModelBundle.load(toy_bundle), twin)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_fault_of_the_process_is_survived(rig, name):
+    row = next(row for row in PROCESS if f"{row.fault}, {row.how}" == CASES[name])
+    seen = run_process(rig, row, row.models[0], 1)
+    judged = judge(Case(row, "process", row.models[0], 1), seen, PERIOD_S)
+    # What the host does to the course of a run in real time is no fault of ours; safety is.
+    assert not judged.unsafe
+    assert not seen.live
+    if name == "killed":
+        assert (seen.ended, seen.unheard_ns) == ("killed", 60_000_000)
+        assert "watchdog stopped it" in seen.told
+    else:
+        assert judged.verdict in ("pass", "inconclusive"), judged.astray
