@@ -11,11 +11,12 @@ import numpy as np
 from dynamixel_sdk.robotis_def import COMM_SUCCESS
 from numpy.typing import NDArray
 
+from firmware_py.access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
 from firmware_py.bus import BusStatus
-from firmware_py.bus_plan import FACTORY_RETURN_DELAY_S, STATUS_OVERHEAD, Plan, plain, plans
+from firmware_py.bus_plan import FACTORY_RETURN_DELAY_S, Plan, plain, plans
 from firmware_py.clock import Clock
 from firmware_py.errors import InputError
-from firmware_py.feedback import DATA, ERROR, ERROR_NUMBER, ID, FeedbackReader
+from firmware_py.feedback import FeedbackReader
 from firmware_py.port import DeadlinePort, PacketHandler
 from firmware_py.registers import (
     MODELS,
@@ -32,10 +33,6 @@ from firmware_py.wire import Wire
 
 Array = NDArray[np.float64]
 
-SETUP_TIMEOUT_NS: Final = 50_000_000
-"""How long one reply may take outside the loop."""
-
-_SETUP_ATTEMPTS: Final = 3
 _TRIAL_READS: Final = 5
 _WATCHDOG_PERIODS: Final = 3
 
@@ -121,6 +118,7 @@ class DynamixelBus:
         self._period_s, self._return_delay_s = period_s, return_delay_s
         self._port = DeadlinePort(wire, clock, name, baud)
         self._packets = PacketHandler()
+        self._registers = RegisterAccess(self._port, self._packets, clock)
         self._ids = [servo.id for servo in servos]
         self._table = servos[0].model.table
         self._goal = self._table[Register.GOAL_POSITION]
@@ -156,25 +154,8 @@ class DynamixelBus:
         if self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
             for id_ in self._ids:
-                self.alert |= self._ask(id_, cell) or 0
+                self.alert |= self._registers.ask(id_, cell) or 0
         return BusStatus.ALERT
-
-    def _ask(self, id_: int, cell: Cell) -> int | None:
-        """Read one register; None where no good answer came before the deadline.
-
-        The SDK's own `readTxRx` takes a late answer to an earlier write for this one: its CRC
-        then passes for data. An answer of another length is therefore somebody else's.
-        """
-        result = self._packets.readTx(self._port, id_, cell.address, cell.size)
-        while result == COMM_SUCCESS:
-            packet, result = self._packets.rxPacket(self._port, False)
-            if result != COMM_SUCCESS or packet[ID] != id_:
-                continue
-            if len(packet) == STATUS_OVERHEAD + cell.size:
-                return cell.decode(packet, DATA)
-            if packet[ERROR] & ERROR_NUMBER:
-                return None
-        return None
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one synchronous write, which no servo answers.
@@ -229,7 +210,7 @@ class DynamixelBus:
             if plan.indirect and not all(self._gather(servo) for servo in self._servos):
                 continue
             self._follow(plan)
-            for _ in range(_SETUP_ATTEMPTS):
+            for _ in range(SETUP_ATTEMPTS):
                 status = self.read(self._clock.now_ns() + SETUP_TIMEOUT_NS)
                 if status <= BusStatus.ALERT:
                     return status
@@ -243,8 +224,9 @@ class DynamixelBus:
         entries = [a.to_bytes(2, "little") for a in self._table.gathered_addresses]
         cell, raw = Cell(self._table.indirect.address, 2 * len(entries)), b"".join(entries)
         wanted = cell.decode(raw)
-        return self._try_get(servo, cell) == wanted or (
-            self._try_put(servo, cell, wanted) and self._try_get(servo, cell) == wanted
+        registers, id_ = self._registers, servo.id
+        return registers.get(id_, cell) == wanted or (
+            registers.put(id_, cell, wanted) and registers.get(id_, cell) == wanted
         )
 
     def _check_replies(self, timeout_ns: int) -> None:
@@ -305,40 +287,13 @@ class DynamixelBus:
         return InputError(self._name, what, remedy)
 
     def _get(self, servo: ServoSetup, register: Register) -> int:
-        if (raw := self._try_get(servo, self._table[register])) is None:
+        if (raw := self._registers.get(servo.id, self._table[register])) is None:
             raise self._silent(servo, f"read {register.value}")
         return raw
 
-    def _try_get(self, servo: ServoSetup, cell: Cell) -> int | None:
-        for _ in range(_SETUP_ATTEMPTS):
-            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
-            try:
-                if (raw := self._ask(servo.id, cell)) is not None:
-                    return raw
-            except OSError:
-                self._port.is_using = False
-                return None
-        return None
-
     def _set(self, servo: ServoSetup, register: Register, raw: int) -> None:
-        if not self._try_set(servo, register, raw):
+        if not self._registers.put(servo.id, self._table[register], raw):
             raise self._silent(servo, f"write {register.value}")
-
-    def _try_set(self, servo: ServoSetup, register: Register, raw: int) -> bool:
-        return self._try_put(servo, self._table[register], raw)
-
-    def _try_put(self, servo: ServoSetup, cell: Cell, raw: int) -> bool:
-        data = list(cell.encode(raw))
-        for _ in range(_SETUP_ATTEMPTS):
-            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
-            try:
-                result, error = self._packets.writeTxRx(self._port, servo.id, *cell[:2], data)
-            except OSError:
-                self._port.is_using = False
-                return False
-            if result == COMM_SUCCESS and not error & ERROR_NUMBER:
-                return True
-        return False
 
     def _silent(self, servo: ServoSetup, attempt: str) -> InputError:
         return self._unfit(
@@ -355,10 +310,10 @@ class DynamixelBus:
         good = True
         self._driven = self._driven or on  # from here on a servo may be driven
         for servo in self._servos:
-            good &= self._try_set(servo, Register.TORQUE_ENABLE, int(on))
+            good &= self._registers.put(servo.id, self._table[Register.TORQUE_ENABLE], int(on))
         if Register.BUS_WATCHDOG in self._table:
             for servo in self._servos:
-                good &= self._try_set(servo, Register.BUS_WATCHDOG, watchdog)
+                good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
         if good:
             self._driven = on
         return BusStatus.OK if good else BusStatus.TIMEOUT

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.access import SETUP_TIMEOUT_NS
 from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import plans
 from firmware_py.clock import DeadlineClock, SimClock
-from firmware_py.dynamixel import SETUP_TIMEOUT_NS, DynamixelBus, ServoSetup
+from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.registers import MODELS, Register
 from firmware_py.wire import SocketWire
 from hil import packets
