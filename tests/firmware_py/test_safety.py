@@ -323,8 +323,8 @@ def test_slots_missed_one_at_a_time_at_their_limit(missed, stops):
     assert ("too slow" in supervisor.reason) is stops
 
 
-@pytest.mark.parametrize(("punctual", "stops"), [(0, True), (1, False), (2, False)])
-def test_a_punctual_tick_makes_up_for_one_missed_slot(punctual, stops):
+@pytest.mark.parametrize("punctual", [0, 1, 2])
+def test_a_punctual_tick_makes_up_for_one_missed_slot(punctual):
     supervisor = started()
     for _ in range(punctual + 1):  # the first finds nothing to make up for
         check(supervisor)
@@ -333,8 +333,11 @@ def test_a_punctual_tick_makes_up_for_one_missed_slot(punctual, stops):
     assert supervisor.state is State.RUNNING
     for _ in range(punctual):
         check(supervisor)
+    for _ in range(punctual):
+        check(supervisor, missed=1)
+    assert supervisor.state is State.RUNNING
     check(supervisor, missed=1)
-    assert (supervisor.state is State.STOPPING) is stops
+    assert supervisor.state is State.STOPPING
 
 
 @given(angles, st.integers(0, 255), st.sampled_from([0.5, 1.0, 2.0]))
@@ -399,3 +402,69 @@ def test_the_default_limits_are_those_that_robot_toml_shows():
     document = tomllib.loads((Path(__file__).parents[2] / "robot.toml").read_text())
     assert msgspec.convert(document["limits"], Limits) == Limits()
     assert set(document["limits"]) == set(Limits.__struct_fields__)
+
+
+@pytest.mark.parametrize(("at", "wished"), [(0.3, -0.4), (-0.3, 0.4)])
+def test_a_motion_far_away_is_taken_up_slowly(at, wished):
+    supervisor = started(at=at)
+    supervisor.resume()
+    before, ticks = at, 0
+    while before != wished:
+        goal = first_goal_after(supervisor, wished)
+        assert abs(goal - before) / EXACT_S <= 0.25 * (1 + 1e-9)
+        before, ticks = goal, ticks + 1
+        assert ticks < 1000
+
+
+def test_once_a_motion_is_taken_up_a_missed_slot_keeps_its_speed():
+    supervisor = started(at=0.1)
+    supervisor.resume()
+    for _ in range(1000):
+        goal = first_goal_after(supervisor, 0.1)
+    step = 0.5 * EXACT_S
+    first_goal_after(supervisor, goal + step)
+    supervisor.rebase(np.array([goal + 2 * step]))
+    assert first_goal_after(supervisor, goal + 3 * step) == pytest.approx(goal + 2 * step, abs=1e-5)
+
+
+@pytest.mark.parametrize("tick", [1, 2, 32, 63, 64])
+def test_an_offset_fades_along_a_quintic_from_the_first_tick_to_the_last(tick):
+    supervisor = started(at=0.01, wished=0.0)  # blend_s is 64 ticks
+    for _ in range(tick):
+        goal = first_goal_after(supervisor, 0.0)
+    x = tick / 64
+    share = 1 - (6 * x**5 - 15 * x**4 + 10 * x**3)
+    assert goal == pytest.approx(0.01 * share, abs=1e-15)
+
+
+def test_without_a_time_to_blend_a_small_offset_is_gone_at_once():
+    supervisor = started(msgspec.structs.replace(LIMITS, blend_s=0.0), at=1e-4, wished=0.0)
+    assert first_goal_after(supervisor, 0.0) == 0.0
+
+
+def test_without_a_time_to_hold_the_torque_goes_off_at_rest():
+    supervisor = started(msgspec.structs.replace(LIMITS, hold_s=0.0))
+    supervisor.request_stop("enough")
+    first_goal_after(supervisor, 0.0)
+    assert supervisor.state is State.OFF
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_restarted_robot_is_at_rest(sign):
+    supervisor = started()
+    first_goal_after(supervisor, *(0.5 * EXACT_S * k for k in range(1, 4)))
+    supervisor.request_stop("enough")
+    while supervisor.state is not State.OFF:
+        supervisor.admit(np.zeros(1))
+    supervisor.restart()
+    supervisor.arm(np.zeros(1))
+    supervisor.start()
+    supervisor.rebase(np.zeros(1))
+    first_goal_after(supervisor, sign * EXACT_S)  # at the limits of rate and acceleration
+    assert supervisor.state is State.RUNNING
+
+
+def test_a_fresh_supervisor_has_nothing_to_complain_about():
+    fresh = SafetySupervisor(LIMITS, 1, EXACT_S)
+    assert (fresh.state, fresh.reason, fresh.tripped) == (State.STARTING, "", False)
+    assert fresh.stale_ticks == 0
