@@ -393,3 +393,93 @@ def test_an_impatient_second_signal_does_not_leave_the_torque_on():
     bus.torque = interrupted
     loop.run()
     assert not bus.driven
+
+
+# --- clocks that leap, a loop that is too slow, a port that comes back ---------------------------
+
+
+class LeapingClock(SimClock):
+    """Leaps once when a time is reached."""
+
+    at_ns, by_ns = 0, 0
+
+    def now_ns(self):
+        if self.by_ns and self._now_ns >= self.at_ns:
+            self._now_ns, self.by_ns = self._now_ns + self.by_ns, 0
+        return super().now_ns()
+
+
+@pytest.mark.parametrize(
+    ("by_s", "reason"), [(3600, "slots missed in a row"), (-3600, "the clock was set back")]
+)
+def test_a_clock_that_leaps_stops_the_robot_in_its_own_time(by_s, reason):
+    clock = LeapingClock()
+    bus, steps_s = Bus(clock), []
+
+    class Listening(NoEstimator):
+        def update(self, angle_rad, current_a, step_s):
+            steps_s.append(step_s)
+            return Estimate(0.0, 0.0)
+
+    clock.at_ns, clock.by_ns = 2_000_000_000, by_s * 1_000_000_000
+    loop = ControlLoop(
+        bus, Listening(), StillPredictor(), SafetySupervisor(Limits(), 1), GOALS, clock
+    )
+    summary = loop.run()
+    assert (summary.ended, reason in summary.reason) == (Ended.TRIPPED, True)
+    assert not bus.driven
+    assert max(steps_s) < 2.0, "no estimator has to make up for an hour"
+    assert abs(clock.now_ns() * 1e-9 - by_s) < 5.0, "nor does the loop wait for one"
+
+
+def test_a_loop_that_is_always_too_slow_stops():
+    loop, bus, *_ = make(slots=1000)
+    bus.script = dict.fromkeys(range(50, 1000), PERIOD_NS + 1)
+    summary = loop.run()
+    assert summary.ended is Ended.TRIPPED
+    assert "too slow" in summary.reason
+
+
+class PluggedBus(Bus):
+    """Its port is away for some attempts to open it."""
+
+    away, connects = 0, 0
+
+    def reopen(self):
+        self.away -= 1
+        return self.away < 0
+
+    def connect(self):
+        super().connect()
+        self.connects += 1
+        self.angle_rad[:] = self._goal  # it measures
+        self.script = {} if self.connects > 1 else self.script
+
+
+def test_a_port_that_comes_back_lets_the_robot_go_on_from_where_it_stands():
+    loop, bus, _, supervisor, _ = make(slots=600, bus=PluggedBus, replug_s=2.0)
+    bus.away, bus.script = 5, dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
+    summary = loop.run()
+    assert (summary.ended, summary.replugs, supervisor.state) == (Ended.FINISHED, 1, State.OFF)
+    assert bus.calls == ["connect", "torque on", "connect", "torque on", "torque off"]
+    goals = np.array([goal[0] for _, goal in bus.sent])
+    assert np.abs(np.diff(goals)).max() < 0.02
+    assert summary.records["missed"].max() == 0, "slots without a port are not missed"
+    assert np.all(np.diff(summary.records["tick"]) >= 1)
+
+
+@pytest.mark.parametrize(("away", "replug_s"), [(0, 0.0), (50, 2.0)])
+def test_a_port_that_stays_away_or_is_not_waited_for_leaves_the_robot_stopped(away, replug_s):
+    loop, bus, *_ = make(bus=PluggedBus, replug_s=replug_s)
+    bus.away, bus.script = away, dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
+    summary = loop.run()
+    assert (summary.ended, summary.replugs) == (Ended.TRIPPED, 0)
+    assert "PORT_GONE" in summary.reason
+    assert bus.calls == ["connect", "torque on", "torque off"]
+
+
+def test_a_servo_that_does_not_confirm_torque_off_is_reported():
+    loop, bus, *_ = make(slots=5)
+    torque = bus.torque
+    bus.torque = lambda on: torque(on) if on else BusStatus.TIMEOUT
+    assert not loop.run().released
