@@ -48,9 +48,11 @@ class Must:
     def __str__(self) -> str:
         parts = [self.ended]
         if self.within is not None:
-            parts.append(f"seen within {self.within} ticks")
+            ticks = "tick" if self.within == 1 else "ticks"
+            parts.append(f"seen within {self.within} {ticks}")
         if self.lost is not None:
-            parts.append(f"at most {self.lost} ticks lost" if self.lost else "no tick lost")
+            ticks = "tick" if self.lost == 1 else "ticks"
+            parts.append(f"at most {self.lost} {ticks} lost" if self.lost else "no tick lost")
         if self.unlogged:
             parts.append("only the log suffers")
         if self.replugs:

@@ -10,8 +10,8 @@ from hil.report.inputs import Json
 from hil.report.tables import NO_VALUE, Cell, Table
 
 _HEADER: Final = [
-    "fault", "line", "must", "seen after, ticks", "supervisor", "servos were told",
-    "recovered after, ticks", "ticks lost", "longest unheard, ms", "cases",
+    "fault", "must", "seen after, ticks", "supervisor", "servos were told",
+    "recovered after, ticks", "ticks lost", "log lacks, ticks", "longest unheard, ms", "cases",
 ]  # fmt: skip
 _LINES: Final = {
     "virtual": "Simulated time: the same seed gives the same run",
@@ -29,8 +29,8 @@ def summary(document: Json) -> list[str]:
     sentences = [
         f"Verdict: {document['verdict']}. {document['faults']} faults were tried in "
         f"{len(cases)} cases (once, in bursts and together): {counts['pass']} went as they must, "
-        f"{counts['fail']} did not, {counts['inconclusive']} are inconclusive because the host "
-        "took the processor away.",
+        f"{counts['fail']} did not, {counts['inconclusive']} prove nothing because the host took "
+        "the processor away.",
         "In every case four things must hold: no servo is driven without hearing anything for "
         f"longer than its watchdog's {limit_ms:.0f}\u00a0ms, no goal jumps, no old data passes "
         "for fresh, no servo drives on in the end. The first and the last are told by the "
@@ -87,13 +87,13 @@ def _row(cases: list[Json]) -> list[Cell]:
     complaints = _each(words for case in cases for words in case["complaints"])
     return [
         Cell(f"{first['fault']}, {first['how']}"),
-        Cell(first["line"]),
         Cell(first["must"]),
         Cell(_worst(case["detected_ticks"] for case in cases)),
         Cell(_each(case["state"].lower() for case in cases)),
         Cell(_each(case["told"] for case in cases)),
         Cell(_worst(case["recovered_ticks"] for case in cases)),
         Cell(_worst(case["lost_ticks"] for case in cases)),
+        Cell(_worst(case["unlogged_ticks"] for case in cases)),
         Cell(f"{max(case['unheard_ns'] for case in cases) / 1e6:.0f}"),
         Cell(
             f"{passed} of {len(cases)} {complaints}".strip(),
