@@ -144,3 +144,15 @@ def test_a_motion_beyond_the_limits_is_refused(tmp_path):
     config = config_of(MINIMAL + "[motion]\namplitude_rad = 0.7\n", tmp_path)
     with pytest.raises(InputError, match="motion sinusoid: the goal of joint 1"):
         config.goals_rad()
+
+
+@pytest.mark.parametrize(
+    ("model", "limited"), [("H54-200-S500-R", True), ("H54-200-S500-R(A)", False)]
+)
+def test_servos_without_a_watchdog_are_driven_more_slowly(tmp_path, model, limited):
+    path = tmp_path / "robot.toml"
+    path.write_text(MINIMAL.replace("H54-200-S500-R", model))
+    config = read_config(path)
+    rate_rad_s = 1.0 if limited else config.limits.rate_rad_s
+    assert config.limits_in_force.rate_rad_s == rate_rad_s
+    assert {setup.max_rate_rad_s for setup in config.setups()} == {rate_rad_s}

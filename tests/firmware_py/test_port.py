@@ -260,3 +260,28 @@ def test_a_line_that_takes_nothing_more_is_no_lost_port(line):
 def test_a_port_that_is_not_there_is_refused_with_a_remedy(name):
     with pytest.raises(InputError, match="no-such"):
         open_wire(name, 1_000_000, DeadlineClock())
+
+
+def test_a_name_with_wildcards_is_the_first_that_opens(tmp_path):
+    clock = DeadlineClock()
+    (tmp_path / "tty-a").write_text("no device, and in front in the alphabet")
+    master, slave = os.openpty()
+    try:
+        (tmp_path / "tty-b").symlink_to(os.ttyname(slave))
+        open_wire(str(tmp_path / "tty-*"), 1_000_000, clock).close()
+        with pytest.raises(InputError, match="tty-a"):
+            open_wire(str(tmp_path / "tty-[a]"), 1_000_000, clock)
+        with pytest.raises(InputError, match="plug in"):
+            open_wire(str(tmp_path / "none-*"), 1_000_000, clock)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_clock_that_is_set_back_ends_the_wait_for_a_reply():
+    clock = SimClock(7_200_000_000_000)
+    port = DeadlinePort(None, clock)
+    port.deadline_ns = clock.now_ns() + 8_000_000
+    assert not port.isPacketTimeout()
+    clock._now_ns -= 3_600_000_000_000
+    assert port.isPacketTimeout()
