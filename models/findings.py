@@ -118,7 +118,7 @@ def _best_degree(
     paper = PAPER_BEST_DEGREE[document["dof"]]
     best = min(by_degree, key=lambda d: by_degree[d])
     validated = document["cross_validation"]["with_di"]
-    chosen = min(validated, key=lambda d: validated[d]["median_m"])
+    chosen = min(validated, key=lambda d: validated[d]["selection_m"])
     return _finding(
         f"{document['dof']}DOF predicts best at degree {paper}", best == str(paper),
         f"on {name} degree {best} is best with {MM * by_degree[best]:.2f} mm (degree {paper}: "

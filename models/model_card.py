@@ -75,17 +75,18 @@ def _figures(manifest: Manifest, document: Mapping[str, Any]) -> str:
             rows.append((name, variant.replace("_", " "), *values))
     validated = document["cross_validation"]["estimated_di"]
     rows.append(("cross-validation", "estimated di",
-                 *(f"{MM * validated[d]['median_m']:.2f}" for d in degrees)))  # fmt: skip
+                 *(f"{MM * validated[d]['selection_m']:.2f}" for d in degrees)))  # fmt: skip
     baselines = "; ".join(
         f"on {name} the observer's own tip {MM * part['observer_tip']['pooled']:.2f} mm, a link "
         f"that does not bend {MM * part['rigid_kinematics']['pooled']:.1f} mm"
         for name, part in document["baselines"].items()
     )
+    several = "leave_one_payload_out_m" in validated[degrees[0]]
+    folds = "each payload left out" if several else "five blocks of each run, with 1 s gaps"
     return f"""## How well it does
 
 Mean Euclidean distance in mm over all payloads, by degree. Degree {manifest.degree} was chosen \
-by cross-validation on the training trials (median over five blocks of each run, with \
-1 s gaps, and each payload left out), never on a test.
+by cross-validation on the training trials ({folds}), never on a test.
 
 {_table(("test", "predictor", *degrees), rows)}
 

@@ -8,9 +8,9 @@ inputs into the training box, like the predictor on the robot.
 `study.json` (distances in m, DI and shares dimensionless, TEST is trial_2, unseen_20deg, …, PART is
 pooled, a payload in kg or phase_90deg, VARIANT is with_di, without_di or estimated_di)::
 
-    chosen_degree                             of the least median_m of estimated_di below
+    chosen_degree                             of the least selection_m of estimated_di below
     cross_validation[VARIANT][degree]         blocks_m, leave_one_payload_out_m, …_fold_std_m;
-                                              median_m over blocks and payloads left out
+                                              selection_m: payloads left out if there are several
     mean_di[payload], mean_di_other_dof[payload]
     training, tests[TEST]                     trials, hash, payloads, amplitudes, phases
     mean_euclidean_distance_m[TEST][PART][VARIANT][degree]      and std_euclidean_distance_m
@@ -223,17 +223,17 @@ def _folds(fit: Samples) -> dict[str, list[Fold]]:
 def _cross_validation(
     fit: Samples, folds: dict[str, list[Fold]], progress: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Held-out distances by degree: mean and standard deviation by kind of fold, median over all.
+    """Held-out distances by degree: mean and standard deviation over the folds of each kind.
 
-    The median decides, not the mean: the block that holds the only start of a motion, like the
-    lightest or heaviest payload, is extrapolated to, and its error at a high degree, larger than
-    all others together, would choose the degree alone.
+    Payloads left out decide where there are several: a robot will carry others than the trained
+    ones. Blocks of time stand beside: where one of them holds the only start of a motion, that
+    block alone would decide.
     """
     result: dict[str, Any] = {}
     for variant, source in VARIANTS.items():
         features = fit.features(source)
         for degree in DEGREES:
-            entry, every = {}, []
+            entry = {}
             for kind, parts in folds.items():
                 distances = [
                     euclidean_distance_m(
@@ -244,12 +244,11 @@ def _cross_validation(
                 of_folds = [float(d.mean()) for d in distances]
                 entry[f"{kind}_m"] = float(np.mean(np.concatenate(distances)))
                 entry[f"{kind}_fold_std_m"] = float(np.std(of_folds))
-                every += of_folds
-            entry["median_m"] = float(np.median(every))
+            entry["selection_m"] = entry.get("leave_one_payload_out_m", entry["blocks_m"])
             result.setdefault(variant, {})[str(degree)] = entry
             progress(f"cross-validation {variant} degree {degree}")
     return result
 
 
 def _best_degree(by_degree: dict[str, dict[str, float]]) -> int:
-    return int(min(by_degree, key=lambda degree: by_degree[degree]["median_m"]))
+    return int(min(by_degree, key=lambda degree: by_degree[degree]["selection_m"]))

@@ -39,8 +39,8 @@ itself to 6 to 10 %."""
 PAYLOAD_REACH_KG: Final = 1.0
 """Difference in payload over which the model's error changes."""
 
-LEAST: Final = 1e-12
-"""Share of a signal's largest variance below which no noise is believed."""
+LEAST: Final = 1e-9
+"""Least share of a signal's largest variance that counts as noise: keeps the matrices regular."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class Floor:
                 np.interp(hz, self.frequency_hz, table[signal])
                 for table in (self.noise, self.model)
             )
-            noise = np.maximum(noise, LEAST * max(float(np.max(noise)), 1e-12))
+            largest = float(max(np.max(noise), np.max(model)))
+            noise = np.maximum(noise, LEAST * max(largest, 1e-12))
             shared = left * model + own_noise * noise
             if signal in self.formulation:
                 shared += np.interp(hz, self.frequency_hz, self.formulation[signal])

@@ -91,7 +91,7 @@ def test_trial_2_chooses_nothing(toy_trials, toy_observer, toy_study):
 
 def test_the_chosen_degree_has_the_least_cross_validation_error(toy_study):
     by_degree = toy_study.document["cross_validation"]["estimated_di"]
-    errors = {degree: entry["median_m"] for degree, entry in by_degree.items()}
+    errors = {degree: entry["selection_m"] for degree, entry in by_degree.items()}
     assert errors[str(toy_study.document["chosen_degree"])] == min(errors.values())
     assert all(entry["leave_one_payload_out_m"] > 0 for entry in by_degree.values())
 
