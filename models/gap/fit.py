@@ -2,7 +2,8 @@
 
 The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor, m is the
 error that the plant is known to keep, the second part holds nuisance and trial variation to their
-priors. Gauss–Newton steps stay in the bounds and are taken only where the cost falls.
+priors. Gauss–Newton steps stay in the bounds and are taken only where the cost falls. Exact
+derivatives cost twenty simulations, so between them they are carried on by secants (Broyden 1965).
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class Point:
     normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
     gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
     slopes: list[Array] = field(repr=False, default_factory=list)
+    exact: bool = False
 
 
 class Estimator:
@@ -71,23 +73,42 @@ class Estimator:
 
     def linearise(self, point: Point) -> Point:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
-        if point.slopes:
-            return point
-        rows, slopes = self.problem.jacobian(point.values)
-        white = [
-            np.einsum("skij,jskp->iskp", w, s).reshape(-1, s.shape[-1])
-            for w, s in zip(self.whiteners, slopes, strict=True)
-        ]
-        residual = [w.ravel() for w in self.whitened(rows)]
-        normal = sum(s.T @ s for s in white) + np.diag(self.precision)
-        gradient = sum(s.T @ r for s, r in zip(white, residual, strict=True))
-        point.normal, point.slopes = np.asarray(normal), white
-        point.gradient = np.asarray(gradient - self.precision * point.values)
+        if not point.exact:
+            _, slopes = self.problem.jacobian(point.values)
+            white = [
+                np.einsum("skij,jskp->iskp", w, s).reshape(-1, s.shape[-1])
+                for w, s in zip(self.whiteners, slopes, strict=True)
+            ]
+            self._set_slopes(point, white)
+            point.exact = True
         return point
+
+    def _set_slopes(self, point: Point, slopes: list[Array]) -> None:
+        residual = [w.ravel() for w in self.whitened(point.rows)]
+        normal = sum(s.T @ s for s in slopes) + np.diag(self.precision)
+        gradient = sum(s.T @ r for s, r in zip(slopes, residual, strict=True))
+        point.slopes, point.normal = slopes, np.asarray(normal)
+        point.gradient = np.asarray(gradient - self.precision * point.values)
+
+    def carry(self, start: Point, end: Point) -> Point:
+        """Derivatives at the end of a step: those at its start, put right along the step."""
+        if end.exact or end is start:
+            return end
+        moved = end.values - start.values
+        weighted = np.diag(start.normal) * moved
+        along = weighted / max(float(weighted @ moved), 1e-300)
+        slopes = []
+        before, after = self.whitened(start.rows), self.whitened(end.rows)
+        for slope, b, a in zip(start.slopes, before, after, strict=True):
+            missing = (b - a).ravel() - slope @ moved
+            slopes.append(slope + np.outer(missing, along))
+        self._set_slopes(end, slopes)
+        return end
 
     def step(self, point: Point, free: Array) -> tuple[Array, float]:
         """Bounded step of the free knobs (zero elsewhere), and the fall of the cost it promises."""
-        self.linearise(point)
+        if not point.slopes:
+            self.linearise(point)
         index = np.flatnonzero(free)
         normal = point.normal[np.ix_(index, index)]
         gradient = point.gradient[index]
@@ -109,20 +130,21 @@ class Estimator:
     def fit(self, start: Point, free: Array, steps: int = 12, relative: float = 0.0) -> Point:
         """Lower the cost over the free knobs; never returns a higher one.
 
-        Ends where a step promises less than `CONVERGED`, or than a share `relative` of the fall
-        so far.
+        Where secants promise less than `CONVERGED`, or than a share `relative` of the fall so far,
+        or lead nowhere, the derivatives are taken anew; where exact ones do, the fit ends.
         """
         point = start
         for _ in range(steps):
             step, promised = self.step(point, free)
-            if promised < max(CONVERGED / 2, relative * (start.cost - point.cost)):
+            better = None
+            if promised >= max(CONVERGED / 2, relative * (start.cost - point.cost)):
+                better = self.search(point, step)
+            if better is not None:
+                point = better
+            elif point.exact:
                 break
-            better = self.search(point, step)
-            if better is None:
-                break
-            fall, point = point.cost - better.cost, better
-            if fall < CONVERGED / 2:
-                break
+            else:
+                self.linearise(point)
         return point
 
     def search(self, point: Point, step: Array) -> Point | None:
@@ -131,7 +153,7 @@ class Estimator:
             values = np.clip(point.values + share * step, self.low, self.high)
             tried = self.at(values)
             if tried.cost < point.cost:
-                return tried
+                return self.carry(point, tried)
         return None
 
     def covariance(self, point: Point, free: Array) -> Array:

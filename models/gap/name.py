@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -28,13 +28,10 @@ SEPARATION: Final = 5.0
 """Least d′ of an effect that is named: the largest of 26 on data without a gap stays below it in
 97 % of cases (bench/gap)."""
 
-NEXT: Final = 0.15
-"""Least d′ of a further effect, as a share of that of those already named: the plant misses 6 to
-10 % of the link's own bend, so less than this may be an error in the equation of the first."""
-
 ALIKE: Final = 3.0
 """Separation below which two effects cannot be told apart (FACTS §8)."""
 
+ROUNDS: Final = 2
 REFITTED: Final = 5
 MOST: Final = 3
 """Effects that one diagnosis may include."""
@@ -56,6 +53,7 @@ class Candidate:
     effects: tuple[str, ...]
     point: Point
     gain: float
+    promised: float = 0.0
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
 
@@ -121,9 +119,11 @@ class Namer:
 
     def search(self) -> Naming:
         """Run the whole search."""
-        zero = self.estimator.at(np.zeros(len(self.knobs)))
-        self.estimator.linearise(zero)
-        before = self.estimator.fit(zero, self.base)
+        before = zero = self.estimator.at(np.zeros(len(self.knobs)))
+        for _ in range(ROUNDS):  # the floor allows for a share of the gap, which depends on it
+            self._widen(before)
+            before = self.estimator.fit(self.estimator.at(before.values), self.base, 20)
+        zero = self.estimator.linearise(self.estimator.at(zero.values))
         self.estimator.linearise(before)
         self.report("nuisance fitted")
         found = Naming(before, before)
@@ -133,7 +133,7 @@ class Namer:
             screen = self._screen(here, [zero] if not found.named else [], found)
             if not found.named:
                 found.screened = {e: t.separation for (e,), t in screen.items()}
-            best = sorted(screen.values(), key=self._score, reverse=True)[:REFITTED]
+            best = sorted(screen.values(), key=self._hope, reverse=True)[:REFITTED]
             refitted = [self._refit(t, here, found.named) for t in best]
             refitted.sort(key=self._score, reverse=True)
             found.rounds.append(refitted)
@@ -144,9 +144,13 @@ class Namer:
                 break
             found.named += list(choice.effects)
             found.chosen.append(choice)
-            self._widen(found, choice.point)
+            found.after = choice.point
             self._delete(found)
         return found
+
+    def _hope(self, trial: Candidate) -> float:
+        """Score that a screened candidate may reach, halfway to what its derivatives promise."""
+        return self._score(trial) + max(trial.promised - trial.gain, 0.0)
 
     def _score(self, trial: Candidate) -> float:
         """Twice the gain, less what its parameters cost."""
@@ -167,15 +171,16 @@ class Namer:
         result: dict[tuple[str, ...], Candidate] = {}
         for effect in (e for e in self.of if e not in found.named):
             free = self.free([*found.named, effect])
-            tried = [here]
+            tried, most = [here], 0.0
             for start in [here, *others]:
                 step, promised = self.estimator.step(start, free)
+                most = max(most, here.cost - start.cost + promised)
                 if start.cost - promised < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
             if effect in found.unexcited and effect not in self.absent:
                 tried += self._ladder(here, effect)
             point = min(tried, key=lambda p: p.cost)
-            result[effect,] = Candidate((effect,), point, here.cost - point.cost)
+            result[effect,] = Candidate((effect,), point, here.cost - point.cost, most)
         self.report(f"{len(result)} effects screened")
         return result
 
@@ -185,7 +190,7 @@ class Namer:
         for share in LADDER:
             values = here.values.copy()
             values[knob] = share * self.knobs[knob].high
-            result.append(self.estimator.at(values))
+            result.append(self.estimator.carry(here, self.estimator.at(values)))
         return result
 
     def _refit(self, trial: Candidate, here: Point, named: Sequence[str]) -> Candidate:
@@ -196,9 +201,9 @@ class Namer:
         own = self.free(trial.effects) & ~self.base
         mirrored[own] = np.clip(-mirrored[own], self.estimator.low[own], self.estimator.high[own])
         if np.any(mirrored != trial.point.values):
-            starts.append(self.estimator.at(mirrored))
-        first = [self.estimator.fit(start, free, 1) for start in starts if start.cost < np.inf]
-        point = self.estimator.fit(min([here, *first], key=lambda p: p.cost), free, 5, 1e-3)
+            starts.append(self.estimator.carry(here, self.estimator.at(mirrored)))
+        first = [self.estimator.fit(start, free, 2) for start in starts if start.cost < np.inf]
+        point = self.estimator.fit(min([here, *first], key=lambda p: p.cost), free, 8, 1e-3)
         assert point.cost <= here.cost, "the cost of a nested model rose"
         self.report(" + ".join(trial.effects))
         return Candidate(trial.effects, point, here.cost - point.cost)
@@ -207,8 +212,7 @@ class Namer:
         self, refitted: Sequence[Candidate], here: Point, found: Naming
     ) -> Candidate | None:
         """Best candidate that passes threshold and cross-validation."""
-        total = sum(2 * c.gain for c in found.chosen)
-        least = max(SEPARATION**2 * self.dispersion(here), NEXT**2 * total)
+        least = SEPARATION**2 * self.dispersion(here)
         for trial in refitted:
             if self._score(trial) < max(least, self._score(refitted[0]) / 2):
                 break
@@ -251,18 +255,13 @@ class Namer:
         refitted.sort(key=self._score, reverse=True)
         return self._accept(refitted, here, found)
 
-    def _widen(self, found: Naming, point: Point) -> None:
-        """Allow for errors of what was named, a share of all it does, and fit it again so."""
-        estimator = self.estimator
-        groups, trials = estimator.problem.groups, estimator.problem.trials
-        values = point.values.copy()
-        values[~self.base] = 0.0
-        absent = estimator.problem.residuals(values)
-        floor = estimator.floor.widened(groups, trials, absent, point.rows)
-        carried = [k for k, knob in enumerate(self.knobs) if knob.name == "unmodelled_payload_kg"]
-        floor = replace(floor, extra_kg=float(sum(point.values[carried])))
-        self.estimator = Estimator(estimator.problem, floor)
-        found.after = self.estimator.fit(self.estimator.at(point.values), self.free(found.named), 3)
+    def _widen(self, point: Point) -> None:
+        """Allow for an error of a share of the gap that a fit of the nuisance leaves."""
+        problem = self.estimator.problem
+        gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
+        self.estimator = Estimator(
+            problem, self.first.floor.widened(problem.groups, problem.trials, gap)
+        )
 
     def _delete(self, found: Naming) -> None:
         """Drop what is no longer needed beside what came later."""

@@ -29,7 +29,7 @@ from models.gap.problem import Group
 from models.gap.spectrum import Array, frequencies_hz, smooth
 from models.trial import Trial
 
-CARRIED: Final = 0.3
+CARRIED: Final = 0.8
 """Share of the model's error that its mean curve does not take away [assumed; see bench/gap]."""
 
 FORMULATION: Final = 0.1
@@ -61,8 +61,6 @@ class Floor:
         Whether the plant file carried it.
     formulation : dict of str to ndarray, shape (F,)
         What the equations of the effects named so far may miss; shared like the model's error.
-    extra_kg : float
-        Payload found beyond the declared one: the mean error is that of the true payload.
     """
 
     frequency_hz: Array
@@ -72,26 +70,24 @@ class Floor:
     repeats: float = 1.0
     learned: bool = True
     formulation: Mapping[str, Array] = field(default_factory=dict)
-    extra_kg: float = 0.0
 
     def widened(
-        self,
-        groups: Sequence[Group],
-        trials: Sequence[Trial],
-        before: Sequence[Array],
-        after: Sequence[Array],
+        self, groups: Sequence[Group], trials: Sequence[Trial], gap: Sequence[Array]
     ) -> Floor:
-        """Floor that also allows for an error of what was named: a share of what it explained.
+        """Floor that also allows for an error in the equation of what closes the gap: a share of it.
+
+        Without it the few coefficients with the least noise would decide which effect fits best,
+        and every name would need others to mend what its equation misses.
 
         Parameters
         ----------
-        before, after : list of ndarray, shape (trials, signals, K)
-            Residual spectra without and with what was named, all else equal.
+        gap : list of ndarray, shape (trials, signals, K)
+            Residual spectra of the plant whose nuisance was fitted, less the mean error.
         """
         table: dict[str, list[Array]] = {}
-        for group, first, last in zip(groups, before, after, strict=True):
+        for group, rows in zip(groups, gap, strict=True):
             hz = group_hz(group, trials)
-            power = FORMULATION**2 * np.mean((first - last) ** 2, axis=0)
+            power = FORMULATION**2 * np.mean(rows**2, axis=0)
             for signal, row in zip(group.signals, power, strict=True):
                 table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth(row)))
         return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
@@ -126,7 +122,7 @@ class Floor:
             return result
         payloads = np.array(sorted(known))
         for a, k in enumerate(group.trials):
-            payload = trials[k].meta.payload_kg + self.extra_kg
+            payload = trials[k].meta.payload_kg
             for b, signal in enumerate(group.signals):
                 table = np.array([known[p][signal] for p in payloads])
                 result[a, b] = _between(payload, payloads, table)

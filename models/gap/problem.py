@@ -19,8 +19,9 @@ from models.plant.step import names
 from models.trial import Trial
 
 WORKERS: Final = 2
-SUBSTEP_S: Final = 1e-3
-"""Longest internal step: what a dead time of zero allows (`models.plant.effects.command`)."""
+SUBSTEP_S: Final = 2.9e-3
+"""Longest internal step: what a dead time of zero allows (`models.plant.effects.command`). Six a
+period are within 5 µm and 0.5 mA of a step of 0.25 ms; 46 µm with ten times the usual friction."""
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,10 @@ FASTEST_SLIP_PER_S: Final = 300.0
 """Largest bend rate, in yield bends a second, that hysteresis follows."""
 
 
+BRANCHES: Final = (1 / 16, 1.0, 24.0)
+"""Relaxation times of creep, as shares of the middle one."""
+
+
 class Prebend(Effect):
     """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0)."""
 
@@ -174,9 +178,11 @@ class Hysteresis(Effect):
 
 
 class Creep(Effect):
-    """Relaxing share of every hinge's stiffness: a Maxwell branch (standard linear solid).
+    """Relaxing share of every hinge's stiffness: Maxwell branches (standard linear solids).
 
-    τ = g K (φ − ε),   ε̇ = (φ − ε) / T   (FACTS §6)
+    τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T   (FACTS §6)
+
+    Polymers relax over decades of time; one branch fits one period of motion and no other.
     """
 
     name = "creep"
@@ -186,19 +192,20 @@ class Creep(Effect):
                   description="relaxing share of the stiffness", source="FACTS §6: 6 to 10 %"),
     )  # fmt: skip
     shared = (
-        Parameter(name="creep_time_s", unit="s", value=3.0, low=0.05, high=60.0, role="effect",
-                  description="relaxation time", source="FACTS §6: branches of 0.3, 5 and 120 s"),
+        Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",
+                  description="relaxation time of the middle branch",
+                  source="FACTS §6: branches of 0.3, 5 and 120 s"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         """Add the relaxing torque."""
         for (hinge, j), bend in scope.bend.items():
-            name = f"creep_{hinge}_{j}_rad"
-            crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
-            scope.states[name].rate = (bend - crept) / scope.p("creep_time_s")
-            scope.bend_torque[hinge, j] -= (
-                scope.p("creep_share_{j}", j) * scope.stiffness[hinge, j] * (bend - crept)
-            )
+            share = scope.p("creep_share_{j}", j) / len(BRANCHES)
+            for b, ratio in enumerate(BRANCHES, 1):
+                name = f"creep_{hinge}_{j}_{b}_rad"
+                crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
+                scope.states[name].rate = (bend - crept) / (ratio * scope.p("creep_time_s"))
+                scope.bend_torque[hinge, j] -= share * scope.stiffness[hinge, j] * (bend - crept)
 
 
 class CrossAxisCoupling(Effect):

@@ -11,8 +11,8 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Scope
 from models.plant.step import Variable
 
-SHORTEST_S: Final = 2e-3
-"""Shortest delay whose states the internal step of 1 ms integrates stably (|pole| ≤ 4.1 / D)."""
+SHORTEST_S: Final = 5e-3
+"""Shortest delay whose states an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
 
 
 class DeadTime(Effect):
