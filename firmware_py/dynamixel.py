@@ -19,16 +19,14 @@ from firmware_py.errors import InputError
 from firmware_py.feedback import FeedbackReader
 from firmware_py.port import DeadlinePort, PacketHandler
 from firmware_py.registers import (
-    MODELS,
     POSITION_MODE,
     RETURN_DELAY_UNIT_S,
     WATCHDOG_UNIT_S,
     Cell,
-    Model,
     Register,
     describe_hardware_error,
-    round_half_away,
 )
+from firmware_py.servo_models import MODELS, Model, round_half_away
 from firmware_py.wire import Wire
 
 Array = NDArray[np.float64]

@@ -20,7 +20,8 @@ from dynamixel_sdk.robotis_def import (
 from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import STATUS_OVERHEAD, Plan
 from firmware_py.port import DeadlinePort, PacketHandler
-from firmware_py.registers import Model, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import Model
 
 ID, ERROR, DATA = 4, 8, 9
 """Where they stand in a status packet."""

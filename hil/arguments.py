@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from hil.faults import KINDS
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from firmware_py.clock import RealTimeOptions, real_time
 from firmware_py.errors import InputError
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from firmware_py.timing import KernelCounters
 from hil.chain import Chain
 from hil.faults import FaultPlan

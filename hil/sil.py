@@ -34,9 +34,9 @@ from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
 from firmware_py.loop import ControlLoop
 from firmware_py.recorder import recording
-from firmware_py.registers import Model
 from firmware_py.robot import log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
+from firmware_py.servo_models import Model
 from firmware_py.summary import RunSummary
 from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.timing import Counters, KernelCounters, NoCounters

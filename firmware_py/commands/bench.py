@@ -22,8 +22,8 @@ from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
 from firmware_py.predictor import Prediction, Predictor
-from firmware_py.registers import model_named
 from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.servo_models import model_named
 from firmware_py.signals import PERIOD_S, STAGES
 from firmware_py.timing import KernelCounters
 

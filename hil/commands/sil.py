@@ -18,7 +18,7 @@ from firmware_py.bundle import ModelBundle
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.registers import model_named
+from firmware_py.servo_models import model_named
 from firmware_py.summary import Ended
 from hil import budget, outcome, sil, verify
 from hil.arguments import add_line_arguments

@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_py.clock import SimClock
 from firmware_py.errors import InputError
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from firmware_py.wire import Wire
 from hil.faults.host import FaultyWire, Host, SteppedClock
 from hil.faults.observe import Observation, observe

@@ -8,7 +8,8 @@ from firmware_py.clock import SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
-from firmware_py.registers import MODELS, Register, model_named
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS, model_named
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
 BUDGET_NS = 8_000_000

@@ -12,7 +12,8 @@ import pytest
 from firmware_py.__main__ import main
 from firmware_py.loopback import LoopbackWire
 from firmware_py.recording import read_recording
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 
 CONFIG = """
 bundle = "{bundle}"

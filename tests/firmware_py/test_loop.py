@@ -18,8 +18,9 @@ from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
 from firmware_py.predictor import Prediction
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
 from firmware_py.safety import Limits, SafetySupervisor, State
+from firmware_py.servo_models import MODELS
 from firmware_py.signals import STAGES, tick_dtype
 from firmware_py.summary import Ended
 from firmware_py.timing import Cause

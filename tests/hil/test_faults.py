@@ -14,7 +14,8 @@ from firmware_py import feedback
 from firmware_py.bundle import Manifest, ModelBundle
 from firmware_py.estimator import NoEstimator
 from firmware_py.predictor import Prediction
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 from hil import packets
 from hil.faults import drawing, verdict, virtual
 from hil.faults.campaign import cases_of

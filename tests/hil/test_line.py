@@ -16,7 +16,8 @@ from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import plans
 from firmware_py.clock import DeadlineClock, SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 from firmware_py.wire import SocketWire
 from hil import packets
 from hil.faults import FaultPlan, parse_rates
