@@ -20,15 +20,17 @@ class BusStatus(IntEnum):
     """Result of one exchange with the servos; from TIMEOUT on, the data is not fresh."""
 
     OK = 0
-    ALERT = 1
+    RETRIED = 1
+    """Fresh data, but only after the servos were asked a second time."""
+    ALERT = 2
     """Fresh data, and at least one servo reports a hardware error."""
-    TIMEOUT = 2
+    TIMEOUT = 3
     """A reply did not come before the deadline."""
-    CORRUPT = 3
+    CORRUPT = 4
     """A reply came damaged."""
-    REFUSED = 4
+    REFUSED = 5
     """A servo answered that it could not follow the instruction."""
-    PORT_GONE = 5
+    PORT_GONE = 6
     """The device has disappeared."""
 
     @property

@@ -49,6 +49,9 @@ STATUS_OVERHEAD: Final = 11
 FACTORY_RETURN_DELAY_S: Final = 500e-6
 RESERVE_NS: Final = 2_000_000
 """Part of a slot that the wait for the servos leaves to the rest of the tick."""
+RETRY_MARGIN_NS: Final = 2_000_000
+"""What a second read is left beyond the time that one usually takes: a tick of the adapter's
+latency timer, 1 ms, and as much again for the host."""
 SERVO_BAUD_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 """Rates that the servos offer, from the PRO's factory setting on."""
 

@@ -134,15 +134,15 @@ class DynamixelBus:
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one synchronous read; all are fresh or none is."""
-        self._port.deadline_ns = deadline_ns
+        """Measure all servos with one synchronous read, or two; all are fresh or none is."""
+        feedback = self._feedback
         try:
-            taken = self._feedback.take()
-            if taken.status != BusStatus.OK:
-                return taken.status
-            self.angle_rad[:] = self._feedback.angle_rad
-            self.current_a[:] = self._feedback.current_a
-            return self._alerted() if taken.alert else BusStatus.OK
+            status = feedback.take(deadline_ns)
+            if not status.fresh:
+                return status
+            self.angle_rad[:] = feedback.angle_rad
+            self.current_a[:] = feedback.current_a
+            return self._alerted() if feedback.alert else status
         except OSError:
             self._port.is_using = False
             return BusStatus.PORT_GONE
@@ -192,14 +192,13 @@ class DynamixelBus:
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
         if (status := self._choose_plan()) != BusStatus.OK:
             raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
-        if self._reply_timeout_s is not None:
-            self._check_replies(round(self._reply_timeout_s * 1e9))
+        self._check_replies()
 
     def _follow(self, plan: Plan) -> None:
         """Read by this plan from now on."""
         models = {servo.id: servo.model for servo in self._servos}
         self.plan = plan
-        self._feedback = FeedbackReader(self._port, self._packets, models, plan)
+        self._feedback = FeedbackReader(self._port, self._packets, self._clock, models, plan)
 
     def _choose_plan(self) -> BusStatus:
         """Follow the fastest plan that the servos answer; return what the last one tried gave."""
@@ -227,17 +226,19 @@ class DynamixelBus:
             registers.put(id_, cell, wanted) and registers.get(id_, cell) == wanted
         )
 
-    def _check_replies(self, timeout_ns: int) -> None:
-        """Refuse servos, or an adapter, whose answers come too late for the loop."""
+    def _check_replies(self) -> None:
+        """Measure what an exchange takes; refuse servos, or an adapter, too slow for the loop."""
         taken_ns = []
         for _ in range(_TRIAL_READS):
             start_ns = self._clock.now_ns()
             self.read(start_ns + SETUP_TIMEOUT_NS)
             taken_ns.append(self._clock.now_ns() - start_ns)
-        if (usual_ns := sorted(taken_ns)[_TRIAL_READS // 2]) > timeout_ns:
+        usual_ns = self._feedback.usual_ns = sorted(taken_ns)[_TRIAL_READS // 2]
+        timeout_s = self._reply_timeout_s
+        if timeout_s is not None and usual_ns > round(timeout_s * 1e9):
             raise self._unfit(
                 f"answers take {usual_ns / 1e6:.1f} ms, bus.reply_timeout_s allows "
-                f"{timeout_ns / 1e6:g} ms",
+                f"{timeout_s * 1e3:g} ms",
                 "set the adapter's latency timer to 1 ms ('dropstitch install-service' does), or "
                 "raise the baud rate",
             )
