@@ -12,6 +12,7 @@ import pytest
 
 from firmware_py import feedback
 from firmware_py.bundle import Manifest, ModelBundle
+from firmware_py.dynamixel import DynamixelBus
 from firmware_py.estimator import NoEstimator
 from firmware_py.predictor import Prediction
 from firmware_py.registers import Register
@@ -22,7 +23,7 @@ from hil.faults.campaign import cases_of
 from hil.faults.observe import Observation
 from hil.faults.plan import SERVO_FAULTS, WIRE_FAULTS, Injection, Script
 from hil.faults.robot import Rig
-from hil.faults.table import ROWS, Must, Row
+from hil.faults.table import RECOVERED, ROWS, Must, Row
 from hil.faults.verdict import Case, judge
 from hil.faults.witness import WatchedChain, WatchedServo
 from hil.packets import BROADCAST, Instruction, Packet
@@ -72,7 +73,7 @@ def test_every_fault_ends_as_the_table_says(rig, row):
 
 
 def test_the_same_seed_gives_the_same_run_and_another_one_another(rig):
-    row = row_named("bit flip in payload", "twice in a row")
+    row = row_named("bit flip in payload", "both reads of two ticks")
     first, second, other = (run(rig, row, seed=seed).observation for seed in (1, 1, 2))
     assert first == second
     starts = {Script(row.injections, seed).start for seed in range(20)}
@@ -90,6 +91,19 @@ def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(rig, monkeypatch):
     judged = run(rig, row)
     assert judged.verdict == "fail"
     assert any("old data for fresh" in words for words in judged.unsafe)
+
+
+@pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)
+def test_a_bus_that_does_not_read_again_is_found_out(rig, monkeypatch, row):
+    monkeypatch.setattr(DynamixelBus, "_check_replies", only_once)
+    judged = run(rig, row)
+    assert judged.verdict == "fail"
+    assert any("ticks lost, not 0" in words for words in judged.astray)
+
+
+def only_once(bus):
+    """Leave no time for a second read."""
+    bus._feedback.usual_ns = 1_000_000_000
 
 
 def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
