@@ -15,9 +15,10 @@ from firmware_py import bus_plan
 from firmware_py.clock import RealTimeOptions
 from firmware_py.dynamixel import ServoSetup
 from firmware_py.errors import InputError
+from firmware_py.limits import Limits
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
 from firmware_py.registers import RETURN_DELAY_UNIT_S, Register
-from firmware_py.safety import Limits, check_motion
+from firmware_py.safety import check_motion
 from firmware_py.servo_models import model_named
 from firmware_py.signals import PERIOD_S
 from firmware_py.wire import BAUD_RATES

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from firmware_py.motion import GLIDE_S, Motion
-from firmware_py.safety import State
 from firmware_py.signals import joint_signals, tip_names
+from firmware_py.states import State
 from hil.emulator import Truth
 from hil.sil import Options, Result
 from models.trial import Trial, TrialMeta

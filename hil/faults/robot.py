@@ -15,8 +15,9 @@ from firmware_py.clock import Clock
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
+from firmware_py.limits import Limits
 from firmware_py.loop import ControlLoop
-from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.safety import SafetySupervisor
 from firmware_py.servo_models import MODELS
 from firmware_py.summary import RunSummary
 from firmware_py.timing import Counters

@@ -17,9 +17,9 @@ from firmware_py.errors import InputError
 from firmware_py.estimator import NoEstimator
 from firmware_py.predictor import Prediction
 from firmware_py.recording import read_recording
-from firmware_py.safety import State
 from firmware_py.servo_models import MODELS
 from firmware_py.signals import tick_dtype
+from firmware_py.states import State
 from firmware_py.summary import Ended
 from fmu.build import build_unit
 from hil import outcome, sil
