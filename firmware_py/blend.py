@@ -46,10 +46,9 @@ class Blend:
 
     def __init__(self, limits: Limits, dof: int, period_s: float) -> None:
         self._limits, self._period_s = limits, period_s
-        self._from_rest = False
+        self._from_rest, self._tick, self._ticks = False, 0, 0
         self._anchor = [0.0] * dof
         self._offset = [0.0] * dof
-        self._tick, self._ticks = 0, 0
 
     def approach(self, goal: Sequence[float], start: Sequence[float]) -> int:
         """Go to a place and rest there; return how many ticks that takes.

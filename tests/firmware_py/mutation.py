@@ -54,6 +54,7 @@ EQUIVALENT = {
     "self._hold_ticks = 0": "written before it is read, by every stop",
     "self._goal = [0.0] * dof": "written before it is read, by arm",
     "self._angle = [0.0] * dof": "written before it is read, by arm",
+    "self._from_rest, self._tick, self._ticks = False, 0, 0": "there is no offset to blend",
     "self._anchor = [0.0] * dof": "written before it is read, by every way from rest",
     "self._offset = [0.0] * dof": "written before it is read, by absorb",
 }
