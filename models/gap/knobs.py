@@ -153,7 +153,7 @@ def effect_knobs(plant: Plant, name: str, dof: int) -> list[Knob]:
     for q in patterns:
         own = [scope.name(q.name, j) for j in scope.joints]
         groups += [own] if tied else [[n] for n in own]
-    groups += [[q.name] for q in effect.shared if q.role == "effect"]
+    groups += [[scope.name(q.name)] for q in effect.shared if q.role == "effect"]
     strengths = effect.strengths(scope)
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):
