@@ -372,6 +372,7 @@ def test_without_an_opener_a_port_stays_gone(pair):
 # --- the second read of a tick -------------------------------------------------------------------
 
 EXCHANGE_NS, MARGIN_NS = 1_500_000, 2_000_000
+SYNC_READ = 0x82
 
 
 class PacedWire(TamperedWire):
@@ -458,3 +459,21 @@ def test_an_alert_in_the_second_read_stops_the_robot_all_the_same():
     wire.fates, wire.tamper = ("lost",), alert
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.ALERT
     assert bus.alert == 0b100
+
+
+def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
+    _, wire, clock = paced()
+    setups = [ServoSetup(id_, MODELS[LEGACY], -0.6, 0.6) for id_ in (1, 2)]
+    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    read, syncs = wire.read, []
+
+    def lose_the_first_measurement(size, deadline_ns):
+        if size and wire.written[-1][7] == SYNC_READ and not syncs:
+            syncs.append(0)
+            wire.fates = ("lost",)
+        return read(size, deadline_ns)
+
+    wire.read = lose_the_first_measurement
+    bus.connect()
+    assert syncs
+    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK

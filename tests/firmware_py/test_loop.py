@@ -206,6 +206,17 @@ def test_stale_data_degrades_and_three_in_a_row_stop_the_robot():
     assert not bus.driven
 
 
+def test_data_of_a_second_read_is_fresh_and_counted():
+    loop, bus, *_ = make()
+    bus.script = dict.fromkeys(range(50, 60), BusStatus.RETRIED)
+    summary = loop.run()
+    rows = summary.records
+    assert summary.ended is Ended.FINISHED
+    assert np.all(rows["state"][50:60] == State.RUNNING)
+    assert np.all(rows["stale_ticks"] == 0)
+    assert summary.bus_faults == {"retried": 10}
+
+
 def test_a_controlled_stop_holds_the_last_goal_before_the_torque_goes_off():
     loop, bus, *_ = make()
     bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
