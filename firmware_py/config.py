@@ -41,7 +41,7 @@ class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     baud : int
         Bits per second.
     reply_timeout_s : float
-        Longest wait for the servos within a tick.
+        Longest wait for the servos within a tick, a second read included.
     return_delay_s : float or None
         Written to the servos; None leaves what they have.
     replug_s : float
