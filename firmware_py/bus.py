@@ -23,7 +23,8 @@ class BusStatus(IntEnum):
     RETRIED = 1
     """Fresh data, but only after the servos were asked a second time."""
     ALERT = 2
-    """Fresh data, and at least one servo reports a hardware error."""
+    """Fresh data, and at least one servo reports a hardware error, or does not drive though it
+    should."""
     TIMEOUT = 3
     """A reply did not come before the deadline."""
     CORRUPT = 4
@@ -49,7 +50,7 @@ class ServoBus(Protocol):
     angle_rad, current_a : ndarray, shape (dof,)
         The last good measurement, overwritten in place.
     alert : int
-        Hardware error bits of all servos, or-ed.
+        What the servos complain of, or-ed; see `firmware_py.registers.describe_alert`.
     wait_ns : int
         Time spent waiting for the wire since the start.
     """

@@ -25,8 +25,10 @@ sync read or fast sync read
     It is all or nothing: one silent servo spoils the packet.
 direct or indirect block
     Position and current have the velocity between them (10 bytes, 12 on a legacy PRO). Indirect
-    addresses gather them into 6. Only where they lie in EEPROM: those of the X series are lost in
-    a reboot, and from then on the block would hold zeros that look like data.
+    addresses gather them into 6, and two more, torque enable and bus watchdog, tell in every tick
+    whether the servo still drives (7 in all on a legacy PRO, which has no watchdog). Only where
+    they lie in EEPROM: those of the X series are lost in a reboot, and from then on the block
+    would hold zeros that look like data.
 goals and the next read in one burst
     Not offered. Protocol 2.0 has no instruction that writes and reads, so the burst has as many
     bytes as its two packets, and it would make every goal one period older.
@@ -35,7 +37,7 @@ The fastest plan that the servos answer is used: `DynamixelBus.connect` tries th
 
 A read that fails is repeated in the same tick (`firmware_py.feedback`): with 2 % of the answers of
 two servos lost or damaged, three ticks in a row without data come every 15,000 ticks, and stop the
-robot; with a second read every 10^9 or so. The first read waits until the second one, which usually
+robot; with a second read every 10^9. The first read waits until the second one, which usually
 takes as long as was measured at the start, would no longer fit; where two never fit, it has all of
 the time.
 """

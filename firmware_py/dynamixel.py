@@ -24,7 +24,7 @@ from firmware_py.registers import (
     WATCHDOG_UNIT_S,
     Cell,
     Register,
-    describe_hardware_error,
+    describe_alert,
 )
 from firmware_py.servo_models import MODELS, Model, round_half_away
 from firmware_py.wire import Wire
@@ -120,7 +120,7 @@ class DynamixelBus:
         self._ids = [servo.id for servo in servos]
         self._table = servos[0].model.table
         self._goal = self._table[Register.GOAL_POSITION]
-        self._driven = False
+        self._driven = self._driving = False  # may be, and is beyond doubt
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
         delay_s = FACTORY_RETURN_DELAY_S if return_delay_s is None else return_delay_s
         self._plans = plans(self._table, self.dof, baud, delay_s)
@@ -142,18 +142,22 @@ class DynamixelBus:
                 return status
             self.angle_rad[:] = feedback.angle_rad
             self.current_a[:] = feedback.current_a
-            return self._alerted() if feedback.alert else status
+            if feedback.alert or (self._driving and feedback.standing):
+                self._note_alert()
+                return BusStatus.ALERT
+            return status
         except OSError:
             self._port.is_using = False
             return BusStatus.PORT_GONE
 
-    def _alerted(self) -> BusStatus:
+    def _note_alert(self) -> None:
         """Find out once which hardware error it is, within the deadline of the read."""
-        if self.alert == 0:
+        if self._feedback.alert and self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
             for id_ in self._ids:
                 self.alert |= self._registers.ask(id_, cell) or 0
-        return BusStatus.ALERT
+        if self._driving:
+            self.alert |= self._feedback.standing
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one synchronous write, which no servo answers.
@@ -189,8 +193,9 @@ class DynamixelBus:
             If a servo is silent, is another model, reports a hardware error, is not in position
             mode, or has narrower limits than the configuration.
         """
+        self.alert, self._driving = 0, False
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
-        if (status := self._choose_plan()) != BusStatus.OK:
+        if (status := self._choose_plan()) > BusStatus.RETRIED:
             raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
         self._check_replies()
 
@@ -214,7 +219,7 @@ class DynamixelBus:
         return status
 
     def _gather(self, servo: ServoSetup) -> bool:
-        """Let the first indirect addresses of a servo stand for position and current.
+        """Let the first indirect addresses of a servo stand for what a tick reads.
 
         They lie in EEPROM, so they are written only where they hold something else.
         """
@@ -257,7 +262,7 @@ class DynamixelBus:
             self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
         if bits := self._get(servo, Register.HARDWARE_ERROR):
             raise self._unfit(
-                f"servo {servo.id} reports a hardware error ({describe_hardware_error(bits)})",
+                f"servo {servo.id} reports a hardware error ({describe_alert(bits)})",
                 "remove its cause, then switch the servo off and on",
             )
         if (mode := self._get(servo, Register.OPERATING_MODE)) != POSITION_MODE:
@@ -307,14 +312,14 @@ class DynamixelBus:
         """
         watchdog = watchdog_units(self._period_s) if on else 0
         good = True
-        self._driven = self._driven or on  # from here on a servo may be driven
+        self._driven, self._driving = self._driven or on, False
         for servo in self._servos:
             good &= self._registers.put(servo.id, self._table[Register.TORQUE_ENABLE], int(on))
         if Register.BUS_WATCHDOG in self._table:
             for servo in self._servos:
                 good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
         if good:
-            self._driven = on
+            self._driven = self._driving = on
         return BusStatus.OK if good else BusStatus.TIMEOUT
 
     def reopen(self) -> bool:

@@ -1,11 +1,15 @@
 """Angle and current of every servo by one synchronous read, plain or fast.
 
+Where the plan gathers them by indirect addresses, whether each servo still drives comes with them:
+one that has rebooted, or was stopped by its watchdog, says so in the very next tick.
+
 The zeros that the SDK's group reader returns for a missing reply never appear here: replies are
 taken one by one, which also keeps the alert bit that it drops (FACTS §1).
 """
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 import numpy as np
@@ -21,7 +25,14 @@ from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import RETRY_MARGIN_NS, STATUS_OVERHEAD, Plan
 from firmware_py.clock import Clock
 from firmware_py.port import DeadlinePort, PacketHandler
-from firmware_py.registers import Register
+from firmware_py.registers import (
+    STOPPED_BY_WATCHDOG,
+    TORQUE_LOST,
+    WATCHDOG_TRIPPED,
+    Block,
+    ControlTable,
+    Register,
+)
 from firmware_py.servo_models import Model
 
 ID, ERROR, DATA = 4, 8, 9
@@ -33,6 +44,13 @@ _DISTINCT_LENGTHS: Final = 8
 worst."""
 _FAST_HEADER, _FAST_FRAME = 8, 4
 """Bytes in front of the first servo's; of each servo's around its data: error, id, CRC."""
+_SIGNS: Final = (
+    (Register.TORQUE_ENABLE, 0, TORQUE_LOST),
+    (Register.BUS_WATCHDOG, WATCHDOG_TRIPPED, STOPPED_BY_WATCHDOG),
+)
+"""Values of registers that tell of a servo that does not drive, and what they tell."""
+_CODES: Final = {1: "b", 2: "h", 4: "i"}
+"""Of `struct`, by size; signed."""
 
 
 class FeedbackReader:
@@ -57,6 +75,9 @@ class FeedbackReader:
         Of the latest read that went well; half overwritten after one that did not.
     alert : bool
         Whether a servo reported a hardware error in the latest read.
+    standing : int
+        `TORQUE_LOST`, `STOPPED_BY_WATCHDOG`: why a servo did not drive in the latest read; 0 where
+        all drive, or the plan does not tell.
     usual_ns : int
         What one exchange takes: by the plan, until somebody has measured it.
     """
@@ -70,13 +91,19 @@ class FeedbackReader:
         plan: Plan,
     ) -> None:
         self.angle_rad, self.current_a = np.zeros(len(models)), np.zeros(len(models))
-        self.alert, self.usual_ns = False, round(plan.read_s * 1e9)
+        self.alert, self.standing, self.usual_ns = False, 0, round(plan.read_s * 1e9)
         self._port, self._packets, self._clock, self._plan = port, packets, clock, plan
         self._ids, self._models = list(models), list(models.values())
         self._joint_of = {servo_id: j for j, servo_id in enumerate(models)}
-        table = self._models[0].table
-        self._position = table[Register.PRESENT_POSITION]
-        self._current = table[Register.PRESENT_CURRENT]
+        order = sorted(plan.block.offsets, key=plan.block.offsets.__getitem__)
+        self._unpack = _layout(self._models[0].table, plan.block, order).unpack_from
+        self._position = order.index(Register.PRESENT_POSITION)
+        self._current = order.index(Register.PRESENT_CURRENT)
+        self._signs = [
+            (order.index(register), value, bit)
+            for register, value, bit in _SIGNS
+            if register in order
+        ]
         self._answered, self._all_joints = 0, (1 << len(models)) - 1  # a bit for every joint
         self._extra_bytes = self._first_extra_bytes = 0
         # Always the same bytes, so they are made once: it saves 20 µs in every tick.
@@ -115,7 +142,7 @@ class FeedbackReader:
         kept_ns = usual_ns + RETRY_MARGIN_NS
         enough = deadline_ns - now_ns() >= usual_ns + kept_ns
         port.deadline_ns = deadline_ns - kept_ns if enough else deadline_ns
-        self._answered, self.alert = 0, False
+        self._answered, self.alert, self.standing = 0, False, 0
         self._first_extra_bytes = self._extra_bytes
         status = self._attempt()
         port.deadline_ns = deadline_ns
@@ -158,7 +185,7 @@ class FeedbackReader:
             if refused:
                 outcome = max(outcome, BusStatus.REFUSED)
             else:
-                self._decode(joint, packet, DATA)
+                self._decode(joint, bytes(packet), DATA)
             self.alert = self.alert or bool(packet[ERROR] & ALERT_BIT)
         return outcome
 
@@ -178,7 +205,7 @@ class FeedbackReader:
                 return status
 
     def _split(self, packet: list[int], stride: int) -> BusStatus:
-        outcome = BusStatus.OK
+        outcome, data = BusStatus.OK, bytes(packet)
         for joint, servo_id in enumerate(self._ids):
             start = _FAST_HEADER + joint * stride
             if packet[start + 1] != servo_id:
@@ -186,14 +213,26 @@ class FeedbackReader:
             if packet[start] & ERROR_NUMBER:
                 outcome = BusStatus.REFUSED
             else:
-                self._decode(joint, packet, start + 2)
+                self._decode(joint, data, start + 2)
             self.alert = self.alert or bool(packet[start] & ALERT_BIT)
         return outcome
 
-    def _decode(self, joint: int, packet: list[int], start: int) -> None:
-        model, block = self._models[joint], self._plan.block
-        position = self._position.decode(packet, start + block.position_offset)
-        current = self._current.decode(packet, start + block.current_offset)
-        self.angle_rad[joint] = model.angle_rad(position)
-        self.current_a[joint] = model.current_a(current)
+    def _decode(self, joint: int, packet: bytes, start: int) -> None:
+        model, raw = self._models[joint], self._unpack(packet, start)
+        self.angle_rad[joint] = model.angle_rad(raw[self._position])
+        self.current_a[joint] = model.current_a(raw[self._current])
+        for index, value, bit in self._signs:
+            if raw[index] == value:
+                self.standing |= bit
         self._answered |= 1 << joint
+
+
+def _layout(table: ControlTable, block: Block, order: list[Register]) -> struct.Struct:
+    """How to unpack the registers that are looked at, in order, from the bytes of a block."""
+    parts, end = "<", 0
+    for register in order:
+        cell, offset = table[register], block.offsets[register]
+        code = _CODES[cell.size]
+        parts += f"{offset - end}x" + (code if cell.signed else code.upper())
+        end = offset + cell.size
+    return struct.Struct(parts)

@@ -79,12 +79,19 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True)
 class Block:
-    """One contiguous span of registers that a single read fetches."""
+    """One contiguous span of registers that a single read fetches.
+
+    Attributes
+    ----------
+    address, size : int
+        Where it begins, how many bytes it has.
+    offsets : mapping of Register to int
+        What of it is looked at, and where in it that stands.
+    """
 
     address: int
     size: int
-    position_offset: int
-    current_offset: int
+    offsets: Mapping[Register, int]
 
 
 class Indirect(NamedTuple):
@@ -144,22 +151,37 @@ class ControlTable:
     @property
     def feedback(self) -> Block:
         """The span that holds present position and present current."""
-        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
-        start = min(position.address, current.address)
-        end = max(position.address + position.size, current.address + current.size)
-        return Block(start, end - start, position.address - start, current.address - start)
+        cells = {register: self[register] for register in _MEASURED}
+        start = min(cell.address for cell in cells.values())
+        end = max(cell.address + cell.size for cell in cells.values())
+        offsets = {register: cell.address - start for register, cell in cells.items()}
+        return Block(start, end - start, offsets)
 
     @property
     def gathered(self) -> Block:
-        """The same two registers side by side, behind the first indirect addresses."""
-        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
-        return Block(self.indirect.data, position.size + current.size, 0, position.size)
+        """The same two, and what tells a servo that drives from one that does not.
+
+        Side by side, behind the first indirect addresses.
+        """
+        offsets, size = {}, 0
+        for register in self._gathered:
+            offsets[register] = size
+            size += self[register].size
+        return Block(self.indirect.data, size, offsets)
 
     @property
     def gathered_addresses(self) -> tuple[int, ...]:
         """What the indirect addresses have to hold for `gathered`, byte by byte."""
-        cells = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
+        cells = [self[register] for register in self._gathered]
         return tuple(cell.address + k for cell in cells for k in range(cell.size))
+
+    @property
+    def _gathered(self) -> tuple[Register, ...]:
+        return tuple(r for r in (*_MEASURED, *_WATCHED) if r in self)
+
+
+_MEASURED: Final = (Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
+_WATCHED: Final = (Register.TORQUE_ENABLE, Register.BUS_WATCHDOG)
 
 
 def _table(
@@ -277,14 +299,21 @@ POSITION_MODE: Final = 3
 WATCHDOG_UNIT_S: Final = 0.020
 RETURN_DELAY_UNIT_S: Final = 2e-6
 
+WATCHDOG_TRIPPED: Final = -1
+"""What the bus watchdog register then holds."""
+
 HARDWARE_ERRORS: Final = (
     "input voltage", "motor hall sensor", "overheating", "motor encoder", "electrical shock",
     "overload",
 )  # fmt: skip
 """Meaning of the bits of the hardware error register, from bit 0 on."""
+TORQUE_LOST, STOPPED_BY_WATCHDOG = 1 << 8, 1 << 9
+"""Alerts of ours beside those bits: a servo that should drive does not."""
+_OURS: Final = {TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it"}
 
 
-def describe_hardware_error(bits: int) -> str:
-    """Name the hardware errors that are set, or "none"."""
+def describe_alert(bits: int) -> str:
+    """Name the hardware errors and other alerts that are set, or "none"."""
     names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
-    return ", ".join(names) if names else "none"
+    names += [name for bit, name in _OURS.items() if bits & bit]
+    return ", ".join(names) or "none"

@@ -18,7 +18,7 @@ from firmware_py.blend import Blend
 from firmware_py.bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.limits import Limits
-from firmware_py.registers import describe_hardware_error
+from firmware_py.registers import describe_alert
 from firmware_py.signals import PERIOD_S
 from firmware_py.states import ALLOWED, State
 
@@ -135,7 +135,7 @@ class SafetySupervisor:
         status : BusStatus
             Result of the read.
         alert : int
-            Hardware error bits.
+            What the servos complain of, see `firmware_py.registers.describe_alert`.
         angle_rad, current_a : ndarray, shape (dof,)
             Latest good measurement.
         tip_m : ndarray, shape (3,)
@@ -154,7 +154,7 @@ class SafetySupervisor:
         elif self.state is State.DEGRADED and not self.stale_ticks:
             self._enter(State.RUNNING)
         if status is BusStatus.ALERT:
-            self._stop(f"a servo reports a hardware error ({describe_hardware_error(alert)})")
+            self._stop(f"a servo raises an alert ({describe_alert(alert)})")
         elif self.stale_ticks >= self._limits.stale_ticks:
             self._stop(f"no fresh data for {self.stale_ticks} ticks ({status.name})")
         elif missed >= self._limits.stale_ticks:

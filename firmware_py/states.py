@@ -48,7 +48,7 @@ TRANSITIONS: Final = (
     Transition(State.DEGRADED, State.RUNNING, "the data is fresh again"),
     Transition(
         State.RUNNING, State.STOPPING,
-        "a limit broken, a hardware error, slots missed, the clock set back, a request",
+        "a limit broken, an alert of a servo, slots missed, the clock set back, a request",
     ),
     Transition(
         State.DEGRADED, State.STOPPING,

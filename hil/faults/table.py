@@ -104,8 +104,10 @@ LEGACY: Final = 54024
 WATCHED: Final = (54025,)
 """With a bus watchdog; the legacy PRO (54024) has none."""
 UNNOTICED_TICKS: Final = 90
-"""A servo that stands still is seen by its following error alone: late near a turning point."""
+"""A servo that refuses indirect addresses does not tell whether it drives: where it stands still it
+is seen by its following error alone, late near a turning point."""
 _STALE: Final = "no fresh data for 3 ticks"
+_STALLED: Final = "slots missed in a row|its watchdog stopped it"
 
 
 def _rides(ticks: int) -> Must:
@@ -202,10 +204,18 @@ SERVO: Final = (
         setup=(("hardware_error", 1 << 5),)),
     Row("shutdown, then started again", "after a reboot", HARMLESS,
         setup=(("hardware_error", 1 << 5), ("reboot", 1))),
-    Row("reboot in motion", "once", _tripped("away from its goal", UNNOTICED_TICKS),
-        (Injection("reboot"),)),
-    Row("watchdog trip", "once", _tripped("away from its goal", UNNOTICED_TICKS),
+    Row("reboot in motion", "once", _tripped("its torque went off", 1), (Injection("reboot"),)),
+    Row("reboot in motion", "once, of servos that refuse indirect addresses",
+        _tripped("away from its goal", UNNOTICED_TICKS), (Injection("reboot"),),
+        setup=(("direct", 1),)),
+    Row("torque lost", "once", _tripped("its torque went off", 1), (Injection("torque"),)),
+    Row("watchdog trip", "once", _tripped("its watchdog stopped it", 1),
         (Injection("watchdog"),), models=WATCHED),
+    Row("arm leans at the start", "by 20°", HARMLESS, setup=(("lean_rad", 0.349),)),
+    Row("arm leans at the start", "by −34°, just inside limits.angle_rad", HARMLESS,
+        setup=(("lean_rad", -0.595),)),
+    Row("arm leans at the start", "by 35°, outside", Must("refused", reason="move it by hand"),
+        setup=(("lean_rad", 0.611),)),
     Row("wrong model number", "all servos", Must("refused", reason="not"), setup=(("found", 1),)),
     Row("legacy and new PRO on one bus", "declared", Must("refused", reason="different control"),
         setup=(("mixed", 1),), joints=2),
@@ -227,7 +237,7 @@ HOST: Final = (
     Row("host stall of 5 ms", "once", HARMLESS, (Injection("stall", 1, 5e-3),), BOTH),
     Row("host stall of 20 ms", "once", Must("finished", within=2, lost=2),
         (Injection("stall", 1, 20e-3),), BOTH),
-    Row("host stall of 100 ms", "once", _tripped("slots missed in a row", 2),
+    Row("host stall of 100 ms", "once", _tripped(_STALLED, 2),
         (Injection("stall", 1, 100e-3),), BOTH),
     Row("garbage-collector pressure", "for good", HARMLESS, (Injection("garbage", FOREVER),),
         ("socket",), models=WATCHED),
@@ -280,8 +290,7 @@ PROCESS: Final = (
     _process("SIGKILL in motion", "once, legacy PRO", Must("killed"), signal=9, legacy=1),
     _process("host stall of 5 ms", "process stopped", Must("finished", lost=1), freeze_s=5e-3),
     _process("host stall of 20 ms", "process stopped", Must("finished", lost=3), freeze_s=20e-3),
-    _process("host stall of 100 ms", "process stopped", _tripped("slots missed in a row", 2),
-             freeze_s=0.1),
+    _process("host stall of 100 ms", "process stopped", _tripped(_STALLED, 2), freeze_s=0.1),
     _process("recorder dead", "killed", _UNLOGGED, recorder=9),
     _process("recorder blocked", "stopped for good", _UNLOGGED, recorder=19),
     _process("full disk", "no byte more from now on", _UNLOGGED, disk=1),

@@ -8,7 +8,7 @@ from firmware_py.clock import SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
-from firmware_py.registers import Register
+from firmware_py.registers import STOPPED_BY_WATCHDOG, TORQUE_LOST, Register
 from firmware_py.servo_models import MODELS, model_named
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
@@ -477,3 +477,54 @@ def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
     bus.connect()
     assert syncs
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK
+
+
+# --- servos that do not drive --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize(
+    ("register", "raw", "number", "bits"),
+    [(Register.TORQUE_ENABLE, 0, LEGACY, TORQUE_LOST),
+     (Register.TORQUE_ENABLE, 0, PRO_A, TORQUE_LOST),
+     (Register.BUS_WATCHDOG, -1, PRO_A, STOPPED_BY_WATCHDOG)],
+)  # fmt: skip
+def test_a_servo_that_does_not_drive_says_so_in_the_next_read(register, raw, number, bits, joint):
+    bus, wire, clock = make(number, number)
+    bus.connect()
+    bus.torque(True)
+    assert read(bus, clock) is BusStatus.OK
+    wire.put(joint, register, raw)
+    assert (read(bus, clock), bus.alert) == (BusStatus.ALERT, bits)
+    assert len(wire.written[-1]) == len(wire.written[-2]), "nothing was asked besides"
+
+
+def test_a_torque_that_was_never_switched_on_is_no_alert(pair):
+    bus, wire, clock = pair
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+    bus.torque(True)
+    bus.torque(False)
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+    wire.tamper = lambda data: b""
+    bus.torque(True)  # no servo confirms
+    wire.tamper = lambda data: data
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+def test_servos_that_are_connected_anew_start_without_the_old_alert():
+    bus, wire, clock = make(PRO_A)
+    bus.connect()
+    bus.torque(True)
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert read(bus, clock) is BusStatus.ALERT
+    bus.connect()
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+def test_a_servo_whose_block_lacks_its_torque_is_not_asked_for_it():
+    bus, wire, clock = make(XM)
+    bus.connect()
+    bus.torque(True)
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert (read(bus, clock), bus.plan.indirect) == (BusStatus.OK, False)

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from firmware_py.registers import (
     LEGACY_PRO,
     PRO_P,
+    STOPPED_BY_WATCHDOG,
+    TORQUE_LOST,
     X_SERIES,
     Cell,
     Register,
-    describe_hardware_error,
+    describe_alert,
 )
 
 TABLES = (LEGACY_PRO, PRO_P, X_SERIES)
@@ -69,8 +71,20 @@ def test_only_the_legacy_family_lacks_a_bus_watchdog():
 
 
 def test_hardware_errors_are_named_by_bit():
-    assert describe_hardware_error(0b100100) == "overheating, overload"
-    assert describe_hardware_error(0) == "none"
+    assert describe_alert(0b100100) == "overheating, overload"
+    assert describe_alert(0) == "none"
+    both = describe_alert(0b100000 | TORQUE_LOST | STOPPED_BY_WATCHDOG)
+    assert both == "overload, its torque went off, its watchdog stopped it"
+
+
+@pytest.mark.parametrize(
+    ("table", "size", "addresses"),
+    [(LEGACY_PRO, 7, [611, 612, 613, 614, 621, 622, 562]),
+     (PRO_P, 8, [580, 581, 582, 583, 574, 575, 512, 546])],
+)  # fmt: skip
+def test_gathered_are_position_current_and_what_tells_of_the_torque(table, size, addresses):
+    assert table.gathered.size == size == len(addresses)
+    assert list(table.gathered_addresses) == addresses
 
 
 @pytest.mark.parametrize(
