@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from dynamixel_sdk.robotis_def import COMM_SUCCESS
 from numpy.typing import NDArray
 
 from firmware_py.access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
@@ -17,6 +16,7 @@ from firmware_py.bus_plan import FACTORY_RETURN_DELAY_S, Plan, plain, plans
 from firmware_py.clock import Clock
 from firmware_py.errors import InputError
 from firmware_py.feedback import FeedbackReader
+from firmware_py.goals import GoalWriter
 from firmware_py.port import DeadlinePort, PacketHandler
 from firmware_py.registers import (
     POSITION_MODE,
@@ -117,9 +117,9 @@ class DynamixelBus:
         self._port = DeadlinePort(wire, clock, name, baud)
         self._packets = PacketHandler()
         self._registers = RegisterAccess(self._port, self._packets, clock)
-        self._ids = [servo.id for servo in servos]
+        self._models = {servo.id: servo.model for servo in servos}
         self._table = servos[0].model.table
-        self._goal = self._table[Register.GOAL_POSITION]
+        self._goals = GoalWriter(self._port, self._packets, self._models)
         self._driven = self._driving = False  # may be, and is beyond doubt
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
         delay_s = FACTORY_RETURN_DELAY_S if return_delay_s is None else return_delay_s
@@ -154,7 +154,7 @@ class DynamixelBus:
         """Find out once which hardware error it is, within the deadline of the read."""
         if self._feedback.alert and self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
-            for id_ in self._ids:
+            for id_ in self._models:
                 self.alert |= self._registers.ask(id_, cell) or 0
         if self._driving:
             self.alert |= self._feedback.standing
@@ -169,18 +169,11 @@ class DynamixelBus:
             supervisor admits only goals within limits.
         """
         self._port.deadline_ns = deadline_ns
-        parameters: list[int] = []
-        for servo, angle_rad in zip(self._servos, goal_rad.tolist(), strict=True):
-            raw = servo.model.position_raw(angle_rad)
-            parameters += (servo.id, *self._goal.encode(raw))
         try:
-            result = self._packets.syncWriteTxOnly(
-                self._port, self._goal.address, self._goal.size, parameters, len(parameters)
-            )
+            return self._goals.put(goal_rad)
         except OSError:
             self._port.is_using = False
             return BusStatus.PORT_GONE
-        return BusStatus.OK if result == COMM_SUCCESS else BusStatus.TIMEOUT
 
     # Around the loop ---------------------------------------------------------------------------
 
@@ -201,9 +194,8 @@ class DynamixelBus:
 
     def _follow(self, plan: Plan) -> None:
         """Read by this plan from now on."""
-        models = {servo.id: servo.model for servo in self._servos}
         self.plan = plan
-        self._feedback = FeedbackReader(self._port, self._packets, self._clock, models, plan)
+        self._feedback = FeedbackReader(self._port, self._packets, self._clock, self._models, plan)
 
     def _choose_plan(self) -> BusStatus:
         """Follow the fastest plan that the servos answer; return what the last one tried gave."""

@@ -185,7 +185,7 @@ class FeedbackReader:
             if refused:
                 outcome = max(outcome, BusStatus.REFUSED)
             else:
-                self._decode(joint, bytes(packet), DATA)
+                self._decode(joint, packet, DATA)
             self.alert = self.alert or bool(packet[ERROR] & ALERT_BIT)
         return outcome
 
@@ -204,8 +204,8 @@ class FeedbackReader:
             if stride == strides[0]:
                 return status
 
-    def _split(self, packet: list[int], stride: int) -> BusStatus:
-        outcome, data = BusStatus.OK, bytes(packet)
+    def _split(self, packet: bytes, stride: int) -> BusStatus:
+        outcome = BusStatus.OK
         for joint, servo_id in enumerate(self._ids):
             start = _FAST_HEADER + joint * stride
             if packet[start + 1] != servo_id:
@@ -213,7 +213,7 @@ class FeedbackReader:
             if packet[start] & ERROR_NUMBER:
                 outcome = BusStatus.REFUSED
             else:
-                self._decode(joint, data, start + 2)
+                self._decode(joint, packet, start + 2)
             self.alert = self.alert or bool(packet[start] & ALERT_BIT)
         return outcome
 

@@ -76,7 +76,7 @@ class LoopbackWire:
                 self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
             )
             packet, self._pending = self._pending[:end], self._pending[end:]
-            self._execute(self._packets.removeStuffing(list(packet)))
+            self._execute(list(self._packets.removeStuffing(packet)))
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from firmware_py.errors import InputError
@@ -58,7 +59,7 @@ class Model:
     current_a_per_lsb: float
     velocity_rad_s_per_lsb: float
 
-    @property
+    @cached_property
     def rad_per_pulse(self) -> float:
         """Resolution of the position."""
         return 2.0 * math.pi / self.pulses_per_turn
