@@ -33,7 +33,8 @@ from firmware_py.bundle import ModelBundle
 from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.console import DONE, NEGATIVE, Progress
 from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
-from firmware_py.registers import Model, Register, model_named
+from firmware_py.registers import Register
+from firmware_py.servo_models import Model, model_named
 from hil import sil
 from hil.emulator import Emulator, Specification
 from hil.host import cpu_load, kept_to, processors

@@ -20,15 +20,18 @@ class BusStatus(IntEnum):
     """Result of one exchange with the servos; from TIMEOUT on, the data is not fresh."""
 
     OK = 0
-    ALERT = 1
-    """Fresh data, and at least one servo reports a hardware error."""
-    TIMEOUT = 2
+    RETRIED = 1
+    """Fresh data, but only after the servos were asked a second time."""
+    ALERT = 2
+    """Fresh data, and at least one servo reports a hardware error, or does not drive though it
+    should."""
+    TIMEOUT = 3
     """A reply did not come before the deadline."""
-    CORRUPT = 3
+    CORRUPT = 4
     """A reply came damaged."""
-    REFUSED = 4
+    REFUSED = 5
     """A servo answered that it could not follow the instruction."""
-    PORT_GONE = 5
+    PORT_GONE = 6
     """The device has disappeared."""
 
     @property
@@ -47,7 +50,7 @@ class ServoBus(Protocol):
     angle_rad, current_a : ndarray, shape (dof,)
         The last good measurement, overwritten in place.
     alert : int
-        Hardware error bits of all servos, or-ed.
+        What the servos complain of, or-ed; see `firmware_py.registers.describe_alert`.
     wait_ns : int
         Time spent waiting for the wire since the start.
     """

@@ -25,13 +25,21 @@ sync read or fast sync read
     It is all or nothing: one silent servo spoils the packet.
 direct or indirect block
     Position and current have the velocity between them (10 bytes, 12 on a legacy PRO). Indirect
-    addresses gather them into 6. Only where they lie in EEPROM: those of the X series are lost in
-    a reboot, and from then on the block would hold zeros that look like data.
+    addresses gather them into 6, and two more, torque enable and bus watchdog, tell in every tick
+    whether the servo still drives (7 in all on a legacy PRO, which has no watchdog). Only where
+    they lie in EEPROM: those of the X series are lost in a reboot, and from then on the block
+    would hold zeros that look like data.
 goals and the next read in one burst
     Not offered. Protocol 2.0 has no instruction that writes and reads, so the burst has as many
     bytes as its two packets, and it would make every goal one period older.
 
 The fastest plan that the servos answer is used: `DynamixelBus.connect` tries them in order.
+
+A read that fails is repeated in the same tick (`firmware_py.feedback`): with 2 % of the answers of
+two servos lost or damaged, three ticks in a row without data come every 15,000 ticks, and stop the
+robot; with a second read every 10^9. The first read waits until the second one, which usually
+takes as long as was measured at the start, would no longer fit; where two never fit, it has all of
+the time.
 """
 
 from __future__ import annotations
@@ -49,6 +57,9 @@ STATUS_OVERHEAD: Final = 11
 FACTORY_RETURN_DELAY_S: Final = 500e-6
 RESERVE_NS: Final = 2_000_000
 """Part of a slot that the wait for the servos leaves to the rest of the tick."""
+RETRY_MARGIN_NS: Final = 2_000_000
+"""What a second read is left beyond the time that one usually takes: a tick of the adapter's
+latency timer, 1 ms, and as much again for the host."""
 SERVO_BAUD_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 """Rates that the servos offer, from the PRO's factory setting on."""
 
@@ -98,6 +109,11 @@ class Plan(NamedTuple):
         """From the first bit of the instruction to the last one of the answers."""
         sent = _INSTRUCTION_OVERHEAD + self.servos + self.answer_bytes
         return sent * BITS_PER_BYTE / self.baud + self.pause_s
+
+    @property
+    def read_twice_s(self) -> float:
+        """What a tick needs in order to ask again for an answer that was lost."""
+        return 2 * self.read_s + RETRY_MARGIN_NS * 1e-9
 
     @property
     def pause_s(self) -> float:

@@ -15,9 +15,11 @@ from firmware_py import bus_plan
 from firmware_py.clock import RealTimeOptions
 from firmware_py.dynamixel import ServoSetup
 from firmware_py.errors import InputError
+from firmware_py.limits import Limits
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
-from firmware_py.registers import RETURN_DELAY_UNIT_S, Register, model_named
-from firmware_py.safety import Limits, check_motion
+from firmware_py.registers import RETURN_DELAY_UNIT_S, Register
+from firmware_py.safety import check_motion
+from firmware_py.servo_models import model_named
 from firmware_py.signals import PERIOD_S
 from firmware_py.wire import BAUD_RATES
 
@@ -39,7 +41,7 @@ class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     baud : int
         Bits per second.
     reply_timeout_s : float
-        Longest wait for the servos within a tick.
+        Longest wait for the servos within a tick, a second read included.
     return_delay_s : float or None
         Written to the servos; None leaves what they have.
     replug_s : float

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from dynamixel_sdk.robotis_def import COMM_SUCCESS
 from numpy.typing import NDArray
 
 from firmware_py.access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
@@ -17,18 +16,17 @@ from firmware_py.bus_plan import FACTORY_RETURN_DELAY_S, Plan, plain, plans
 from firmware_py.clock import Clock
 from firmware_py.errors import InputError
 from firmware_py.feedback import FeedbackReader
+from firmware_py.goals import GoalWriter
 from firmware_py.port import DeadlinePort, PacketHandler
 from firmware_py.registers import (
-    MODELS,
     POSITION_MODE,
     RETURN_DELAY_UNIT_S,
     WATCHDOG_UNIT_S,
     Cell,
-    Model,
     Register,
-    describe_hardware_error,
-    round_half_away,
+    describe_alert,
 )
+from firmware_py.servo_models import MODELS, Model, round_half_away
 from firmware_py.wire import Wire
 
 Array = NDArray[np.float64]
@@ -119,10 +117,10 @@ class DynamixelBus:
         self._port = DeadlinePort(wire, clock, name, baud)
         self._packets = PacketHandler()
         self._registers = RegisterAccess(self._port, self._packets, clock)
-        self._ids = [servo.id for servo in servos]
+        self._models = {servo.id: servo.model for servo in servos}
         self._table = servos[0].model.table
-        self._goal = self._table[Register.GOAL_POSITION]
-        self._driven = False
+        self._goals = GoalWriter(self._port, self._packets, self._models)
+        self._driven = self._driving = False  # may be, and is beyond doubt
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
         delay_s = FACTORY_RETURN_DELAY_S if return_delay_s is None else return_delay_s
         self._plans = plans(self._table, self.dof, baud, delay_s)
@@ -136,26 +134,30 @@ class DynamixelBus:
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one synchronous read; all are fresh or none is."""
-        self._port.deadline_ns = deadline_ns
+        """Measure all servos with one synchronous read, or two; all are fresh or none is."""
+        feedback = self._feedback
         try:
-            taken = self._feedback.take()
-            if taken.status != BusStatus.OK:
-                return taken.status
-            self.angle_rad[:] = self._feedback.angle_rad
-            self.current_a[:] = self._feedback.current_a
-            return self._alerted() if taken.alert else BusStatus.OK
+            status = feedback.take(deadline_ns)
+            if not status.fresh:
+                return status
+            self.angle_rad[:] = feedback.angle_rad
+            self.current_a[:] = feedback.current_a
+            if feedback.alert or (self._driving and feedback.standing):
+                self._note_alert()
+                return BusStatus.ALERT
+            return status
         except OSError:
             self._port.is_using = False
             return BusStatus.PORT_GONE
 
-    def _alerted(self) -> BusStatus:
+    def _note_alert(self) -> None:
         """Find out once which hardware error it is, within the deadline of the read."""
-        if self.alert == 0:
+        if self._feedback.alert and self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
-            for id_ in self._ids:
+            for id_ in self._models:
                 self.alert |= self._registers.ask(id_, cell) or 0
-        return BusStatus.ALERT
+        if self._driving:
+            self.alert |= self._feedback.standing
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one synchronous write, which no servo answers.
@@ -167,18 +169,11 @@ class DynamixelBus:
             supervisor admits only goals within limits.
         """
         self._port.deadline_ns = deadline_ns
-        parameters: list[int] = []
-        for servo, angle_rad in zip(self._servos, goal_rad.tolist(), strict=True):
-            raw = servo.model.position_raw(angle_rad)
-            parameters += (servo.id, *self._goal.encode(raw))
         try:
-            result = self._packets.syncWriteTxOnly(
-                self._port, self._goal.address, self._goal.size, parameters, len(parameters)
-            )
+            return self._goals.put(goal_rad)
         except OSError:
             self._port.is_using = False
             return BusStatus.PORT_GONE
-        return BusStatus.OK if result == COMM_SUCCESS else BusStatus.TIMEOUT
 
     # Around the loop ---------------------------------------------------------------------------
 
@@ -191,17 +186,16 @@ class DynamixelBus:
             If a servo is silent, is another model, reports a hardware error, is not in position
             mode, or has narrower limits than the configuration.
         """
+        self.alert, self._driving = 0, False
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
-        if (status := self._choose_plan()) != BusStatus.OK:
+        if (status := self._choose_plan()) > BusStatus.RETRIED:
             raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
-        if self._reply_timeout_s is not None:
-            self._check_replies(round(self._reply_timeout_s * 1e9))
+        self._check_replies()
 
     def _follow(self, plan: Plan) -> None:
         """Read by this plan from now on."""
-        models = {servo.id: servo.model for servo in self._servos}
         self.plan = plan
-        self._feedback = FeedbackReader(self._port, self._packets, models, plan)
+        self._feedback = FeedbackReader(self._port, self._packets, self._clock, self._models, plan)
 
     def _choose_plan(self) -> BusStatus:
         """Follow the fastest plan that the servos answer; return what the last one tried gave."""
@@ -217,7 +211,7 @@ class DynamixelBus:
         return status
 
     def _gather(self, servo: ServoSetup) -> bool:
-        """Let the first indirect addresses of a servo stand for position and current.
+        """Let the first indirect addresses of a servo stand for what a tick reads.
 
         They lie in EEPROM, so they are written only where they hold something else.
         """
@@ -229,17 +223,19 @@ class DynamixelBus:
             registers.put(id_, cell, wanted) and registers.get(id_, cell) == wanted
         )
 
-    def _check_replies(self, timeout_ns: int) -> None:
-        """Refuse servos, or an adapter, whose answers come too late for the loop."""
+    def _check_replies(self) -> None:
+        """Measure what an exchange takes; refuse servos, or an adapter, too slow for the loop."""
         taken_ns = []
         for _ in range(_TRIAL_READS):
             start_ns = self._clock.now_ns()
             self.read(start_ns + SETUP_TIMEOUT_NS)
             taken_ns.append(self._clock.now_ns() - start_ns)
-        if (usual_ns := sorted(taken_ns)[_TRIAL_READS // 2]) > timeout_ns:
+        usual_ns = self._feedback.usual_ns = sorted(taken_ns)[_TRIAL_READS // 2]
+        timeout_s = self._reply_timeout_s
+        if timeout_s is not None and usual_ns > round(timeout_s * 1e9):
             raise self._unfit(
                 f"answers take {usual_ns / 1e6:.1f} ms, bus.reply_timeout_s allows "
-                f"{timeout_ns / 1e6:g} ms",
+                f"{timeout_s * 1e3:g} ms",
                 "set the adapter's latency timer to 1 ms ('dropstitch install-service' does), or "
                 "raise the baud rate",
             )
@@ -258,7 +254,7 @@ class DynamixelBus:
             self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
         if bits := self._get(servo, Register.HARDWARE_ERROR):
             raise self._unfit(
-                f"servo {servo.id} reports a hardware error ({describe_hardware_error(bits)})",
+                f"servo {servo.id} reports a hardware error ({describe_alert(bits)})",
                 "remove its cause, then switch the servo off and on",
             )
         if (mode := self._get(servo, Register.OPERATING_MODE)) != POSITION_MODE:
@@ -308,14 +304,14 @@ class DynamixelBus:
         """
         watchdog = watchdog_units(self._period_s) if on else 0
         good = True
-        self._driven = self._driven or on  # from here on a servo may be driven
+        self._driven, self._driving = self._driven or on, False
         for servo in self._servos:
             good &= self._registers.put(servo.id, self._table[Register.TORQUE_ENABLE], int(on))
         if Register.BUS_WATCHDOG in self._table:
             for servo in self._servos:
                 good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
         if good:
-            self._driven = on
+            self._driven = self._driving = on
         return BusStatus.OK if good else BusStatus.TIMEOUT
 
     def reopen(self) -> bool:

@@ -3,8 +3,9 @@
 Exactly this class runs on the robot, against an emulated servo and in simulated time; only the
 bus and the clock that it is given differ.
 
-- Slot k starts at the absolute time `start + k * period`. A tick that ends after its slot makes
-  the loop skip the slots that have begun: phase is kept, and no two ticks run in one slot.
+- Slot k starts at the absolute time `start + k * period`; the motion begins with slot 0, slots
+  below it bring the arm there from where it stands. A tick that ends after its slot makes the loop
+  skip the slots that have begun: phase is kept, and no two ticks run in one slot.
 - The tick's remaining budget bounds every wait for the bus.
 - Nothing is allocated for good in a tick, nothing touches a disk, the garbage collector stays out
   (`firmware_py.clock.real_time`).
@@ -33,9 +34,10 @@ from firmware_py.errors import InputError
 from firmware_py.estimator import DeformationEstimator
 from firmware_py.predictor import Predictor
 from firmware_py.records import TickRing
-from firmware_py.safety import SafetySupervisor, State
+from firmware_py.safety import SafetySupervisor
 from firmware_py.service import NoService, Service
 from firmware_py.signals import PERIOD_S
+from firmware_py.states import State
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.telemetry import NoTelemetry, Telemetry
 from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
@@ -198,14 +200,13 @@ class ControlLoop:
         self._run_delay_ns = self._counters.run_delay_ns()
         self._steal_ns = self._counters.steal_ns()
         if self._start_ns is None:
-            self._start_ns = clock.now_ns() + _START_DELAY_NS
-        start_ns = self._start_ns
-        slot = max(0, -((start_ns - clock.now_ns()) // period_ns))
-        self._previous_slot = slot - 1
-        if slot:
-            self._supervisor.resume()
+            approach_ns = self._supervisor.approach(self._goals[0]) * period_ns
+            self._start_ns = clock.now_ns() + approach_ns + _START_DELAY_NS
         else:
-            self._supervisor.rebase(self._goals[0])
+            self._supervisor.resume()
+        start_ns = self._start_ns
+        slot = -((start_ns - clock.now_ns()) // period_ns)
+        self._previous_slot = slot - 1
         while self._supervisor.state is not State.OFF:
             deadline_ns = start_ns + slot * period_ns
             if deadline_ns - clock.now_ns() > 2 * period_ns:
@@ -235,9 +236,9 @@ class ControlLoop:
         prediction = self._predictor.predict(bus.angle_rad, bus.current_a, estimate.di)
         predict_ns = now()
 
-        wished_rad = goals[slot % len(goals)]
+        wished_rad = goals[max(slot, 0) % len(goals)]
         if missed:
-            supervisor.rebase(goals[(slot - 1) % len(goals)])
+            supervisor.rebase(goals[max(slot - 1, 0) % len(goals)])
         command_ns = now()
 
         supervisor.check(

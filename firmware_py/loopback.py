@@ -12,7 +12,8 @@ from typing import Final
 from dynamixel_sdk.robotis_def import BROADCAST_ID
 
 from firmware_py.port import PacketHandler
-from firmware_py.registers import POSITION_MODE, Model, Register
+from firmware_py.registers import POSITION_MODE, Register
+from firmware_py.servo_models import Model
 
 _HEADER: Final = [0xFF, 0xFF, 0xFD, 0x00]
 _READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x02, 0x03, 0x82, 0x83, 0x55
@@ -75,7 +76,7 @@ class LoopbackWire:
                 self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
             )
             packet, self._pending = self._pending[:end], self._pending[end:]
-            self._execute(self._packets.removeStuffing(list(packet)))
+            self._execute(list(self._packets.removeStuffing(packet)))
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 

@@ -6,6 +6,7 @@ What is changed and why (FACTS §1, all measured against dynamixel-sdk 4.1.0):
   processor and under SCHED_FIFO starves the very worker that would deliver the bytes.
 - The deadline of the caller is the only timeout. As shipped one lost reply costs 34 ms.
 - Time is monotonic, or simulated. As shipped it is the wall clock.
+- A status packet is found with bytes, not byte by byte, which saves some 20 µs in every tick.
 - `txPacket` sends what stuffing returns. As shipped it is thrown away, so that a payload with
   FF FF FD leaves as a false header. `removeStuffing` looks at the bytes as received. As shipped
   it looks at its own output, so that after one stuffed header a second FF FD FD loses a byte.
@@ -19,7 +20,16 @@ from typing import Any, Final
 
 from dynamixel_sdk import Protocol2PacketHandler
 from dynamixel_sdk.port_handler import PortHandler
-from dynamixel_sdk.robotis_def import COMM_PORT_BUSY, COMM_SUCCESS, COMM_TX_ERROR, COMM_TX_FAIL
+from dynamixel_sdk.robotis_def import (
+    BROADCAST_ID,
+    COMM_PORT_BUSY,
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    COMM_TX_ERROR,
+    COMM_TX_FAIL,
+    MAX_ID,
+)
 
 from firmware_py.clock import Clock
 from firmware_py.wire import Wire
@@ -28,7 +38,11 @@ _READ_SIZE: Final = 4096
 _MAX_PACKET: Final = 1024
 _LONGEST_WAIT_NS: Final = 1_000_000_000
 _HEADER: Final = b"\xff\xff\xfd"
-_LENGTH, _INSTRUCTION = 5, 7
+_STUFFED: Final = _HEADER + b"\xfd"
+_RESERVED, _ID, _LENGTH, _INSTRUCTION = 3, 4, 5, 7
+_STATUS: Final = 0x55
+_SHORTEST: Final = 11
+"""Bytes of a status packet without data."""
 
 
 class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
@@ -133,14 +147,66 @@ def _crc_table() -> tuple[int, ...]:
 _CRC_TABLE: Final = _crc_table()
 
 
+def _begins_status(packet: bytes, highest_id: int) -> bool:
+    """Whether a status packet may begin with these bytes."""
+    return (
+        packet.startswith(_HEADER)
+        and packet[_RESERVED] == 0
+        and packet[_ID] <= highest_id
+        and packet[_LENGTH] | packet[_LENGTH + 1] << 8 <= _MAX_PACKET
+        and packet[_INSTRUCTION] == _STATUS
+    )
+
+
+def _next_header(packet: bytes) -> int:
+    """Where, behind its first byte, the next header may begin."""
+    start = packet.find(_HEADER, 1)
+    return start if start > 0 else max(1, len(packet) - len(_HEADER))
+
+
 class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is untyped
-    """The SDK's Protocol 2.0 with its stuffing put right."""
+    """The SDK's Protocol 2.0 with its stuffing put right, on bytes."""
 
     def updateCRC(self, crc_accum: int, data_blk_ptr: Any, data_blk_size: int) -> int:
         """Return the CRC over the first bytes; the SDK builds its table anew on every call."""
         for byte in data_blk_ptr[:data_blk_size]:
             crc_accum = (crc_accum << 8 & 0xFFFF) ^ _CRC_TABLE[crc_accum >> 8 ^ byte]
         return crc_accum
+
+    def rxPacket(self, port: DeadlinePort, fast_option: bool) -> tuple[bytes, int]:
+        """Take the next status packet off the port; what stands in front of it is dropped.
+
+        Returns
+        -------
+        bytes
+            The packet, as received for a fast sync read, else without its stuffing; litter where
+            the result is no success.
+        int
+            COMM_SUCCESS, COMM_RX_TIMEOUT or COMM_RX_CORRUPT.
+        """
+        highest_id = BROADCAST_ID if fast_option else MAX_ID
+        packet, wanted, result = b"", _SHORTEST, int(COMM_RX_CORRUPT)
+        while True:
+            packet += port.readPort(wanted - len(packet))
+            if len(packet) < wanted:
+                if not port.isPacketTimeout():
+                    continue
+                result = int(COMM_RX_CORRUPT if packet else COMM_RX_TIMEOUT)
+                break
+            if not _begins_status(packet, highest_id):
+                packet, wanted = packet[_next_header(packet) :], _SHORTEST
+                continue
+            wanted = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8)
+            if len(packet) < wanted:
+                continue
+            crc = packet[wanted - 2] | packet[wanted - 1] << 8
+            if wanted >= _SHORTEST and self.updateCRC(0, packet, wanted - 2) == crc:
+                result = int(COMM_SUCCESS)
+            break
+        port.is_using = False
+        if result == COMM_SUCCESS and not fast_option:
+            packet = self.removeStuffing(packet)
+        return packet, result
 
     def addStuffing(self, packet: list[int]) -> list[int]:
         """Return the packet with FD after every FF FF FD from the instruction on, length put right.
@@ -151,11 +217,12 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         length = len(body) + 2
         return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, 0, 0]
 
-    def removeStuffing(self, packet: list[int]) -> list[int]:
+    def removeStuffing(self, packet: bytes) -> bytes:
         """Return a received packet without its stuffing, length put right."""
-        body = bytes(packet[_INSTRUCTION:-2]).replace(_HEADER + b"\xfd", _HEADER)
-        length = len(body) + 2
-        return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, *packet[-2:]]
+        if _STUFFED not in packet:
+            return packet
+        body = packet[_INSTRUCTION:-2].replace(_STUFFED, _HEADER)
+        return packet[:_LENGTH] + (len(body) + 2).to_bytes(2, "little") + body + packet[-2:]
 
     def txPacket(self, port: DeadlinePort, txpacket: list[int]) -> int:
         """Send an instruction; `txpacket` itself stays as it was."""
@@ -170,14 +237,24 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return bytes(packet)
 
     def send(self, port: DeadlinePort, packet: bytes) -> int:
-        """Send a finished instruction."""
+        """Send a finished instruction that is answered: what was received before is dropped."""
+        if not port.is_using:
+            port.clearPort()
+        return self._write(port, packet)
+
+    def tell(self, port: DeadlinePort, txpacket: list[int]) -> int:
+        """Send an instruction that nobody answers; `txpacket` itself stays as it was."""
+        result = self._write(port, self.finished(txpacket))
+        if result == COMM_SUCCESS:
+            port.is_using = False
+        return result
+
+    def _write(self, port: DeadlinePort, packet: bytes) -> int:
         if port.is_using:
             return int(COMM_PORT_BUSY)
-        port.is_using = True
         if len(packet) > _MAX_PACKET:
-            port.is_using = False
             return int(COMM_TX_ERROR)
-        port.clearPort()
+        port.is_using = True
         if port.writePort(packet) != len(packet):
             port.is_using = False
             return int(COMM_TX_FAIL)

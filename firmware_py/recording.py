@@ -25,7 +25,9 @@ from firmware_py.signals import tick_signals
 TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"
-CHUNK_BYTES: Final = 64 * 1024
+CHUNK_BYTES: Final = 16 * 1024
+"""A third of a second of two joints: what is lost with the recorder or the power. Chunks four times
+as long make the file 9 % smaller, half as long 10 % larger."""
 
 _DAMAGE: Final = (
     EOFError, LookupError, OverflowError, RuntimeError, ValueError, struct.error,

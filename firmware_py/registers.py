@@ -1,20 +1,17 @@
-"""Control tables as data, and the one place where raw register values become SI units.
+"""Control tables as data: which family of servos has which register where.
 
 The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and
-P models. A servo is therefore told apart by its model number, never by its name. Addresses are
-those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS' own dynamixel-workbench
-repeat.
+P models. A servo is therefore told apart by its model number (`firmware_py.servo_models`), never
+by its name. Addresses are those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS'
+own dynamixel-workbench repeat.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
-
-from firmware_py.errors import InputError
 
 
 class Register(Enum):
@@ -82,12 +79,19 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True)
 class Block:
-    """One contiguous span of registers that a single read fetches."""
+    """One contiguous span of registers that a single read fetches.
+
+    Attributes
+    ----------
+    address, size : int
+        Where it begins, how many bytes it has.
+    offsets : mapping of Register to int
+        What of it is looked at, and where in it that stands.
+    """
 
     address: int
     size: int
-    position_offset: int
-    current_offset: int
+    offsets: Mapping[Register, int]
 
 
 class Indirect(NamedTuple):
@@ -147,22 +151,37 @@ class ControlTable:
     @property
     def feedback(self) -> Block:
         """The span that holds present position and present current."""
-        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
-        start = min(position.address, current.address)
-        end = max(position.address + position.size, current.address + current.size)
-        return Block(start, end - start, position.address - start, current.address - start)
+        cells = {register: self[register] for register in _MEASURED}
+        start = min(cell.address for cell in cells.values())
+        end = max(cell.address + cell.size for cell in cells.values())
+        offsets = {register: cell.address - start for register, cell in cells.items()}
+        return Block(start, end - start, offsets)
 
     @property
     def gathered(self) -> Block:
-        """The same two registers side by side, behind the first indirect addresses."""
-        position, current = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
-        return Block(self.indirect.data, position.size + current.size, 0, position.size)
+        """The same two, and what tells a servo that drives from one that does not.
+
+        Side by side, behind the first indirect addresses.
+        """
+        offsets, size = {}, 0
+        for register in self._gathered:
+            offsets[register] = size
+            size += self[register].size
+        return Block(self.indirect.data, size, offsets)
 
     @property
     def gathered_addresses(self) -> tuple[int, ...]:
         """What the indirect addresses have to hold for `gathered`, byte by byte."""
-        cells = self[Register.PRESENT_POSITION], self[Register.PRESENT_CURRENT]
+        cells = [self[register] for register in self._gathered]
         return tuple(cell.address + k for cell in cells for k in range(cell.size))
+
+    @property
+    def _gathered(self) -> tuple[Register, ...]:
+        return tuple(r for r in (*_MEASURED, *_WATCHED) if r in self)
+
+
+_MEASURED: Final = (Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
+_WATCHED: Final = (Register.TORQUE_ENABLE, Register.BUS_WATCHDOG)
 
 
 def _table(
@@ -175,6 +194,18 @@ def _table(
 ) -> ControlTable:
     cells = {register: Cell(*cell) for register, cell in rows.items()}
     return ControlTable(name, cells, ram_start, indirect, fast_sync_read)
+
+
+def _with_ram_at(
+    ram_start: int, table: ControlTable, name: str, indirect: Indirect
+) -> ControlTable:
+    """A family with the registers of another, the RAM area shifted as one."""
+    shift = ram_start - table.ram_start
+    cells = {
+        register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
+        for register, cell in table.cells.items()
+    }
+    return ControlTable(name, cells, ram_start, indirect, table.fast_sync_read)
 
 
 _SIGNED, _READ_ONLY = True, False
@@ -259,46 +290,8 @@ PRO_P: Final = _table(
 )
 """H54 and H42 `-R(A)`, PH54 and PH42."""
 
-X_SERIES: Final = _table(
-    "X",
-    64,
-    Indirect(168, 224, 28),
-    {
-        Register.MODEL_NUMBER: Cell(0, 2, False, _READ_ONLY),
-        Register.FIRMWARE_VERSION: Cell(6, 1, False, _READ_ONLY),
-        Register.ID: (7, 1),
-        Register.BAUD_RATE: (8, 1),
-        Register.RETURN_DELAY: (9, 1),
-        Register.OPERATING_MODE: (11, 1),
-        Register.HOMING_OFFSET: Cell(20, 4, _SIGNED),
-        Register.CURRENT_LIMIT: (38, 2),
-        Register.VELOCITY_LIMIT: (44, 4),
-        Register.MAX_POSITION_LIMIT: Cell(48, 4, _SIGNED),
-        Register.MIN_POSITION_LIMIT: Cell(52, 4, _SIGNED),
-        Register.SHUTDOWN: (63, 1),
-        Register.TORQUE_ENABLE: (64, 1),
-        Register.STATUS_RETURN_LEVEL: (68, 1),
-        Register.HARDWARE_ERROR: Cell(70, 1, False, _READ_ONLY),
-        Register.VELOCITY_I_GAIN: (76, 2),
-        Register.VELOCITY_P_GAIN: (78, 2),
-        Register.POSITION_D_GAIN: (80, 2),
-        Register.POSITION_I_GAIN: (82, 2),
-        Register.POSITION_P_GAIN: (84, 2),
-        Register.BUS_WATCHDOG: Cell(98, 1, _SIGNED),
-        Register.GOAL_CURRENT: Cell(102, 2, _SIGNED),
-        Register.GOAL_VELOCITY: Cell(104, 4, _SIGNED),
-        Register.PROFILE_ACCELERATION: (108, 4),
-        Register.PROFILE_VELOCITY: (112, 4),
-        Register.GOAL_POSITION: Cell(116, 4, _SIGNED),
-        Register.MOVING: Cell(122, 1, False, _READ_ONLY),
-        Register.PRESENT_CURRENT: Cell(126, 2, _SIGNED, _READ_ONLY),
-        Register.PRESENT_VELOCITY: Cell(128, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_POSITION: Cell(132, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_INPUT_VOLTAGE: Cell(144, 2, False, _READ_ONLY),
-        Register.PRESENT_TEMPERATURE: Cell(146, 1, False, _READ_ONLY),
-    },
-)
-"""XM430 and its relatives."""
+X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
+"""XM430 and its relatives: the table of the P with its RAM area 448 bytes further down."""
 
 POSITION_MODE: Final = 3
 """Value of the operating mode register in which the goal is an angle."""
@@ -306,144 +299,21 @@ POSITION_MODE: Final = 3
 WATCHDOG_UNIT_S: Final = 0.020
 RETURN_DELAY_UNIT_S: Final = 2e-6
 
+WATCHDOG_TRIPPED: Final = -1
+"""What the bus watchdog register then holds."""
+
 HARDWARE_ERRORS: Final = (
     "input voltage", "motor hall sensor", "overheating", "motor encoder", "electrical shock",
     "overload",
 )  # fmt: skip
 """Meaning of the bits of the hardware error register, from bit 0 on."""
+TORQUE_LOST, STOPPED_BY_WATCHDOG = 1 << 8, 1 << 9
+"""Alerts of ours beside those bits: a servo that should drive does not."""
+_OURS: Final = {TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it"}
 
 
-def describe_hardware_error(bits: int) -> str:
-    """Name the hardware errors that are set, or "none"."""
+def describe_alert(bits: int) -> str:
+    """Name the hardware errors and other alerts that are set, or "none"."""
     names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
-    return ", ".join(names) if names else "none"
-
-
-def round_half_away(value: float) -> int:
-    """Round to the nearest integer, halves away from zero.
-
-    Symmetric about zero, which Python's own rounding (half to even) is not over pulses: goals of
-    +x and −x give opposite pulses.
-
-    Raises
-    ------
-    ValueError
-        If the value is not finite.
-    """
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not a finite number")
-    magnitude = math.floor(abs(value))
-    if abs(value) - magnitude >= 0.5:  # exact, where adding 0.5 first could round up 0.49999…
-        magnitude += 1
-    return -magnitude if value < 0 else magnitude
-
-
-@dataclass(frozen=True)
-class Model:
-    """One servo model: its table and its resolutions.
-
-    Attributes
-    ----------
-    number : int
-        What the model number register holds.
-    name : str
-        Name on the type plate.
-    table : ControlTable
-        Its registers.
-    pulses_per_turn : int
-        Of the output shaft.
-    zero_pulse : int
-        Raw position at zero angle (PRO and P count from −, X from 0 to 4095).
-    current_a_per_lsb, velocity_rad_s_per_lsb : float
-        Resolutions of current and velocity.
-    """
-
-    number: int
-    name: str
-    table: ControlTable
-    pulses_per_turn: int
-    zero_pulse: int
-    current_a_per_lsb: float
-    velocity_rad_s_per_lsb: float
-
-    @property
-    def rad_per_pulse(self) -> float:
-        """Resolution of the position."""
-        return 2.0 * math.pi / self.pulses_per_turn
-
-    def angle_rad(self, raw: int) -> float:
-        """Angle of a raw position."""
-        return (raw - self.zero_pulse) * self.rad_per_pulse
-
-    def position_raw(self, angle_rad: float) -> int:
-        """Raw position nearest to an angle.
-
-        Raises
-        ------
-        ValueError
-            If the angle is not finite or does not fit the register.
-        """
-        raw = self.zero_pulse + round_half_away(angle_rad / self.rad_per_pulse)
-        return _checked(raw, self.table[Register.GOAL_POSITION], "angle", angle_rad, "rad")
-
-    def current_a(self, raw: int) -> float:
-        """Current of a raw value."""
-        return raw * self.current_a_per_lsb
-
-    def current_raw(self, current_a: float) -> int:
-        """Raw value nearest to a current; errors as `position_raw`."""
-        raw = round_half_away(current_a / self.current_a_per_lsb)
-        return _checked(raw, self.table[Register.PRESENT_CURRENT], "current", current_a, "A")
-
-    def velocity_rad_s(self, raw: int) -> float:
-        """Angular velocity of a raw value."""
-        return raw * self.velocity_rad_s_per_lsb
-
-    def velocity_raw(self, velocity_rad_s: float) -> int:
-        """Raw value nearest to an angular velocity; errors as `position_raw`."""
-        raw = round_half_away(velocity_rad_s / self.velocity_rad_s_per_lsb)
-        cell = self.table[Register.PRESENT_VELOCITY]
-        return _checked(raw, cell, "velocity", velocity_rad_s, "rad/s")
-
-
-def _checked(raw: int, cell: Cell, what: str, value: float, unit: str) -> int:
-    limit = 1 << (8 * cell.size - 1)
-    if not -limit <= raw < limit:
-        raise ValueError(f"{what} {value:g} {unit} does not fit a register of {cell.size} bytes")
-    return raw
-
-
-def _rpm(value: float) -> float:
-    return value * 2.0 * math.pi / 60.0
-
-
-_H54_LSB_A, _H42_LSB_A = 33.0 / 2048.0, 8.25 / 2048.0
-
-MODELS: Final[Mapping[int, Model]] = {
-    model.number: model
-    for model in (
-        Model(54024, "H54-200-S500-R", LEGACY_PRO, 501_923, 0, _H54_LSB_A, _rpm(0.00199234)),
-        Model(51200, "H42-20-S300-R", LEGACY_PRO, 303_750, 0, _H42_LSB_A, _rpm(0.00329218)),
-        Model(54025, "H54-200-S500-R(A)", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
-        Model(51201, "H42-20-S300-R(A)", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
-        Model(2020, "PH54-200-S500-R", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
-        Model(2000, "PH42-020-S300-R", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
-        Model(1020, "XM430-W350", X_SERIES, 4096, 2048, 2.69e-3, _rpm(0.229)),
-    )
-}
-"""Every servo model that this project knows, by model number."""
-
-
-def model_named(name: str) -> Model:
-    """Return the model of that name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the remedy lists those that there are.
-    """
-    for model in MODELS.values():
-        if model.name == name:
-            return model
-    known = ", ".join(model.name for model in MODELS.values())
-    raise InputError(f"servo model {name!r}", "is not known", f"use one of {known}")
+    names += [name for bit, name in _OURS.items() if bits & bit]
+    return ", ".join(names) or "none"

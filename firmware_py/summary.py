@@ -36,7 +36,7 @@ class RunSummary:
     ticks : int
         Ticks that ran.
     bus_faults : dict of str to int
-        Ticks by status of the bus, good ones left out.
+        Ticks by status of the bus, OK left out.
     out_of_range : int
         Ticks in which the predictor's inputs lay outside its training range.
     timing : Timing

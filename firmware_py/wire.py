@@ -90,19 +90,11 @@ class SerialWire:
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """See `Wire.read`."""
-        if data := self._available(size):
-            return data
-        if not _wait(self._fd, deadline_ns, self._clock):
+        if not _readable(self._fd, deadline_ns, self._clock):
             return b""
-        if data := self._available(size):
+        if data := os.read(self._fd, size):
             return data
         raise ConnectionResetError(_HUNG_UP)  # readable, and yet nothing to read
-
-    def _available(self, size: int) -> bytes:
-        try:
-            return os.read(self._fd, size)
-        except BlockingIOError:
-            return b""
 
     def write(self, data: bytes) -> int:
         """See `Wire.write`."""
@@ -142,10 +134,7 @@ class SocketWire:
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """See `Wire.read`."""
-        try:
-            return self._received(size)
-        except BlockingIOError:
-            return self._received(size) if _wait(self._fd, deadline_ns, self._clock) else b""
+        return self._received(size) if _readable(self._fd, deadline_ns, self._clock) else b""
 
     def _received(self, size: int) -> bytes:
         data = self._socket.recv(size)
@@ -162,20 +151,21 @@ class SocketWire:
 
     def discard_input(self) -> None:
         """See `Wire.discard_input`."""
-        try:
-            while self._received(_READ_SIZE):
-                pass
-        except BlockingIOError:
-            pass
+        while _readable(self._fd, 0, self._clock):
+            self._received(_READ_SIZE)
 
     def close(self) -> None:
         """See `Wire.close`."""
         self._socket.close()
 
 
-def _wait(fd: int, deadline_ns: int, clock: Clock) -> bool:
-    remaining_ns = min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS)
-    return remaining_ns > 0 and bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
+def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
+    """Wait until there is something to read; what is there already counts after the deadline too.
+
+    Asking first is cheaper than reading in vain, for in the loop the first answer is never there.
+    """
+    remaining_ns = max(0, min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS))
+    return bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
 
 
 def open_wire(name: str, baud: int, clock: Clock) -> Wire:

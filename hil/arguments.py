@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from hil.faults import KINDS
 
 
@@ -28,4 +28,4 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
         help="shares of the status packets that are " + ", ".join(KINDS),
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, help="of the faults")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random")

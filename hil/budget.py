@@ -7,9 +7,10 @@
                   | own | wire | servo | wait |
 
 `wire` and `servo` follow from the bus plan: bits at the baud rate, return delays. `wait` is what
-the read waited beyond them: latency timer, operating system, an answer that did not come. `own` is
-its work on packets. The high-water mark is the longest tick seen. It is no worst-case execution
-time: nothing rules out a longer one, and the bound on the miss rate says how rare it must be.
+the read waited beyond them: latency timer, operating system, an answer that did not come and was
+asked for again. `own` is its work on packets. The high-water mark is the longest tick seen. It is
+no worst-case execution time: nothing rules out a longer one, and the bound on the miss rate says
+how rare it must be.
 """
 
 from __future__ import annotations
@@ -65,9 +66,10 @@ def account(
     Returns
     -------
     dict
-        "budget" by stage; "read" by part; "slack"; "high_water_mark_ns"; "without_data": ticks in
-        which a reply was lost or spoilt; "cpu_share" of the loop; "exchange": read and write
-        against the wire's own time; "lateness_against_reference".
+        "budget" by stage; "read" by part; "slack"; "high_water_mark_ns"; "read_again": ticks in
+        which a reply was lost or spoilt and the second read made up for it; "without_data": ticks
+        in which it did not; "cpu_share" of the loop; "exchange": read and write against the wire's
+        own time; "lateness_against_reference".
     """
     period_ns = round(period_s * 1e9)
     waited = records["bus_wait_ns"]
@@ -88,16 +90,15 @@ def account(
     exchange = summarise(records["read_ns"] + records["write_ns"])
     on_wire_ns = wire["wire_ns"] + wire["servo_ns"] + wire["write_ns"]
     slack = period_ns - taken
+    again = records["bus_status"] == BusStatus.RETRIED
     blind = records["bus_status"] > BusStatus.ALERT
     return {
         "budget": budget,
         "read": read,
         "slack": {**summarise(slack), "min_ns": int(slack.min()) if len(slack) else 0},
         "high_water_mark_ns": int(taken.max()) if len(taken) else 0,
-        "without_data": {
-            **summarise(taken[blind]),
-            "missed_slots": int(np.append(records["missed"][1:], 0)[blind].sum()),
-        },
+        "read_again": _cost(records, taken, again),
+        "without_data": _cost(records, taken, blind),
         "cpu_share": _share(records["busy_ns"] - waited, period_ns),
         "exchange": {
             **exchange,
@@ -107,6 +108,14 @@ def account(
         },
         "lateness_against_reference": _ratios(summarise(records["lateness_ns"]), reference),
     }  # fmt: skip
+
+
+def _cost(
+    records: NDArray[np.void], taken_ns: NDArray[np.int64], ticks: NDArray[np.bool_]
+) -> dict[str, int]:
+    """How long some ticks took, and how many slots they cost."""
+    skipped = np.append(records["missed"][1:], 0)
+    return {**summarise(taken_ns[ticks]), "missed_slots": int(skipped[ticks].sum())}
 
 
 def _share(own_ns: NDArray[np.int64], period_ns: int) -> float:
@@ -137,12 +146,12 @@ def describe(account: dict[str, Any]) -> list[str]:
         f"{exchange['until_goals_arrived_ratio_p50']:.2f} × until the goals have arrived; the loop "
         f"computes for {account['cpu_share']:.1%} of the time"
     )
-    blind = account["without_data"]
-    if blind["n"]:
-        rows.append(
-            f"{blind['n']} ticks without data took at most {blind['max_ns'] / 1e6:.2f} ms, p99 "
-            f"{blind['p99_ns'] / 1e6:.2f} ms, and cost {blind['missed_slots']} slots"
-        )
+    for key, words in (("read_again", "that read twice"), ("without_data", "without data")):
+        if (cost := account[key])["n"]:
+            rows.append(
+                f"{cost['n']} ticks {words} took at most {cost['max_ns'] / 1e6:.2f} ms, p99 "
+                f"{cost['p99_ns'] / 1e6:.2f} ms, and cost {cost['missed_slots']} slots"
+            )
     if ratios:
         late = ", ".join(
             f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"

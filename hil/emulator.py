@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 
 from firmware_py.clock import RealTimeOptions, real_time
 from firmware_py.errors import InputError
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from firmware_py.timing import KernelCounters
-from hil.chain import Chain
+from hil.chain import Chain, Physics
 from hil.faults import FaultPlan
 from hil.host import Releases
 from hil.line import Line, pty_endpoint, serve, socket_endpoint
-from hil.physics import UnitPhysics
+from hil.physics import Reality, UnitPhysics, open_physics
 from hil.servo import BAUD_OF_CODE, EmulatedServo
 
 PRIORITY: Final = 60
@@ -47,8 +47,8 @@ class Specification:
 
     Attributes
     ----------
-    unit : Path
-        Twin to step, one joint per servo.
+    source : Path or Reality
+        Twin to step, one joint per servo, or the laboratory.
     model_number : int
         Model of every servo.
     ids : tuple of int
@@ -65,7 +65,7 @@ class Specification:
         Of the faults.
     """
 
-    unit: Path
+    source: Path | Reality
     model_number: int = 54024
     ids: tuple[int, ...] = (1,)
     baud: int = 1_000_000
@@ -111,7 +111,7 @@ class Truth(NamedTuple):
 class TruthLog:
     """Notes the true tip whenever a present position is read."""
 
-    def __init__(self, physics: UnitPhysics) -> None:
+    def __init__(self, physics: Physics) -> None:
         self._physics = physics
         self._time_ns, self._tip_m = array("q"), array("d")
 
@@ -130,7 +130,7 @@ class TruthLog:
 def assemble(specification: Specification) -> tuple[Line, TruthLog]:
     """Put line, servos and plant together; the plant is in its initial state at time zero."""
     spec = specification
-    physics = UnitPhysics(spec.unit, len(spec.ids), spec.payload_kg)
+    physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
     log = TruthLog(physics)
     servos = [
         EmulatedServo(MODELS[spec.model_number], servo_id, spec.baud, spec.return_delay_s)
@@ -207,7 +207,8 @@ class Emulator:
         cpu: int,
     ) -> None:
         # What is wrong with the unit is said here, where somebody can read it.
-        UnitPhysics(specification.unit, len(specification.ids)).unit.close()
+        if isinstance(specification.source, Path):
+            UnitPhysics(specification.source, len(specification.ids)).unit.close()
         self._ours, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(
             target=_run,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from firmware_py.motion import GLIDE_S, Motion
-from firmware_py.safety import State
 from firmware_py.signals import joint_signals, tip_names
+from firmware_py.states import State
 from hil.emulator import Truth
 from hil.sil import Options, Result
 from models.trial import Trial, TrialMeta
@@ -28,7 +28,7 @@ _MARKERS = tuple(f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz")
 
 
 def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
-    """Tip at the moment that each tick measured, shape (n, 3).
+    """Tip at the moment that each tick measured, the second time where it read twice, shape (n, 3).
 
     NaN where no servo was asked or the answer is older than the tick: there the robot had no
     fresh measurement to predict from.
@@ -37,11 +37,8 @@ def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
     if len(truth.time_ns) == 0:
         return tip
     wake_ns = records["deadline_ns"] + records["lateness_ns"]
-    sample = np.searchsorted(truth.time_ns, wake_ns)
-    inside = sample < len(truth.time_ns)
-    sample = np.minimum(sample, len(truth.time_ns) - 1)
-    inside &= truth.time_ns[sample] <= wake_ns + records["busy_ns"]
-    inside &= records["stale_ticks"] == 0
+    sample = np.searchsorted(truth.time_ns, wake_ns + records["busy_ns"], side="right") - 1
+    inside = (sample >= 0) & (truth.time_ns[sample] >= wake_ns) & (records["stale_ticks"] == 0)
     tip[inside] = truth.tip_m[sample[inside]]
     return tip
 

@@ -1,12 +1,15 @@
 """The plant behind the emulated servos: an FMI unit of a twin, stepped through ctypes.
 
 One form for both sources: `--fmu` names a unit, and `hil.twin` builds a plant document into one.
+In a plant's place the laboratory can stand (`hil.laboratory`), loaded only where it does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +18,41 @@ from firmware_py.errors import InputError
 from firmware_py.signals import tip_names
 from firmware_py.unit import FmiUnit
 
+if TYPE_CHECKING:
+    from hil.chain import Physics
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reality:
+    """A laboratory to put behind the servos.
+
+    Attributes
+    ----------
+    hidden : mapping of str to float
+        Effects added to what it has by default, in the unit that `models.catalogue` lists.
+    seed : int
+        Of the variation between trials and of the current's noise.
+    """
+
+    hidden: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+
+def open_physics(source: Path | Reality, dof: int, payload_kg: float = 0.0) -> Physics:
+    """The twin in a .fmu file, or a laboratory, in its initial state.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    if isinstance(source, Path):
+        return UnitPhysics(source, dof, payload_kg)
+    from hil.laboratory import RigPhysics  # loads MuJoCo
+
+    return RigPhysics(source, dof, payload_kg)
 
 
 class UnitPhysics:

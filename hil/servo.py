@@ -17,14 +17,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from firmware_py.registers import (
-    RETURN_DELAY_UNIT_S,
-    WATCHDOG_UNIT_S,
-    X_SERIES,
-    Cell,
-    Model,
-    Register,
-)
+from firmware_py.registers import RETURN_DELAY_UNIT_S, WATCHDOG_UNIT_S, X_SERIES, Cell, Register
+from firmware_py.servo_models import Model
 from hil.packets import ALERT, StatusError
 
 EXTENDED_POSITION_MODE: Final = 4

@@ -34,9 +34,9 @@ from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
 from firmware_py.loop import ControlLoop
 from firmware_py.recorder import recording
-from firmware_py.registers import Model
 from firmware_py.robot import log_metadata, open_bus
 from firmware_py.safety import SafetySupervisor
+from firmware_py.servo_models import Model
 from firmware_py.summary import RunSummary
 from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.timing import Counters, KernelCounters, NoCounters
@@ -44,6 +44,7 @@ from firmware_py.unit import FmiUnit
 from hil.emulator import Emulator, Outcome, Specification, assemble
 from hil.host import Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.line import VirtualWire
+from hil.physics import Reality
 from hil.probe import Probe
 from hil.reference import cyclictest
 from hil.twin import build_twin
@@ -69,6 +70,8 @@ class Options:
         Directory of the log.
     unit : Path, optional
         Twin to put behind the servos; by default it is built from the bundle's plant.
+    reality : Reality, optional
+        Laboratory to put there instead of a twin, on the virtual line.
     line : {"pty", "socket", "virtual"}
         See `hil.line`.
     seconds : float
@@ -93,6 +96,7 @@ class Options:
     model: Model
     out: Path
     unit: Path | None = None
+    reality: Reality | None = None
     line: LineKind = "socket"
     seconds: float = 10.0
     baud: int = 1_000_000
@@ -165,10 +169,16 @@ def run(options: Options) -> Result:
         raise InputError("--seconds", f"is {options.seconds:g}", "give a positive duration")
     if options.load < 0:
         raise InputError("--load", f"is {options.load}", "give a number of processes, 0 for none")
+    if options.reality and (options.unit or options.line != "virtual"):
+        raise InputError(
+            "--rig", "stands in a twin's place and keeps no real time", "take --line virtual alone"
+        )
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
-        unit = options.unit or build_twin(_plant(options), options.dof, Path(scratch))
+        source = options.reality or options.unit
+        if source is None:
+            source = build_twin(_plant(options), options.dof, Path(scratch))
         specification = Specification(
-            unit, options.model.number, _ids(options), options.baud,
+            source, options.model.number, _ids(options), options.baud,
             latency_s=options.latency_s, payload_kg=options.payload_kg,
             faults=options.faults, seed=options.seed,
         )  # fmt: skip
@@ -178,7 +188,7 @@ def run(options: Options) -> Result:
             result = _run_virtual(options, specification)
         else:
             result = _run_in_real_time(options, options.line, specification, Path(scratch))
-        return result._replace(geometry=_geometry(unit))
+        return result._replace(geometry=_geometry(source))
 
 
 def _make(directory: Path) -> None:
@@ -201,8 +211,12 @@ def _plant(options: Options) -> Path:
     return path
 
 
-def _geometry(unit: Path) -> dict[str, float]:
-    with FmiUnit(unit) as opened:
+def _geometry(source: Path | Reality) -> dict[str, float]:
+    if isinstance(source, Reality):
+        from hil.laboratory import geometry  # loads MuJoCo
+
+        return geometry()
+    with FmiUnit(source) as opened:
         known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
         return dict(
             zip(known, opened.get([f"parameters.{n}" for n in known]).tolist(), strict=True)
@@ -340,4 +354,6 @@ def _line_facts(options: Options) -> dict[str, Any]:
         "servo": options.model.name,
         "faults": options.faults,
         "payload_kg": options.payload_kg,
+        "behind_the_servos": "laboratory" if options.reality else "twin",
+        "hidden": dict(options.reality.hidden) if options.reality else {},
     }

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus import BusStatus
-from firmware_py.safety import State
 from firmware_py.signals import STAGES
+from firmware_py.states import State
 from hil.host import STALL_NS, Watch
 
 MOST_TICKS: Final = 3000

@@ -8,6 +8,8 @@ servo, a joint or a sensor is the same in every driven joint.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 from firmware_py.errors import InputError
@@ -86,3 +88,22 @@ def parse_strength(argument: str) -> tuple[str, float]:
             f"{value!r} is not a number",
             f"write {name}=STRENGTH with STRENGTH in {CATALOGUE[name].unit}",
         ) from None
+
+
+def parse_strengths(arguments: Sequence[str]) -> dict[str, float]:
+    """Every `--hide EFFECT=STRENGTH` of a command line.
+
+    Raises
+    ------
+    InputError
+        If one is wrong or not finite, or an effect is named twice.
+    """
+    strengths: dict[str, float] = {}
+    for argument in arguments:
+        effect, strength = parse_strength(argument)
+        if effect in strengths:
+            raise InputError(f"--hide {argument}", "hides the same effect twice", "add them up")
+        if not math.isfinite(strength):
+            raise InputError(f"--hide {argument}", "is not finite", "give a finite strength")
+        strengths[effect] = strength
+    return strengths

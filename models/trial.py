@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -16,24 +16,57 @@ Array = NDArray[np.float64]
 SCHEMA: Final = 1
 
 
+OF_THE_LINK: Final = (
+    "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
+)  # fmt: skip
+"""Conditions that only a trial of the link has (and must have)."""
+
+
+class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A signal of a plant that is not the link: its unit, and what it is to the plant.
+
+    A `goal` is sent to the drive and held until the next; `measured` is compared with the plant's
+    output of that name; a `supply` is measured and drives the plant; a `condition` stays the same
+    throughout a trial, stands under `[conditions]` of its TOML file and takes the place of the
+    plant's parameter of that name. All others are columns.
+    """
+
+    unit: str
+    role: Literal["goal", "measured", "supply", "condition"]
+
+
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial (the TOML file); every dimensional key carries its unit."""
+    """Conditions of a trial (the TOML file); every dimensional key carries its unit.
+
+    Those of `OF_THE_LINK` are zero where the trial is of another plant; `conditions` are zero or
+    more numbers by the name of the plant's parameter that they stand for.
+    """
 
     schema: int = SCHEMA
     dof: int
     payload_kg: float
-    pressure_pa: float
+    pressure_pa: float = 0.0
     trial: int
     motion: str
     source: str
     period_s: float
-    amplitude_rad: float
+    amplitude_rad: float = 0.0
     phase_2_rad: float = 0.0
-    base_offset_m: float
-    link_length_m: float
-    link_width_m: float
+    base_offset_m: float = 0.0
+    link_length_m: float = 0.0
+    link_width_m: float = 0.0
     rest_samples: int
     notes: str = ""
+    conditions: dict[str, float] = {}
+
+    def document(self) -> dict[str, Any]:
+        """Content of the TOML file, without what does not apply."""
+        entries: dict[str, Any] = msgspec.to_builtins(self)
+        if not self.conditions:
+            del entries["conditions"]
+        if not self.link_length_m:
+            entries = {k: v for k, v in entries.items() if k not in OF_THE_LINK}
+        return entries
 
 
 @dataclass(frozen=True)
@@ -88,6 +121,12 @@ class Trial:
         return self._joints("angle_{j}_rad")
 
     @property
+    def joint(self) -> Array:
+        """Measured joint coordinates, in rad or, on a straight guide, in m; shape (n, dof)."""
+        angle = "angle_1_rad" in self.columns
+        return self._joints("angle_{j}_rad" if angle else "position_{j}_m")
+
+    @property
     def current_a(self) -> Array:
         """Measured motor currents, shape (n, dof)."""
         return self._joints("current_{j}_a")
@@ -110,7 +149,7 @@ class Trial:
 
     def sha256(self) -> str:
         """Hash of the samples and conditions, for provenance."""
-        digest = hashlib.sha256(msgspec.json.encode(self.meta))
+        digest = hashlib.sha256(msgspec.json.encode(self.meta.document()))
         for name, column in self.columns.items():
             digest.update(name.encode())
             digest.update(np.where(np.isnan(column), np.nan, column).tobytes())  # one kind of NaN

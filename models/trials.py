@@ -10,17 +10,17 @@ from __future__ import annotations
 import csv
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
-from firmware_py.signals import Signal, tick_signals, tip_names, trial_signals, unit_of
-from models.trial import SCHEMA, Array, Trial, TrialMeta, TrialSet
+from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
+from models.trial import OF_THE_LINK, SCHEMA, Array, SignalRole, Trial, TrialMeta, TrialSet
 
 __all__ = [
     "Trial",
@@ -45,8 +45,19 @@ _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0
 """By suffix: the largest magnitude that is plausible, and the unit that a larger one betrays."""
 
 
-def read_trials(directory: Path | str) -> TrialSet:
+Signals = Mapping[str, SignalRole]
+"""Signals of a plant by name; empty for the link, whose columns are the contract's own."""
+
+
+def read_trials(directory: Path | str, signals: Signals | None = None) -> TrialSet:
     """Read every trial of a directory.
+
+    Parameters
+    ----------
+    directory : Path or str
+        Where they lie.
+    signals : mapping of str to SignalRole, optional
+        What the plant's file declares, where its trials are not the link's.
 
     Raises
     ------
@@ -61,16 +72,18 @@ def read_trials(directory: Path | str) -> TrialSet:
         raise InputError(
             directory, "holds no trial", "write some with 'python -m models simulate --out DIR'"
         )
-    return TrialSet(tuple(read_trial(path) for path in paths))
+    return TrialSet(tuple(read_trial(path, signals) for path in paths))
 
 
-def read_trial(path: Path | str) -> Trial:
+def read_trial(path: Path | str, signals: Signals | None = None) -> Trial:
     """Read one trial.
 
     Parameters
     ----------
     path : Path or str
         The CSV file; the TOML file of the same name must lie beside it.
+    signals : mapping of str to SignalRole, optional
+        As for `read_trials`.
 
     Raises
     ------
@@ -81,8 +94,10 @@ def read_trial(path: Path | str) -> Trial:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "is missing", "name an existing trial")
-    meta = _read_meta(path.with_suffix(".toml"))
-    columns = _read_columns(path, trial_signals(meta.dof), {s.name for s in tick_signals(meta.dof)})
+    meta = _read_meta(path.with_suffix(".toml"), signals)
+    columns = _read_columns(
+        path, columns_of(meta.dof, signals), {s.name for s in tick_signals(meta.dof)}
+    )
     trial = Trial(path.stem, meta, columns, path)
     _check_time(trial)
     if not 0 <= meta.rest_samples < len(trial):
@@ -106,13 +121,21 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
         writer.writerow(names)
         for row in samples:
             writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
-    path.with_suffix(".toml").write_text(
-        tomli_w.dumps(msgspec.to_builtins(trial.meta)), encoding="utf-8"
-    )
+    path.with_suffix(".toml").write_text(tomli_w.dumps(trial.meta.document()), encoding="utf-8")
     return path
 
 
-def check_meta(document: dict[str, object], where: Path) -> TrialMeta:
+def columns_of(dof: int, signals: Signals | None) -> tuple[Signal, ...]:
+    """Columns that a trial must have: the contract's, or those that a plant's file declares."""
+    if not signals:
+        return trial_signals(dof)
+    rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
+    return (TIME, *rows)
+
+
+def check_meta(
+    document: Mapping[str, object], where: Path, signals: Signals | None = None
+) -> TrialMeta:
     """Conditions from a decoded TOML table.
 
     Raises
@@ -120,11 +143,22 @@ def check_meta(document: dict[str, object], where: Path) -> TrialMeta:
     InputError
         If a key is unknown, missing or of the wrong type, or a value is out of range.
     """
+    needed = () if signals else OF_THE_LINK
+    conditions: Any = document.get("conditions", {})
+    for key in needed:
+        if key not in document:
+            raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
+    for name, signal in (signals or {}).items():
+        if signal.role == "condition" and name not in conditions:
+            raise InputError(
+                where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
+            )
     try:
         meta = msgspec.convert(document, TrialMeta)
     except msgspec.ValidationError as error:
         raise InputError(where, str(error), "see docs/trials.md for its form") from None
-    for key, (low, high) in _META_RANGE.items():
+    for key in (k for k in _META_RANGE if k in needed or k not in OF_THE_LINK):
+        low, high = _META_RANGE[key]
         value = getattr(meta, key)
         if not low <= value <= high:
             raise InputError(
@@ -133,7 +167,7 @@ def check_meta(document: dict[str, object], where: Path) -> TrialMeta:
     return meta
 
 
-def _read_meta(path: Path) -> TrialMeta:
+def _read_meta(path: Path, signals: Signals | None) -> TrialMeta:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -144,7 +178,7 @@ def _read_meta(path: Path) -> TrialMeta:
         raise InputError(
             path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"
         )
-    return check_meta(document, path)
+    return check_meta(document, path, signals)
 
 
 def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
@@ -203,7 +237,7 @@ def _check_header(path: Path, header: list[str], required: list[str], known: set
 def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
     """Columns whose cells may be empty; the tip's only where nothing at all saw it."""
     names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
-    tip = [header.index(name) for name in tip_names()]
+    tip = [header.index(name) for name in tip_names() if name in header]
     unseen = not any(row[k] for row in body for k in tip if k < len(row))
     return names | set(tip_names()) if unseen else names
 

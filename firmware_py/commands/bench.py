@@ -18,12 +18,13 @@ from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.estimator import DeformationEstimator, NoEstimator
+from firmware_py.limits import Limits
 from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
 from firmware_py.predictor import Prediction, Predictor
-from firmware_py.registers import model_named
-from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.safety import SafetySupervisor
+from firmware_py.servo_models import model_named
 from firmware_py.signals import PERIOD_S, STAGES
 from firmware_py.timing import KernelCounters
 

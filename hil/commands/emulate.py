@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory, gettempdir
 
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
-from firmware_py.registers import model_named
+from firmware_py.servo_models import model_named
 from hil.arguments import add_line_arguments
 from hil.emulator import Specification, serve_forever
 from hil.faults import parse_rates

@@ -4,6 +4,9 @@ Writes to OUT: timing.json and timing.xml (the verdict), *.hgrm (percentiles in 
 format), timeline.json (for ui.perfetto.dev), ticks.mcap (the robot's own log), trial/sil.csv
 (the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed by our own
 doing, or stopped by the safety supervisor, 3 inconclusive: the host kept the processor.
+
+With --rig the virtual laboratory stands behind the servos instead of a twin, on the virtual line:
+the robot's prediction then meets a reality that no plant of ours describes.
 """
 
 from __future__ import annotations
@@ -17,14 +20,17 @@ from typing import Any, get_args
 from firmware_py.bundle import ModelBundle
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
+from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.registers import model_named
+from firmware_py.servo_models import model_named
 from firmware_py.summary import Ended
 from hil import budget, outcome, sil, verify
 from hil.arguments import add_line_arguments
 from hil.faults import parse_rates
 from hil.histogram import write_hgrm
+from hil.physics import Reality
 from hil.timeline import write_timeline
+from models.catalogue import parse_strengths
 from models.trials import write_trial
 
 EXAMPLE = (
@@ -40,6 +46,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
     )
+    parser.add_argument(
+        "--rig", action="store_true", help="put the virtual laboratory behind the servos instead"
+    )
+    parser.add_argument(
+        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        help="with --rig: add an effect to what the laboratory has; repeatable",
+    )  # fmt: skip
     parser.add_argument(
         "--line", choices=get_args(sil.LineKind), default="socket",
         help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
@@ -63,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         model=model_named(args.model),
         out=args.out,
         unit=args.fmu,
+        reality=_reality(args),
         line=args.line,
         seconds=args.seconds,
         baud=args.baud,
@@ -82,6 +96,13 @@ def run(args: argparse.Namespace) -> int:
     timing = write_results(result, options)
     emit(args, timing, describe(timing, args.out))
     return verify.exit_code(timing)
+
+
+def _reality(args: argparse.Namespace) -> Reality | None:
+    hidden = parse_strengths(args.hide)
+    if hidden and not args.rig:
+        raise InputError("--hide", "needs the laboratory, not a twin", "add --rig")
+    return Reality(hidden, args.seed) if args.rig else None
 
 
 def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from firmware_py.console import Progress
 from firmware_py.dynamixel import watchdog_units
-from firmware_py.registers import MODELS, WATCHDOG_UNIT_S
+from firmware_py.registers import WATCHDOG_UNIT_S
+from firmware_py.servo_models import MODELS
 from hil.faults.live import run_live
 from hil.faults.observe import Observation
 from hil.faults.process import run_process

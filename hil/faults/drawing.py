@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from firmware_py.safety import TRANSITIONS, State
+from firmware_py.states import TRANSITIONS, State
 from hil.faults.table import HOST, PROCESS, ROWS, SERVO, TOGETHER, WIRE
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"

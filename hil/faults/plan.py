@@ -97,6 +97,7 @@ SERVO_FAULTS: Final[dict[str, Callable[[WatchedServo, float, bool], None]]] = {
     "silent": lambda servo, value, on: servo.hush(on),
     "hardware error": lambda servo, value, on: servo.fail(int(value)) if on else None,
     "reboot": lambda servo, value, on: servo.reboot() if on else None,
+    "torque": lambda servo, value, on: servo.lose_torque() if on else None,
     "watchdog": lambda servo, value, on: servo.trip_watchdog() if on else None,
     "encoder": lambda servo, value, on: setattr(servo, "angle_error_rad", value * on),
     "current": lambda servo, value, on: setattr(servo, "current_error_a", value * on),

@@ -23,6 +23,7 @@ from typing import Any, Final
 import msgspec
 import tomli_w
 
+from firmware_py.bus import BusStatus
 from firmware_py.clock import RealTimeOptions
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
@@ -194,9 +195,10 @@ def _outcome(process: subprocess.Popen[str], output: str, columns: Columns) -> O
     summary = json.loads(output)
     timing = summary["timing"]
     logged = len(columns.get("tick", ()))
+    stale = sum(n for name, n in summary["bus_faults"].items() if not BusStatus[name.upper()].fresh)
     return Outcome(
         summary["ended"], summary["reason"], summary["replugs"],
         telemetry_drops=summary["ticks"] - logged,
         misses={cause: count for cause, count in timing["causes"].items() if count},
-        unlogged_stale=sum(summary["bus_faults"].values()) if logged < summary["ticks"] else 0,
+        unlogged_stale=stale if logged < summary["ticks"] else 0,
     )  # fmt: skip

@@ -15,12 +15,14 @@ from firmware_py.clock import Clock
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
+from firmware_py.limits import Limits
 from firmware_py.loop import ControlLoop
-from firmware_py.registers import MODELS
-from firmware_py.safety import Limits, SafetySupervisor
+from firmware_py.safety import SafetySupervisor
+from firmware_py.servo_models import MODELS
 from firmware_py.summary import RunSummary
 from firmware_py.timing import Counters
 from firmware_py.wire import Wire
+from hil.chain import Physics
 from hil.faults.host import FaultyEstimator, FaultyPredictor, Host
 from hil.faults.observe import Columns, Outcome
 from hil.faults.table import Row
@@ -28,6 +30,7 @@ from hil.faults.witness import WatchedServo
 
 Array = NDArray[np.float64]
 REST_S: Final = 0.3
+_LEAN_STEP_S: Final = 0.05
 _OTHER_MODEL: Final = {54025: 54024, 54024: 54025}
 
 
@@ -87,11 +90,22 @@ def servos_of(dof: int, row: Row, number: int) -> list[WatchedServo]:
         WatchedServo(MODELS[model], joint, 1_000_000, delay_s)
         for joint, model in enumerate(numbers, start=1)
     ]
+    if "direct" in setup:
+        for servo in servos:
+            servo.refuses_indirect = True
     if "hardware_error" in setup:
         servos[0].fail(int(setup["hardware_error"]))
     if "reboot" in setup:
         servos[0].reboot()
     return servos
+
+
+def lean(physics: Physics, angle_rad: float) -> None:
+    """Bring the arm slowly to where it leans, and let it come to rest there."""
+    x = np.linspace(0.0, 1.0, 100)
+    way_rad = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
+    for goal_rad in (*way_rad.tolist(), *[angle_rad] * 100):
+        physics.advance([goal_rad] * physics.dof, _LEAN_STEP_S)
 
 
 def drive(

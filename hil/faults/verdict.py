@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 from firmware_py.dynamixel import watchdog_units
-from firmware_py.registers import MODELS, WATCHDOG_UNIT_S
+from firmware_py.registers import WATCHDOG_UNIT_S
+from firmware_py.servo_models import MODELS
 from firmware_py.timing import Cause
 from hil.faults.observe import Observation
 from hil.faults.table import Row

@@ -9,12 +9,12 @@ import numpy as np
 
 from firmware_py.clock import SimClock
 from firmware_py.errors import InputError
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from firmware_py.wire import Wire
 from hil.faults.host import FaultyWire, Host, SteppedClock
 from hil.faults.observe import Observation, observe
 from hil.faults.plan import Script
-from hil.faults.robot import Rig, drive, goals_of, robot_config, servos_of
+from hil.faults.robot import Rig, drive, goals_of, lean, robot_config, servos_of
 from hil.faults.table import Row
 from hil.faults.witness import WatchedChain
 from hil.line import Line, VirtualWire
@@ -60,7 +60,13 @@ def _run(rig: Rig, row: Row, number: int, seed: int, physics: UnitPhysics) -> Ob
     host = clock.host = Host(
         script, row.injections, true_clock.now_ns, lambda s: true_clock.advance(round(s * 1e9))
     )
-    chain = WatchedChain(servos_of(rig.dof, row, number), physics, script)
+    servos = servos_of(rig.dof, row, number)
+    if "lean_rad" in setup:
+        lean(physics, setup["lean_rad"])
+    chain = WatchedChain(servos, physics, script)
+    if "lean_rad" in setup:  # switched on where they stand
+        for servo in servos:
+            servo.reboot()
     line = (_DeafLine if "baud" in setup else Line)(chain, setup.get("latency_s", 1e-3), script)
 
     def opener() -> Wire:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from firmware_py.registers import Register
 from hil.chain import Chain, Physics, Reply
-from hil.packets import Instruction, Packet
+from hil.packets import Instruction, Packet, StatusError
 from hil.servo import EmulatedServo
 
 Array = NDArray[np.float64]
@@ -33,12 +33,15 @@ class WatchedServo(EmulatedServo):
     ----------
     angle_error_rad, current_error_a : float
         Added to what it measures.
+    refuses_indirect : bool
+        Whether it keeps its indirect addresses as they are.
     unheard_ns : int
         Longest time for which it was driven and heard nothing.
     """
 
     angle_error_rad = 0.0
     current_error_a = 0.0
+    refuses_indirect = False
     unheard_ns = 0
     _hushed = False
 
@@ -50,6 +53,17 @@ class WatchedServo(EmulatedServo):
     def hush(self, on: bool) -> None:
         """Take the servo off the bus, or put it back."""
         self._hushed = on
+
+    def lose_torque(self) -> None:
+        """Switch the torque off without a word."""
+        self._release()
+
+    def write(self, address: int, data: bytes) -> int:
+        """See `EmulatedServo.write`."""
+        start, _, entries = self.model.table.indirect
+        if self.refuses_indirect and start <= address < start + 2 * entries:
+            return StatusError.ACCESS
+        return super().write(address, data)
 
     @property
     def live(self) -> bool:

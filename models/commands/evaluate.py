@@ -25,7 +25,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
-    result = evaluation(read_plant(args.plant), read_trials(args.trials))
+    plant = read_plant(args.plant)
+    result = evaluation(plant, read_trials(args.trials, plant.signals))
     emit(args, result, as_text(result))
     return DONE
 

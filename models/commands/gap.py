@@ -32,7 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, write and print."""
-    plant, trials = read_plant(args.plant), read_trials(args.trials)
+    plant = read_plant(args.plant)
+    trials = read_trials(args.trials, plant.signals)
     from models.gap.close import diagnose  # loads CasADi and SciPy, which a typo need not wait for
     from models.gap.document import document, in_words
     from models.gap.report import write_report

@@ -29,7 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, draw and print."""
-    plant, trials = read_plant(args.plant), read_trials(args.trials)
+    plant = read_plant(args.plant)
+    trials = read_trials(args.trials, plant.signals)
     progress = Progress("identify", 110)
     found = identify(plant, trials, progress.step)
     plant = with_floor(found.plant, trials)

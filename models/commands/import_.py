@@ -15,6 +15,7 @@ from models.importers.assemble import align, assemble
 from models.importers.mapping import read_mapping
 from models.importers.recording import with_conditions
 from models.importers.synchronise import shift, synchronise
+from models.importers.table import read_facts
 from models.trials import read_trial, write_trial
 
 EXAMPLE = (
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
         mapping = with_conditions(mapping, log)
         if not log.complete:
             cut_off.append(str(path))
+    if args.kind == "table":
+        mapping = mapping.with_facts(read_facts(args.file), args.file)
     series = align(read_series(args.file, args.kind, mapping), mapping)
     result: dict[str, Any] = {}
     if args.servo is not None:
@@ -65,19 +68,19 @@ def run(args: argparse.Namespace) -> int:
         series = [*series, *shift(servo, result["offset_s"])]
     trial = assemble(series, mapping, args.name or args.file.stem)
     path = write_trial(trial, args.out)
-    trial = read_trial(path)
+    trial = read_trial(path, mapping.signals)
     result |= {
         "trial": str(path),
         "rows": len(trial),
         "step_s": trial.step_s,
         "rest_samples": trial.meta.rest_samples,
-        "occluded_share": float(np.mean(np.isnan(trial.markers_m))),
+        "occluded_share": None if mapping.signals else float(np.mean(np.isnan(trial.markers_m))),
         "cut_off": cut_off,
     }
-    text = (
-        f"{path}: {len(trial)} rows of {trial.step_s * 1e3:.3g} ms, {trial.meta.rest_samples} at "
-        f"rest, {result['occluded_share']:.1%} of the marker cells empty"
-    )
+    rest = trial.meta.rest_samples
+    text = f"{path}: {len(trial)} rows of {trial.step_s * 1e3:.3g} ms, {rest} at rest"
+    if not mapping.signals:
+        text += f", {result['occluded_share']:.1%} of the marker cells empty"
     if "correlation" in result:
         text += (
             f"; servo clock {result['offset_s']:+.4f} s, correlation {result['correlation']:.4f}"

@@ -16,7 +16,7 @@ from pathlib import Path
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
-from models.catalogue import CATALOGUE, parse_strength
+from models.catalogue import CATALOGUE, parse_strengths
 from models.rig.case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, Case
 from models.rig.parameters import RIG_TOML, Parameters, read_parameters
 
@@ -64,7 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run and write the trials, then draw them."""
     parameters = read_parameters(args.rig)
-    hidden = _strengths(args.hide)
+    hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
     from models.rig import runner  # loads MuJoCo, which a mistyped option need not wait for
@@ -131,18 +131,6 @@ def _check(args: argparse.Namespace, parameters: Parameters) -> None:
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
     if args.out.exists() and not args.out.is_dir():
         raise InputError(f"--out {args.out}", "is a file", "name a directory")
-
-
-def _strengths(arguments: list[str]) -> dict[str, float]:
-    strengths: dict[str, float] = {}
-    for argument in arguments:
-        effect, strength = parse_strength(argument)
-        if effect in strengths:
-            raise InputError(f"--hide {argument}", "hides the same effect twice", "add them up")
-        if not math.isfinite(strength):
-            raise InputError(f"--hide {argument}", "is not finite", "give a finite strength")
-        strengths[effect] = strength
-    return strengths
 
 
 def _effects_help() -> str:

@@ -1,9 +1,10 @@
 """Whether an effect also helps on trials that its values were not fitted to.
 
-Whole payloads are left out in turn (motions, or repetitions, where there is one payload), and the
-effects fitted without them. Both models are taken as linear around their fits, which costs no
-simulation; nuisance stays where all trials put it, for to extrapolate it to another payload is not
-the question. The variation of a trial that was left out is fitted to it, within its spread.
+Whole payloads are left out in turn (where there is one, other conditions such as a gain, motions,
+or repetitions), and the effects fitted without them. Both models are taken as linear around their
+fits, which costs no simulation; nuisance stays where all trials put it, for to extrapolate it to
+another payload is not the question. The variation of a trial that was left out is fitted to it,
+within its spread.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def held_out_gains(estimator: Estimator, without: Model, with_: Model) -> Array:
 
 def folds(trials: Sequence[Trial]) -> list[list[int]]:
     """Trials that are left out together."""
-    for what in ("payload_kg", "motion", "trial"):
-        keys = [getattr(t.meta, what) for t in trials]
+    for what in ("payload_kg", "conditions", "motion", "trial"):
+        keys = [str(getattr(t.meta, what)) for t in trials]
         if len(set(keys)) > 1:
             return [[i for i, k in enumerate(keys) if k == own] for own in sorted(set(keys))]
     return [[i] for i in range(len(trials))]

@@ -79,8 +79,15 @@ def full_plant(plant: Plant) -> Plant:
 
 
 def candidates(plant: Plant) -> list[str]:
-    """Effects that a plant of this kind can hold."""
-    return applicable(DRIVES[plant.drive], LOADS[plant.load])
+    """Effects that may be missing: all that a plant of this kind can hold.
+
+    Of a plant that is not the link those that it holds already are nuisance: it was identified on
+    the very trials that the gap is looked for in, so its own effects made up for what was missing.
+    """
+    every = applicable(DRIVES[plant.drive], LOADS[plant.load])
+    if LOADS[plant.load].kind == "link":
+        return every
+    return [name for name in every if name not in plant.effects]
 
 
 def nuisance_knobs(plant: Plant, dof: int) -> list[Knob]:
@@ -91,7 +98,7 @@ def nuisance_knobs(plant: Plant, dof: int) -> list[Knob]:
         return [
             Knob(q.name, "nuisance", {q.name: 1.0}, {}, (q.high - q.low) / 4,
                  q.low - q.value, q.high - q.value)
-            for q in full.parameters.values() if q.role == "nuisance" and q.name in names
+            for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
     for part, spread in RELATIVE_PRIOR.items():
@@ -153,7 +160,7 @@ def effect_knobs(plant: Plant, name: str, dof: int) -> list[Knob]:
     for q in patterns:
         own = [scope.name(q.name, j) for j in scope.joints]
         groups += [own] if tied else [[n] for n in own]
-    groups += [[q.name] for q in effect.shared if q.role == "effect"]
+    groups += [[scope.name(q.name)] for q in effect.shared if q.role == "effect"]
     strengths = effect.strengths(scope)
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):

@@ -117,7 +117,7 @@ def _null(rng: np.random.Generator, pairs: Array, shape: tuple[int, ...], block:
 
 def _masks(own: Sequence[Trial]) -> dict[tuple[str, str], Array]:
     """Weights by factor and level, (trials, n)."""
-    angle = np.array([t.angle_rad[:, 0] for t in own])
+    angle = np.array([t.joint[:, 0] for t in own])
     rate = np.gradient(angle, own[0].step_s, axis=1)
     time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
     phase = np.floor(PHASES * ((time_s / own[0].meta.period_s) % 1.0)).astype(int)

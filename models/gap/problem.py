@@ -31,7 +31,7 @@ class Group:
     Attributes
     ----------
     key : str
-        Motion, its amplitude, period and number of joints.
+        Motion, its amplitude, period and number of joints, and the trial's other conditions.
     trials : tuple of int
         Their indices.
     signals : tuple of str
@@ -49,9 +49,10 @@ class Group:
 def group_key(trial: Trial) -> str:
     """Condition of a trial apart from payload and repetition."""
     m = trial.meta
+    conditions = "".join(f" {name}={value:.5g}" for name, value in sorted(m.conditions.items()))
     return (
         f"{m.dof}dof {m.motion} {m.amplitude_rad:.5g}rad {m.period_s:.5g}s {m.phase_2_rad:.4g}rad "
-        f"{len(trial)}x{trial.step_s:.5g}s"
+        f"{len(trial)}x{trial.step_s:.5g}s{conditions}"
     )
 
 

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.signals import TIME, joint_signals, tip_names, trial_signals
+from firmware_py.signals import TIME, joint_signals, tip_names
 from models.importers.frame import align_to_rest, nominal_markers_m
 from models.importers.mapping import MARKERS, Mapping
 from models.importers.series import Series, marker_columns, row_centre_m
 from models.trial import Array, Trial
-from models.trials import STEP_TOLERANCE
+from models.trials import STEP_TOLERANCE, columns_of
 
 LONGEST_TIP_GAP_S: Final = 0.1
 """An unseen tip is interpolated over at most this time; the motion is below 4 Hz."""
@@ -36,28 +36,41 @@ def assemble(series: list[Series], mapping: Mapping, name: str) -> Trial:
     """
     where = series[0].path
     source = {column: s for s in map(_with_tip, series) for column in s.columns}
-    _check_complete(where, list(source), mapping.dof)
+    needed = (
+        columns_of(mapping.dof, mapping.signals)[1:]
+        if mapping.signals
+        else joint_signals(mapping.dof)
+    )
+    _check_complete(where, list(source), [signal.name for signal in needed])
     used = list({id(s): s for s in source.values()}.values())
     grid_s = _grid_s(used, mapping.step_s)
     columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
-    contract = [signal.name for signal in trial_signals(mapping.dof)[1:]]
+    contract = [signal.name for signal in columns_of(mapping.dof, mapping.signals)[1:]]
+    goals = [n for n in (*contract, *source) if _is_goal(n, mapping)]
     for column in dict.fromkeys([*contract, *source]):
         if column not in source:
             columns[column] = np.full(len(grid_s), np.nan)
             continue
-        owner, hold = source[column], column.startswith("goal")
+        owner, hold = source[column], column in goals
         columns[column] = resample(owner.time_s, owner.columns[column], grid_s, hold=hold)
-    goal_rad = np.column_stack([columns[f"goal_{j}_rad"] for j in range(1, mapping.dof + 1)])
-    for tip in tip_names():
+    for tip in (n for n in tip_names() if n in columns):
         columns[tip] = _bridge(where, columns[tip], mapping.step_s)
-    for signal in joint_signals(mapping.dof):
+    for signal in needed:
         if np.isnan(columns[signal.name]).any():
             at_s = columns[TIME.name][np.isnan(columns[signal.name])][0]
             raise InputError(
                 where, f"{signal.name} was not measured at {at_s:.3f} s", "cut the gap out"
             )
-    meta = mapping.meta(rest_samples=min(_rest_rows(goal_rad, REST_RANGE_RAD), len(grid_s) - 1))
-    return Trial(name, meta, columns)
+    still = _rest_rows(np.column_stack([columns[n] for n in goals]), REST_RANGE_RAD) if goals else 0
+    duration_s = float(grid_s[-1] - grid_s[0])
+    return Trial(name, mapping.meta(min(still, len(grid_s) - 1), duration_s), columns)
+
+
+def _is_goal(column: str, mapping: Mapping) -> bool:
+    """Whether a column is held from one sample to the next."""
+    if column in mapping.signals:
+        return mapping.signals[column].role == "goal"
+    return column.startswith("goal")
 
 
 def align(series: list[Series], mapping: Mapping) -> list[Series]:
@@ -80,13 +93,13 @@ def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False)
     return np.select([share == 0, share == 1], [values[before], values[before + 1]], mixed)
 
 
-def _check_complete(where: Path, present: list[str], dof: int) -> None:
-    for signal in joint_signals(dof):
-        if signal.name not in present:
-            extra = ", the angle's column if goals were not logged" if "goal" in signal.name else ""
+def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
+    for name in needed:
+        if name not in present:
+            extra = ", the angle's column if goals were not logged" if "goal" in name else ""
             raise InputError(
                 where,
-                f"nothing holds {signal.name}",
+                f"nothing holds {name}",
                 f"map it under [columns] or [topics] in MAP.toml{extra}, or merge it with --servo",
             )
 

@@ -3,11 +3,16 @@
 ::
 
     step_s = 0.017                     # uniform step of the trial
+    plant = "xl330_pendulum.toml"      # beside the map, with the [signals] of a plant not the link
 
     [trial]                            # the trial's conditions (DESIGN, section 3)
-    dof = 1                            # schema, source and rest_samples may be left out
+    dof = 1                            # schema, source, rest_samples and period_s may be left out
     payload_kg = 1.0
+    motion = { from = "trajectory" }   # what stands once in the file, by its name there
     …
+
+    [conditions]                       # what the plant's file calls a condition: a number, or
+    duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # as a column's
 
     [columns]                          # table, C3D analog: contract name = where it comes from
     time_s      = { from = "stamp", unit = "ms" }
@@ -40,7 +45,8 @@ import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
-from models.trial import TrialMeta
+from models.importers.series import factor_to_si
+from models.trial import SignalRole, TrialMeta
 from models.trials import check_meta
 
 MARKERS = tuple(f"m{i:02d}" for i in range(1, 17))
@@ -68,6 +74,9 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """A decoded MAP.toml; see the module's text."""
 
     trial: dict[str, Any] = {}
+    conditions: dict[str, float | Column] = {}
+    plant: str = ""
+    signals: dict[str, SignalRole] = {}
     step_s: float = PERIOD_S
     columns: dict[str, Column] = {}
     servo_columns: dict[str, Column] = {}
@@ -78,10 +87,48 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     frame: Frame = Frame()
     path: str = "--map"
 
-    def meta(self, rest_samples: int) -> TrialMeta:
-        """Conditions of the trial; `rest_samples` where the map leaves it out."""
+    def meta(self, rest_samples: int, duration_s: float | None = None) -> TrialMeta:
+        """Conditions of the trial; `rest_samples` and the period where the map leaves them out."""
         document = {"source": "measured", "rest_samples": rest_samples} | self.trial
-        return check_meta(document, Path(self.path))
+        if self.signals and duration_s is not None:
+            document = {"period_s": duration_s} | document
+        if self.conditions:
+            document["conditions"] = self.conditions
+        return check_meta(document, Path(self.path), self.signals)
+
+    def with_facts(self, facts: dict[str, Any], where: Path) -> Mapping:
+        """The mapping with what it takes `from` the file once, put in place.
+
+        Parameters
+        ----------
+        facts : dict
+            What stands once in the file, by name.
+        where : Path
+            The file.
+        """
+        trial = {
+            key: self._fact(facts, where, key, entry["from"]) if isinstance(entry, dict) else entry
+            for key, entry in self.trial.items()
+        }
+        conditions: dict[str, float | Column] = {}
+        for key, entry in self.conditions.items():
+            if isinstance(entry, Column):
+                raw = self._fact(facts, where, key, entry.source)
+                if not isinstance(raw, int | float):
+                    raise InputError(where, f"{entry.source} is {raw!r}, no number", "correct it")
+                factor = entry.scale * factor_to_si(Path(self.path), key, entry.unit or "1")
+                conditions[key] = float(raw) * factor + entry.offset
+            else:
+                conditions[key] = entry
+        return msgspec.structs.replace(self, trial=trial, conditions=conditions)
+
+    def _fact(self, facts: dict[str, Any], where: Path, key: str, name: Any) -> Any:
+        if name not in facts:
+            raise InputError(
+                where, f"{name!r}, which {self.path} takes {key} from, does not stand in it",
+                "write the value itself into the map",
+            )  # fmt: skip
+        return facts[name]
 
     def for_servo(self) -> Mapping:
         """The mapping under which the file of `--servo` is read."""
@@ -128,4 +175,18 @@ def read_mapping(path: Path | None) -> Mapping:
             raise InputError(path, f"[markers] {name!r} is no marker", "use m01 … m16 or tip")
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
-    return msgspec.structs.replace(mapping, path=str(path))
+    mapping = msgspec.structs.replace(mapping, path=str(path))
+    if mapping.plant:
+        mapping = msgspec.structs.replace(mapping, signals=_signals(path.parent / mapping.plant))
+    return mapping
+
+
+def _signals(path: Path) -> dict[str, SignalRole]:
+    """Signals that a plant's file declares, without composing the plant."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        return msgspec.convert(document.get("signals", {}), dict[str, SignalRole])
+    except OSError:
+        raise InputError(path, "cannot be read", "correct 'plant' in the map") from None
+    except (ValueError, msgspec.ValidationError) as error:
+        raise InputError(path, f"is no plant document ({error})", "correct it") from None

@@ -53,6 +53,21 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
     return [Series(columns.pop(TIME.name), columns, path)]
 
 
+def read_facts(path: Path) -> dict[str, Any]:
+    """What stands once in a file beside its columns, by name: a gain, a mass, the motion's name.
+
+    Of a JSON object its strings and numbers, of a MATLAB file its 1 × 1 variables, else nothing.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        document = _json(path)
+        single = document.items() if isinstance(document, dict) else ()
+        return {name: value for name, value in single if isinstance(value, str | int | float)}
+    if suffix == ".mat":
+        return {n: np.ravel(v)[0].item() for n, v in _matlab(path).items() if np.size(v) == 1}
+    return {}
+
+
 def read_columns(path: Path) -> dict[str, Sequence[Any]]:
     """Cells of a file by the names of its columns, each of length n.
 
@@ -67,12 +82,12 @@ def read_columns(path: Path) -> dict[str, Sequence[Any]]:
     suffix = path.suffix.lower()
     try:
         if suffix == ".json":
-            columns = _json_columns(json.loads(path.read_text(encoding="utf-8")))
+            columns = _json_columns(_json(path))
         elif suffix == ".mat":
             columns = _matlab_columns(path)
         else:
             columns = _text_columns(path)
-    except (json.JSONDecodeError, UnicodeDecodeError, csv.Error) as error:
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             path, f"cannot be read as {suffix or 'text'} ({error})", "export it again"
         ) from None
@@ -97,6 +112,13 @@ def _text_columns(path: Path) -> dict[str, Sequence[Any]]:
     return {name.strip(): [row[k] for row in body] for k, name in enumerate(header)}
 
 
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"cannot be read as .json ({error})", "export it again") from None
+
+
 def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
     if isinstance(document, dict):
         lists = {k: v for k, v in document.items() if isinstance(v, list) and v}
@@ -109,7 +131,8 @@ def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
     return {name: [record.get(name) for record in document] for name in (document or [{}])[0]}
 
 
-def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
+def _matlab(path: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -119,11 +142,15 @@ def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
         raise InputError(
             path, f"is not a MATLAB file up to version 7 ({error})", "save it with -v7"
         ) from None
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
+
+
+def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
     return _commonest_length(
         {
             name: np.asarray(value).ravel().tolist()
-            for name, value in variables.items()
-            if not name.startswith("__") and np.size(value) == max(np.shape(value), default=0) > 1
+            for name, value in _matlab(path).items()
+            if np.size(value) == max(np.shape(value), default=0) > 1
         }
     )
 

@@ -98,7 +98,11 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found, rms = _round(_scan(plant, first, report), first, None, report)
         found, rms = _round(_mirrored(found, first), fit.trials, rms, report)
     else:
-        solution = _stage(plant, "twin", fit.trials, (*link, *drive), DRIVE_SIGNALS, None, report)
+        every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
+        solution = solve(
+            Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS),
+            evaluations=60, tolerance=1e-6, report=lambda cost: report(f"cost {cost:.4g}"),
+        )  # fmt: skip
         found, rms = solution.plant, solution.rms
     found = _mirrored(found, fit.trials)
     errors = evaluation(found, held_out if len(held_out) else fit)

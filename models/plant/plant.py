@@ -42,6 +42,7 @@ from models.plant.parameter import Parameter, Role, check_values
 from models.plant.scope import Scope
 from models.plant.servo import DRIVES
 from models.plant.step import StepModel
+from models.trial import SignalRole
 
 Unit = Literal["twin", "observer", "driven"]
 SCHEMA: Final = 1
@@ -60,13 +61,6 @@ class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class _Name(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
-
-
-class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Unit of a signal and what it is to the plant: goal, measured, supply or condition."""
-
-    unit: str
-    role: str
 
 
 class _Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -60,12 +60,22 @@ def take_goal(scope: Scope, joint: int) -> None:
     scope.start[joint] = goal - scope.angle_error[joint]
 
 
+def start_offset(scope: Scope, joint: int) -> Parameter:
+    """Return where a joint without a stiff loop stands at first, from its goal or from zero."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_offset_{joint}_{angle}", unit=UNIT_OF[angle], value=0.0, low=-10.0, high=10.0,
+        description="first position, from the first goal or from zero; of a trial, as measured",
+        source="at the goal",
+    )  # fmt: skip
+
+
 def friction_speed(scope: Scope, joint: int) -> Parameter:
     """Return the speed that regularises dry friction of a drive."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"friction_speed_{joint}_{angle}_s", unit=f"{UNIT_OF[angle]}/s", value=0.02,
-        low=0.005 if angle == "rad" else 1e-4, high=0.2,
+        name=f"friction_speed_{joint}_{angle}_s", unit=f"{UNIT_OF[angle]}/s",
+        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
         description="speed below which dry friction is linear in the rate",
         source="numerical: 3 % of the study's peak rate",
     )  # fmt: skip
@@ -160,9 +170,10 @@ class Cascade:
 class Duty:
     """DC motor under a proportional duty cycle, as small Dynamixels run position control (BAM).
 
-        d = clip(k_d (goal − q), ±1),   i = (d V − k_e q̇) / R,   τ = k_t i
+        d = clip(k_d (goal − q), ±1),   i = (d V − k_t q̇) / R,   τ = k_t i
 
-    The supply voltage V is an input: a sagging supply imitates friction (data README).
+    The supply voltage V is an input: a sagging supply imitates friction (data README). With its
+    torque disabled (`enabled` is 0) the winding is open: no current, so no braking either.
     """
 
     kind: ClassVar[str] = "duty"
@@ -176,6 +187,7 @@ class Duty:
                 Parameter(name=f"duty_gain_{j}", unit="1/rad", value=1.15, low=0.01, high=50.0,
                           description="duty per radian of error",
                           source="kp · 651.9 / (256 · 885) for kp = 400 (data README)"),
+                start_offset(scope, j),
                 Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
                           high=50.0, role="nuisance", description="resistance of the winding",
                           source="assumed: 1.5 A stall at 5 V"),
@@ -190,10 +202,12 @@ class Duty:
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Goal and supply voltage as inputs."""
+        """Goal, supply voltage and whether there is torque as inputs."""
         for j in scope.joints:
             take_goal(scope, j)
+            scope.start[j] += scope.p("start_offset_{j}_{angle}", j)
             scope.input(Variable(f"supply_{j}_v", "V", 5.0, "measured supply", 0.0, nominal=5.0))
+            scope.input(Variable(f"enabled_{j}", "1", 1.0, "1 where torque is enabled", 0.0, 1.0))
 
     def drive(self, scope: Scope) -> None:
         """Current through the winding."""
@@ -202,7 +216,8 @@ class Duty:
             duty = ca.fmin(ca.fmax(duty, -1), 1)
             constant = self.torque_per_current(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
-            scope.current[j] = voltage / scope.p("winding_resistance_{j}_ohm", j)
+            closed = scope.inputs[f"enabled_{j}"][1]
+            scope.current[j] = closed * voltage / scope.p("winding_resistance_{j}_ohm", j)
             scope.motor_torque[j] = constant * scope.current[j]
 
     def inertia(self, scope: Scope, joint: int) -> Expr:
@@ -233,6 +248,7 @@ class Force:
                 Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{UNIT_OF[torque]}/V",
                           value=35.1507, low=0.01, high=1e3,
                           description="force per volt of command", source="EMPS, data README"),
+                start_offset(scope, j),
                 friction_speed(scope, j),
             ]  # fmt: skip
         return tuple(result)
@@ -243,6 +259,7 @@ class Force:
             scope.goal[j] = scope.input(
                 Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
             )
+            scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
     def drive(self, scope: Scope) -> None:
         """Force in proportion to the command; there is no current to report."""

@@ -146,18 +146,29 @@ def _derivatives(function: Any) -> Any:
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
-    """Parameter vector with the trial's geometry put over the plant's."""
-    known = set(names(model.parameters))
-    geometry = {
+    """Parameter vector with the trial's geometry, conditions and start put over the plant's."""
+    own = {
         name: getattr(trial.meta, name)
         for name in ("base_offset_m", "link_length_m", "link_width_m")
     }
-    return model.parameter_values({n: v for n, v in geometry.items() if n in known})
+    own |= trial.meta.conditions
+    for j in range(1, trial.meta.dof + 1):
+        for position, angle in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
+            if position in trial.columns:
+                goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
+                own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
+    known = set(names(model.parameters))
+    return model.parameter_values({n: v for n, v in own.items() if n in known})
 
 
 def trial_inputs(model: StepModel, trial: Trial) -> Array:
-    """Inputs of a model from a trial's columns; the payload is the declared one."""
+    """Inputs of a model from a trial's columns; the payload is the declared one.
+
+    A drive is enabled where no column says otherwise.
+    """
     columns = dict(trial.columns)
+    for j in range(1, trial.meta.dof + 1):
+        columns.setdefault(f"enabled_{j}", np.ones(len(trial)))
     columns.setdefault("payload_kg", np.full(len(trial), trial.meta.payload_kg))
     for name in names(model.inputs):
         if name not in columns:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import mujoco
 import numpy as np
 
@@ -11,6 +13,9 @@ from models.rig.case import DOWN
 from models.rig.chain import Load, build_chain
 from models.rig.parameters import Parameters
 from models.rig.servo import Servo
+
+FOLDED_RAD: Final = 0.8
+"""Bend of a hinge beyond which the link has folded and the run is no trial."""
 
 
 class Laboratory:
@@ -81,6 +86,11 @@ class Laboratory:
         start of the last step. This is a view that the next step changes.
         """
         return np.asarray(self.data.site_xpos)
+
+    @property
+    def folded(self) -> bool:
+        """Whether the link has folded, or its state is no number any more."""
+        return not np.max(np.abs(self.data.qpos[self.chain.hinges])) < FOLDED_RAD
 
     def start_leak(self) -> None:
         """Let the pressure leak from now on (it holds until the recorded run begins)."""

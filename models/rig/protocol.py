@@ -23,9 +23,6 @@ REST_SAMPLES: Final = 60
 _MARGIN: Final = 6
 """Ticks logged before and after the recorded run, for the mocap's delay and resampling."""
 
-_FOLDED_RAD: Final = 0.8
-"""Bend of a hinge beyond which the link has folded and the run is no trial."""
-
 
 @dataclass(frozen=True)
 class Variation:
@@ -117,8 +114,7 @@ def run_case(parameters: Parameters, case: Case) -> Trial:
 
 
 def _check_shape(lab: Laboratory, case: Case) -> None:
-    bend = np.max(np.abs(lab.data.qpos[lab.chain.hinges]))
-    if not bend < _FOLDED_RAD:  # also NaN
+    if lab.folded:
         raise InputError(
             case.name,
             f"the link folds {lab.time_s:.1f} s after power-up",

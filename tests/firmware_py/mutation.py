@@ -2,8 +2,9 @@
 
     python tests/firmware_py/mutation.py          # every mutant, exit 1 where one survives
 
-A mutant is the module with one node of its syntax tree changed. Each runs in a process forked from
-one that has everything imported, against `test_safety.py` until the first failure.
+A mutant is one of the supervisor's modules with one node of its syntax tree changed. Each runs in
+a process forked from one that has everything imported, against the supervisor's tests until the
+first failure.
 """
 
 from __future__ import annotations
@@ -23,10 +24,14 @@ from typing import NamedTuple
 import hypothesis
 import pytest
 
-import firmware_py.safety as target
+import firmware_py.safety
 
 HERE = Path(__file__).parent
-TESTS = HERE / "test_safety.py"
+TARGETS = {
+    f"firmware_py.{name}": Path(firmware_py.safety.__file__).with_name(f"{name}.py")
+    for name in ("limits", "blend", "safety")
+}
+TESTS = [str(HERE / f"test_{name}.py") for name in ("limits", "blend", "safety")]
 
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
@@ -49,21 +54,21 @@ EQUIVALENT = {
     "self._hold_ticks = 0": "written before it is read, by every stop",
     "self._goal = [0.0] * dof": "written before it is read, by arm",
     "self._angle = [0.0] * dof": "written before it is read, by arm",
-    "self._anchor = [0.0] * dof": "written before it is read, by resume",
-    "self._offset = [0.0] * dof": "with one tick to blend in its share is nought",
-    "self._blend_tick, self._blend_ticks = 0, 1": "without an offset there is nothing to blend",
-    "largest = 0.0": "how long an offset of nought takes to fade shows nowhere",
+    "self._from_rest, self._tick, self._ticks = False, 0, 0": "there is no offset to blend",
+    "self._anchor = [0.0] * dof": "written before it is read, by every way from rest",
+    "self._offset = [0.0] * dof": "written before it is read, by absorb",
 }
 """Lines whose mutants no test can tell from the original, and why."""
 
 
 class Mutant(NamedTuple):
+    module: str
     line: int
     change: str
     tree: ast.Module
 
     def __str__(self):
-        return f"line {self.line}: {self.change}"
+        return f"{self.module}, line {self.line}: {self.change}"
 
 
 def constant(value):
@@ -94,14 +99,13 @@ def places(tree):
             yield n, "value", None, constant(node.value)
 
 
-def mutants(source: str) -> Iterator[Mutant]:
-    """Every mutant of a module; what only talks (messages, enumerations) is left alone."""
+def mutants(module: str) -> Iterator[Mutant]:
+    """Every mutant of a module; what only talks (messages) is left alone."""
+    source = TARGETS[module].read_text(encoding="utf-8")
     tree, lines = ast.parse(source), source.splitlines()
     talk = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.JoinedStr) or (
-            isinstance(node, ast.ClassDef) and node.name == "State"
-        ):
+        if isinstance(node, ast.JoinedStr):
             talk |= {id(child) for child in ast.walk(node)}
         elif isinstance(node, ast.ClassDef | ast.Call):  # strict=, frozen= and the like
             talk |= {id(word.value) for word in node.keywords if word.arg != "tripped"}
@@ -112,7 +116,8 @@ def mutants(source: str) -> Iterator[Mutant]:
             continue
         mutated = copy.deepcopy(tree)
         node = list(ast.walk(mutated))[n]
-        yield Mutant(node.lineno, changed(node, field, k, new), ast.fix_missing_locations(mutated))
+        change = changed(node, field, k, new)
+        yield Mutant(module, node.lineno, change, ast.fix_missing_locations(mutated))
 
 
 def survives(mutant: Mutant) -> bool:
@@ -122,14 +127,16 @@ def survives(mutant: Mutant) -> bool:
         return os.waitpid(child, 0)[1] == 0
     code = 1
     try:
-        module = types.ModuleType(target.__name__)
-        module.__file__ = target.__file__
-        sys.modules[target.__name__] = module
+        for name in TARGETS:  # what imports the mutant is imported anew
+            del sys.modules[name]
+        module = types.ModuleType(mutant.module)
+        path = module.__file__ = str(TARGETS[mutant.module])
+        sys.modules[mutant.module] = module
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             hypothesis.settings.load_profile("mutation")
-            exec(compile(mutant.tree, target.__file__, "exec"), module.__dict__)
+            exec(compile(mutant.tree, path, "exec"), module.__dict__)
             code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "--no-header",
-                                    "-p", "no:xdist", str(TESTS)]))  # fmt: skip
+                                    "-p", "no:xdist", *TESTS]))  # fmt: skip
     finally:
         os._exit(0 if code == 0 else 1)
     return False
@@ -137,7 +144,7 @@ def survives(mutant: Mutant) -> bool:
 
 def survivors(step: int = 1, first: int = 0) -> tuple[int, list[Mutant]]:
     """How many mutants were tried, every `step`-th from `first` on, and which survived."""
-    chosen = list(mutants(Path(target.__file__).read_text(encoding="utf-8")))[first::step]
+    chosen = [mutant for module in TARGETS for mutant in mutants(module)][first::step]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         verdicts = pool.map(survives, chosen)
         return len(chosen), [m for m, alive in zip(chosen, verdicts, strict=True) if alive]

@@ -8,7 +8,8 @@ from firmware_py.clock import SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
-from firmware_py.registers import MODELS, Register, model_named
+from firmware_py.registers import STOPPED_BY_WATCHDOG, TORQUE_LOST, Register
+from firmware_py.servo_models import MODELS, model_named
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
 BUDGET_NS = 8_000_000
@@ -366,3 +367,164 @@ def test_a_port_that_is_back_is_opened_anew():
 
 def test_without_an_opener_a_port_stays_gone(pair):
     assert not pair[0].reopen()
+
+
+# --- the second read of a tick -------------------------------------------------------------------
+
+EXCHANGE_NS, MARGIN_NS = 1_500_000, 2_000_000
+SYNC_READ = 0x82
+
+
+class PacedWire(TamperedWire):
+    """Answers take their time; some reads are never answered, or damaged at once."""
+
+    pace_ns, fates = EXCHANGE_NS, ()
+
+    def read(self, size, deadline_ns):
+        if not size:  # what is discarded takes no time
+            return super().read(size, deadline_ns)
+        fate, self.fates = (self.fates[0], self.fates[1:]) if self.fates else ("", ())
+        if fate == "lost":
+            self.discard_input()
+            self.clock.sleep_until(deadline_ns)
+            return b""
+        self.clock.advance(self.pace_ns)
+        data = super().read(size, deadline_ns)
+        return flip_payload(data) if fate == "damaged" else data
+
+
+def paced():
+    clock, models = SimClock(), {1: MODELS[LEGACY], 2: MODELS[LEGACY]}
+    wire = PacedWire(models, clock)
+    setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
+    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    bus.connect()
+    return bus, wire, clock
+
+
+@pytest.mark.parametrize(
+    ("budget_ns", "expected"),
+    [
+        (8_000_000, BusStatus.RETRIED),
+        (2 * EXCHANGE_NS + MARGIN_NS, BusStatus.RETRIED),
+        (2 * EXCHANGE_NS + MARGIN_NS - 1, BusStatus.TIMEOUT),
+    ],
+)
+def test_a_lost_answer_is_asked_for_again_where_both_reads_fit(budget_ns, expected):
+    bus, wire, clock = paced()
+    wire.fates, start_ns, sent = ("lost",), clock.now_ns(), len(wire.written)
+    assert bus.read(start_ns + budget_ns) is expected
+    again = expected is BusStatus.RETRIED
+    assert len(wire.written) - sent == 1 + again
+    taken_ns = budget_ns - MARGIN_NS if again else budget_ns
+    assert clock.now_ns() - start_ns == taken_ns, "a single read has all the time"
+
+
+@pytest.mark.parametrize(("short_ns", "again"), [(0, True), (1, False)])
+def test_a_damaged_answer_is_asked_for_again_at_once_where_time_is_left(short_ns, again):
+    bus, wire, clock = paced()
+    wire.fates, start_ns, sent = ("damaged",), clock.now_ns(), len(wire.written)
+    status = bus.read(start_ns + 2 * EXCHANGE_NS - short_ns)
+    assert status is (BusStatus.RETRIED if again else BusStatus.CORRUPT)
+    assert len(wire.written) - sent == 1 + again
+
+
+def test_a_read_is_repeated_once_and_no_more():
+    bus, wire, clock = paced()
+    wire.fates, start_ns, sent = ("damaged",) * 3, clock.now_ns(), len(wire.written)
+    assert bus.read(start_ns + 100_000_000) is BusStatus.CORRUPT
+    assert len(wire.written) - sent == 2
+
+
+def test_a_port_that_is_gone_is_not_asked_again():
+    bus, wire, clock = paced()
+    calls = []
+    wire.check = lambda: calls.append(0) or (_ for _ in ()).throw(OSError(5, "gone"))
+    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
+    assert len(calls) == 1
+
+
+def test_an_alert_in_the_second_read_stops_the_robot_all_the_same():
+    bus, wire, clock = paced()
+    wire.put(1, Register.HARDWARE_ERROR, 0b100)
+
+    def alert(data):
+        if len(data) < 30 or wire.fates:  # the answers of both servos
+            return data
+        frame = list(data[: len(data) // 2])
+        frame[8] |= 0x80
+        crc = wire._packets.updateCRC(0, frame, len(frame) - 2)
+        return bytes([*frame[:-2], crc & 0xFF, crc >> 8]) + data[len(data) // 2 :]
+
+    wire.fates, wire.tamper = ("lost",), alert
+    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.ALERT
+    assert bus.alert == 0b100
+
+
+def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
+    _, wire, clock = paced()
+    setups = [ServoSetup(id_, MODELS[LEGACY], -0.6, 0.6) for id_ in (1, 2)]
+    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    read, syncs = wire.read, []
+
+    def lose_the_first_measurement(size, deadline_ns):
+        if size and wire.written[-1][7] == SYNC_READ and not syncs:
+            syncs.append(0)
+            wire.fates = ("lost",)
+        return read(size, deadline_ns)
+
+    wire.read = lose_the_first_measurement
+    bus.connect()
+    assert syncs
+    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK
+
+
+# --- servos that do not drive --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize(
+    ("register", "raw", "number", "bits"),
+    [(Register.TORQUE_ENABLE, 0, LEGACY, TORQUE_LOST),
+     (Register.TORQUE_ENABLE, 0, PRO_A, TORQUE_LOST),
+     (Register.BUS_WATCHDOG, -1, PRO_A, STOPPED_BY_WATCHDOG)],
+)  # fmt: skip
+def test_a_servo_that_does_not_drive_says_so_in_the_next_read(register, raw, number, bits, joint):
+    bus, wire, clock = make(number, number)
+    bus.connect()
+    bus.torque(True)
+    assert read(bus, clock) is BusStatus.OK
+    wire.put(joint, register, raw)
+    assert (read(bus, clock), bus.alert) == (BusStatus.ALERT, bits)
+    assert len(wire.written[-1]) == len(wire.written[-2]), "nothing was asked besides"
+
+
+def test_a_torque_that_was_never_switched_on_is_no_alert(pair):
+    bus, wire, clock = pair
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+    bus.torque(True)
+    bus.torque(False)
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+    wire.tamper = lambda data: b""
+    bus.torque(True)  # no servo confirms
+    wire.tamper = lambda data: data
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+def test_servos_that_are_connected_anew_start_without_the_old_alert():
+    bus, wire, clock = make(PRO_A)
+    bus.connect()
+    bus.torque(True)
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert read(bus, clock) is BusStatus.ALERT
+    bus.connect()
+    assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+def test_a_servo_whose_block_lacks_its_torque_is_not_asked_for_it():
+    bus, wire, clock = make(XM)
+    bus.connect()
+    bus.torque(True)
+    wire.put(1, Register.TORQUE_ENABLE, 0)
+    assert (read(bus, clock), bus.plan.indirect) == (BusStatus.OK, False)

@@ -11,7 +11,8 @@ from firmware_py.clock import SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.loopback import LoopbackWire
-from firmware_py.registers import LEGACY_PRO, MODELS, PRO_P, X_SERIES, Register
+from firmware_py.registers import LEGACY_PRO, PRO_P, X_SERIES, Register
+from firmware_py.servo_models import MODELS
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
 

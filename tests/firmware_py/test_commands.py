@@ -12,7 +12,8 @@ import pytest
 from firmware_py.__main__ import main
 from firmware_py.loopback import LoopbackWire
 from firmware_py.recording import read_recording
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 
 CONFIG = """
 bundle = "{bundle}"
@@ -252,6 +253,15 @@ def test_doctor_and_run_refuse_a_bus_that_is_too_slow(tmp_path, capsys):
     for command in (["doctor", "--bus"], ["run"]):
         code, output = call(capsys, *command, "--config", slow)
         assert (code, "1 servos at 57,600 baud need 10.4 ms" in output.err) == (2, True)
+
+
+@pytest.mark.parametrize(("baud", "again"), [(1_000_000, True), (115_200, False)])
+def test_doctor_says_where_there_is_no_time_to_read_twice(tmp_path, capsys, baud, again):
+    path = tmp_path / "robot.toml"
+    text = CONFIG.format(bundle="none", port="none").replace("[bus]", f"[bus]\nbaud = {baud}")
+    path.write_text(text.replace("reply_timeout_s = 0.017", "reply_timeout_s = 0.008"))
+    code, output = call(capsys, "doctor", "--bus", "--config", path)
+    assert (code, "no time to" in output.out) == (0, not again)
 
 
 def test_the_service_is_shown_before_it_is_written(config, tmp_path, capsys):

@@ -14,13 +14,16 @@ from firmware_py.clock import SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.estimator import Estimate, NoEstimator
+from firmware_py.limits import Limits
 from firmware_py.loop import ControlLoop
 from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
 from firmware_py.predictor import Prediction
-from firmware_py.registers import MODELS, Register
-from firmware_py.safety import Limits, SafetySupervisor, State
+from firmware_py.registers import Register
+from firmware_py.safety import SafetySupervisor
+from firmware_py.servo_models import MODELS
 from firmware_py.signals import STAGES, tick_dtype
+from firmware_py.states import State
 from firmware_py.summary import Ended
 from firmware_py.timing import Cause
 
@@ -203,6 +206,17 @@ def test_stale_data_degrades_and_three_in_a_row_stop_the_robot():
     assert not bus.driven
 
 
+def test_data_of_a_second_read_is_fresh_and_counted():
+    loop, bus, *_ = make()
+    bus.script = dict.fromkeys(range(50, 60), BusStatus.RETRIED)
+    summary = loop.run()
+    rows = summary.records
+    assert summary.ended is Ended.FINISHED
+    assert np.all(rows["state"][50:60] == State.RUNNING)
+    assert np.all(rows["stale_ticks"] == 0)
+    assert summary.bus_faults == {"retried": 10}
+
+
 def test_a_controlled_stop_holds_the_last_goal_before_the_torque_goes_off():
     loop, bus, *_ = make()
     bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
@@ -246,16 +260,66 @@ def test_torque_that_cannot_be_switched_on_ends_with_torque_off():
     assert bus.calls == ["connect", "torque True", "torque False"]
 
 
+def leaning(angle_rad, **options):
+    """A loop whose arm leans at the start."""
+    loop, bus, *rest = make(**options)
+    bus.angle_rad[:] = bus._goal[:] = angle_rad
+    return loop, bus, *rest
+
+
 def test_the_servos_get_their_own_position_as_first_goal_before_the_torque():
-    loop, bus, *_ = make()
-    bus.angle_rad[:] = 0.2
+    loop, bus, *_ = leaning(0.2)
     events = []
     write, torque = bus.write, bus.torque
     bus.write = lambda goal, deadline: events.append(float(goal[0])) or write(goal, deadline)
     bus.torque = lambda on: events.append(on) or torque(on)
-    summary = loop.run()
+    loop.run()
     assert events[:2] == [0.2, True]
-    assert np.abs(np.diff([0.2, *summary.records["goal_1_rad"]])).max() < 0.03
+
+
+@pytest.mark.parametrize("lean_rad", [-0.6, -0.6 + 1e-9, -0.35, 1e-6, 0.35, 0.6 - 1e-9, 0.6])
+def test_an_arm_that_leans_goes_to_the_motion_before_it_begins(lean_rad):
+    loop, *_ = leaning(lean_rad)
+    summary = loop.run()
+    rows = summary.records
+    assert (summary.ended, summary.timing.misses) == (Ended.FINISHED, 0)
+    before = rows["tick"] < 0
+    assert rows["tick"].tolist() == list(range(-before.sum(), len(rows) - before.sum()))
+    assert rows["time_s"][before.sum()] == 0.0, "the motion's time begins with the motion"
+    assert rows["goal_1_rad"][~before][: len(GOALS)].tolist() == GOALS[:, 0].tolist()
+    way = np.diff([lean_rad, *rows["goal_1_rad"][before]]) / 0.017
+    assert 0 < np.abs(way).max() <= 0.25 * Limits().rate_rad_s
+    assert np.abs(np.diff(way)).max() / 0.017 <= 0.25 * Limits().acceleration_rad_s2
+
+
+@pytest.mark.parametrize("lean_rad", [-0.6 - 1e-9, 0.6 + 1e-9])
+def test_an_arm_that_leans_too_far_is_refused_before_the_torque_is_on(lean_rad):
+    loop, bus, *_ = leaning(lean_rad)
+    with pytest.raises(InputError, match=r"outside -0\.6 to 0\.6 rad; move it by hand"):
+        loop.run()
+    assert bus.calls == ["connect"]
+
+
+@pytest.mark.parametrize("read", [1, 30, 77, 78])  # the motion begins with the last
+def test_slots_missed_on_the_way_to_the_motion_leave_no_jump(read):
+    loop, bus, *_ = leaning(0.35)
+    bus.script = {read: 2 * PERIOD_NS + 1}
+    summary = loop.run()
+    goals = summary.records["goal_1_rad"]
+    assert (summary.ended, summary.timing.misses) == (Ended.FINISHED, 2)
+    assert summary.records["tick"][0] == -78
+    assert np.abs(np.diff([0.35, *goals])).max() <= np.abs(np.diff(GOALS[:, 0])).max() * 1.1
+    later = (summary.records["tick"] >= 300) & (summary.records["tick"] < len(GOALS))
+    assert goals[later] == pytest.approx(GOALS[300:, 0], abs=1e-12)
+
+
+def test_a_port_that_goes_on_the_way_to_the_motion_lets_the_robot_go_on():
+    loop, bus, *_ = leaning(0.35, slots=600, bus=PluggedBus, replug_s=2.0)
+    bus.away, bus.script = 5, dict.fromkeys(range(20, 1000), BusStatus.PORT_GONE)
+    summary = loop.run()
+    assert (summary.ended, summary.replugs) == (Ended.FINISHED, 1)
+    goals = np.array([goal[0] for _, goal in bus.sent])
+    assert np.abs(np.diff(goals)).max() < 0.02
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -127,6 +127,43 @@ def test_crc_is_that_of_the_sdk(data):
     assert ours.updateCRC(0, data, len(data)) == theirs.updateCRC(0, data, len(data))
 
 
+class ByteByByte(Protocol2PacketHandler):
+    """The SDK's search for packets, on whose stuffing nothing hangs here."""
+
+    def removeStuffing(self, packet):
+        return packet
+
+
+pieces = st.lists(
+    st.one_of(
+        st.lists(st.integers(0, 0xFC), max_size=20).map(status),
+        st.builds(status, st.lists(st.integers(0, 0xFC), max_size=20), st.just(0xFE)),
+        st.sampled_from([0x00, 0x55, 0xFD, 0xFE, 0xFF]).map(lambda byte: bytes([byte])),
+        st.binary(max_size=30),
+        st.just(b"\xff\xff\xfd\x00\x01"),
+    ),
+    max_size=8,
+)
+
+
+@given(pieces, st.booleans(), st.data())
+def test_packets_are_found_where_the_sdk_finds_them(stream, fast, data):
+    stream = bytearray(b"".join(stream))
+    for _ in range(data.draw(st.integers(0, 3)) if stream else 0):  # damage
+        stream[data.draw(st.integers(0, len(stream) - 1))] = data.draw(st.integers(0, 255))
+    tapes = []
+    for handler in (PacketHandler(), ByteByByte()):
+        clock = SimClock()
+        port = DeadlinePort(TapeWire(clock, bytes(stream)), clock)
+        port.deadline_ns = 1
+        tape = []
+        while not tape or (tape[-1][1] != COMM_RX_TIMEOUT and len(tape) < 20):
+            packet, result = handler.rxPacket(port, fast)
+            tape.append((bytes(packet) if result == COMM_SUCCESS else b"", result))
+        tapes.append(tape)
+    assert tapes[0] == tapes[1]
+
+
 def test_a_reply_in_pieces_is_put_together():
     clock = SimClock()
     frame = status([1, 2, 3, 4])

@@ -1,5 +1,6 @@
 """From the loop's socket to a file and back, with the recorder slow, dead or cut off."""
 
+import contextlib
 import ctypes
 import json
 import os
@@ -20,7 +21,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from firmware_py.errors import InputError
 from firmware_py.recorder import recording
 from firmware_py.recording import read_recording, tick_schema
-from firmware_py.signals import tick_dtype, tick_signals
+from firmware_py.signals import PERIOD_S, tick_dtype, tick_signals
 from firmware_py.sinks import McapSink, TickEncoder
 from firmware_py.telemetry import SocketTelemetry
 
@@ -158,6 +159,18 @@ def test_a_log_cut_off_at_any_byte_is_read_up_to_its_last_whole_chunk(tmp_path, 
     cut = data.draw(st.integers(0, len(whole.data) - 1))
     tail = data.draw(st.one_of(st.sampled_from(list(TAILS.values())), st.binary(max_size=64)))
     assert_cut_is_read(tmp_path, whole, cut, tail)
+
+
+def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
+    path, encode = tmp_path / "run.mcap", TickEncoder(2, 10**18)
+    sink = McapSink(str(path), 2, {"dof": "2"})
+    on_disk = [0]
+    for record in np.zeros(100, tick_dtype(2)):  # no record is shorter than zeros
+        sink.write(*encode(record.tobytes()))
+        with contextlib.suppress(InputError):  # as long as no chunk is full
+            on_disk.append(len(read_recording(path).columns["tick"]))
+    assert max(np.diff(on_disk)) * PERIOD_S <= 0.5
+    assert on_disk[-1] > 70
 
 
 def test_the_file_is_complete_though_the_loop_was_killed(tmp_path):

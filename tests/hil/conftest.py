@@ -8,7 +8,7 @@ import dynamixel_sdk as sdk
 import numpy as np
 import pytest
 
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from hil.chain import Chain
 from hil.servo import EmulatedServo
 

@@ -92,13 +92,18 @@ def test_a_lost_reply_is_accounted_for_with_what_it_cost():
     records = run_of(100)
     records["bus_status"][[20, 40]] = BusStatus.TIMEOUT, BusStatus.CORRUPT
     records["bus_status"][60] = BusStatus.ALERT  # which is fresh data
+    records["bus_status"][80], records["busy_ns"][80] = BusStatus.RETRIED, 7 * MS
     records["busy_ns"][40] = 18 * MS
     records["missed"][41] = 1
     wire = budget.wire_facts(plans(PRO_P, 1, 1_000_000)[0])
     account = budget.account(records, 0.017, wire, {})
     blind = account["without_data"]
     assert (blind["n"], blind["max_ns"], blind["missed_slots"]) == (2, 18 * MS + 20_000, 1)
-    assert "2 ticks without data" in "\n".join(budget.describe(account))
+    again = account["read_again"]
+    assert (again["n"], again["max_ns"], again["missed_slots"]) == (1, 7 * MS + 20_000, 0)
+    words = "\n".join(budget.describe(account))
+    assert "2 ticks without data" in words
+    assert "1 ticks that read twice took at most 7.02 ms" in words
 
 
 def events_of(path):

@@ -12,16 +12,18 @@ import pytest
 
 from firmware_py import feedback
 from firmware_py.bundle import Manifest, ModelBundle
+from firmware_py.dynamixel import DynamixelBus
 from firmware_py.estimator import NoEstimator
 from firmware_py.predictor import Prediction
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 from hil import packets
 from hil.faults import drawing, verdict, virtual
 from hil.faults.campaign import cases_of
 from hil.faults.observe import Observation
 from hil.faults.plan import SERVO_FAULTS, WIRE_FAULTS, Injection, Script
 from hil.faults.robot import Rig
-from hil.faults.table import ROWS, Must, Row
+from hil.faults.table import RECOVERED, ROWS, Must, Row
 from hil.faults.verdict import Case, judge
 from hil.faults.witness import WatchedChain, WatchedServo
 from hil.packets import BROADCAST, Instruction, Packet
@@ -71,7 +73,7 @@ def test_every_fault_ends_as_the_table_says(rig, row):
 
 
 def test_the_same_seed_gives_the_same_run_and_another_one_another(rig):
-    row = row_named("bit flip in payload", "twice in a row")
+    row = row_named("bit flip in payload", "both reads of two ticks")
     first, second, other = (run(rig, row, seed=seed).observation for seed in (1, 1, 2))
     assert first == second
     starts = {Script(row.injections, seed).start for seed in range(20)}
@@ -91,6 +93,19 @@ def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(rig, monkeypatch):
     assert any("old data for fresh" in words for words in judged.unsafe)
 
 
+@pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)
+def test_a_bus_that_does_not_read_again_is_found_out(rig, monkeypatch, row):
+    monkeypatch.setattr(DynamixelBus, "_check_replies", only_once)
+    judged = run(rig, row)
+    assert judged.verdict == "fail"
+    assert any("ticks lost, not 0" in words for words in judged.astray)
+
+
+def only_once(bus):
+    """Leave no time for a second read."""
+    bus._feedback.usual_ns = 1_000_000_000
+
+
 def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
     row = row_named("unplug and replug", "configured to go on")
     supervisor = virtual.drive.__globals__["SafetySupervisor"]
@@ -98,7 +113,6 @@ def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
     class Jumping(supervisor):
         def resume(self):
             self._limits = self._limits.__class__(rate_rad_s=99.0, acceleration_rad_s2=1e4)
-            self._offset[:] = [0.0] * self._dof
 
     monkeypatch.setitem(virtual.drive.__globals__, "SafetySupervisor", Jumping)
     judged = run(rig, row)

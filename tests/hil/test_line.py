@@ -16,7 +16,8 @@ from firmware_py.bus import BusStatus
 from firmware_py.bus_plan import plans
 from firmware_py.clock import DeadlineClock, SimClock
 from firmware_py.dynamixel import DynamixelBus, ServoSetup
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 from firmware_py.wire import SocketWire
 from hil import packets
 from hil.faults import FaultPlan, parse_rates
@@ -130,17 +131,103 @@ def test_each_fault_befalls_what_it_says_and_never_becomes_data(chain_of, kind):
     bus.connect()
     bus.torque(True)
     bus.write(np.array([0.5]), clock.now_ns() + 8 * MS)
-    clock.advance(1000 * MS)
-    assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK
+    for _ in range(60):
+        clock.advance(17 * MS)
+        assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK
     truth = bus.angle_rad.copy()
     line.faults = FaultPlan({kind: 1.0}, seed=1)
     status = bus.read(clock.now_ns() + 8 * MS)
-    assert line.faults.injected[kind] == 1
+    assert line.faults.injected[kind] == (1 if kind in {"duplicated", "noise"} else 2)
     assert status.fresh == (kind in {"duplicated", "noise"})
     np.testing.assert_array_equal(bus.angle_rad, truth)
     line.faults = FaultPlan()
     clock.advance(17 * MS)
     assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK, "the next tick is not disturbed"
+
+
+class Scripted(FaultPlan):
+    """Does to one status packet after the other what stands in a list, then nothing."""
+
+    def __init__(self, *fates):
+        super().__init__()
+        self.fates = list(fates)
+
+    def apply(self, frame):
+        return self.fates.pop(0)(frame) if self.fates else [(0, frame)]
+
+
+FATES = {
+    "lost": lambda frame: [],
+    "damaged": lambda frame: [(0, frame[:-1] + bytes([frame[-1] ^ 1]))],
+    "cut": lambda frame: [(0, frame[:-3])],
+    "late": lambda frame: [(5 * MS, frame)],
+    "late by a period": lambda frame: [(17 * MS, frame)],
+    "good": lambda frame: [(0, frame)],
+}
+
+
+@pytest.mark.parametrize("kind", ["lost", "damaged", "cut", "late", "late by a period"])
+@pytest.mark.parametrize("number", sorted(MODELS))
+def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(chain_of, number, kind):
+    clock = SimClock()
+    chain = chain_of(number, (1, 2))
+    line = Line(chain)
+    bus = bus_on(VirtualWire(line, clock), clock, number)
+    bus.connect()
+    clock.sleep_until(10**9)
+    bus.torque(True)
+    goal_rad = np.zeros(2)
+    for tick in range(1, 41):
+        clock.sleep_until(10**9 + 17 * MS * tick)
+        line.faults = Scripted(FATES[kind]) if tick % 5 == 2 else FaultPlan()
+        start_ns = clock.now_ns()
+        status = bus.read(start_ns + 8 * MS)
+        measured_rad = [s.model.angle_rad(s.get(Register.PRESENT_POSITION)) for s in chain.servos]
+        assert bus.angle_rad.tolist() == measured_rad, "by the read just made"
+        goal_rad += 0.01
+        bus.write(goal_rad, start_ns + 17 * MS)
+        assert status == (BusStatus.RETRIED if tick % 5 == 2 else BusStatus.OK)
+        assert clock.now_ns() - start_ns <= 8 * MS
+
+
+def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(chain_of):
+    """Late by 5 ms for good: both answers of the first read come while the second waits."""
+    clock = SimClock()
+    line = Line(chain_of(54024, (1, 2)))
+    bus = bus_on(VirtualWire(line, clock), clock, 54024)
+    bus.connect()
+    bus.torque(True)
+    line.faults = Scripted(*[FATES["late"]] * 40)
+    for tick in range(10):
+        clock.sleep_until(10**9 + 17 * MS * tick)
+        assert bus.read(clock.now_ns() + 8 * MS) is BusStatus.RETRIED
+        assert clock.now_ns() == 10**9 + 17 * MS * tick + 8 * MS, "the second was waited for"
+
+
+@pytest.mark.parametrize(
+    ("fates", "expected"),
+    [
+        (("good", "lost", "lost", "good"), BusStatus.RETRIED),
+        (("lost", "good", "good", "damaged"), BusStatus.RETRIED),
+        (("good", "lost", "good", "lost"), BusStatus.TIMEOUT),
+        (("damaged", "good", "damaged", "good"), BusStatus.CORRUPT),
+    ],
+)
+def test_two_reads_make_one_measurement_where_every_servo_answered_one(chain_of, fates, expected):
+    clock = SimClock()
+    line = Line(chain_of(54024, (1, 2)))
+    bus = bus_on(VirtualWire(line, clock), clock, 54024)
+    bus.connect()
+    bus.torque(True)
+    before_rad = bus.angle_rad.copy()
+    bus.write(np.array([0.2, 0.3]), clock.now_ns() + 8 * MS)
+    clock.advance(1000 * MS)
+    line.faults = Scripted(*(FATES[fate] for fate in fates))
+    assert bus.read(clock.now_ns() + 8 * MS) is expected
+    if expected.fresh:
+        assert bus.angle_rad == pytest.approx([0.2, 0.3], abs=1e-3)
+    else:
+        np.testing.assert_array_equal(bus.angle_rad, before_rad)
 
 
 class LateOnce(VirtualWire):

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.registers import MODELS, Register
+from firmware_py.registers import Register
+from firmware_py.servo_models import MODELS
 from hil import packets
 from hil.packets import ALERT, BROADCAST, Instruction, Parser, StatusError
 from hil.servo import BAUD_OF_CODE, EmulatedServo

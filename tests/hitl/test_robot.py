@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.safety import State
+from firmware_py.states import State
 from firmware_py.summary import Ended
 from tests.hitl.conftest import AMPLITUDE_RAD, RATE_RAD_S, REACH_RAD
 

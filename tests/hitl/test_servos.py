@@ -6,7 +6,8 @@ import pytest
 
 from firmware_py.bus import BusStatus
 from firmware_py.errors import InputError
-from firmware_py.registers import POSITION_MODE, Register, model_named
+from firmware_py.registers import POSITION_MODE, Register
+from firmware_py.servo_models import model_named
 
 pytestmark = pytest.mark.hitl
 

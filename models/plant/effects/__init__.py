@@ -14,6 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
+import msgspec
+
 from firmware_py.errors import InputError
 from models.catalogue import CATALOGUE, Port
 from models.plant.parameter import Parameter
@@ -63,30 +65,46 @@ class Effect:
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Parameters for the joints of `scope`, the strength first."""
         named = [
-            _renamed(q, scope.name(q.name, j), scope) for q in self.per_joint for j in scope.joints
+            _fitted_to(q, scope.name(q.name, j), scope)
+            for q in self.per_joint
+            for j in scope.joints
         ]
-        return (*named, *self.shared)
+        return (*named, *(_fitted_to(q, scope.name(q.name), scope) for q in self.shared))
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
         """Names of the strength: one for every joint of `scope`, or one for all."""
         if cls.per_joint:
             return tuple(scope.name(cls.per_joint[0].name, j) for j in scope.joints)
-        return (cls.shared[0].name,)
+        return (scope.name(cls.shared[0].name),)
 
     def apply(self, scope: Scope) -> None:
         """Change the wires of the port."""
         raise NotImplementedError
 
 
-def _renamed(q: Parameter, name: str, scope: Scope) -> Parameter:
-    unit = q.unit
-    if scope.suffix["angle"] == "m":
-        unit = unit.replace("N.m", "N").replace("rad", "m")
-    return Parameter(
-        name=name, unit=unit, value=q.value, low=q.low, high=q.high, role=q.role,
-        description=q.description, source=q.source,
-    )  # fmt: skip
+PULLEY_M: Final = 0.1
+"""Radius of the pulley by which a joint that turns is likened to one that slides."""
+
+
+def _fitted_to(q: Parameter, name: str, scope: Scope) -> Parameter:
+    """Parameter for a joint of the scope's kind.
+
+    Effects are written for a joint that turns. On a straight guide a torque becomes a force and an
+    angle a way, as if by a belt on a pulley: value and bounds are multiplied accordingly.
+    """
+    if scope.suffix["angle"] == "rad":
+        return msgspec.structs.replace(q, name=name)
+    above, _, below = q.unit.partition("/")
+    power = sum(
+        exponent * (above.split(".").count(base) - below.strip("()").split(".").count(base))
+        for base, exponent in (("rad", 1), ("m", -1))
+    )
+    unit = q.unit.replace("N.m", "N").replace("rad", "m")
+    factor = PULLEY_M**power
+    return msgspec.structs.replace(
+        q, name=name, unit=unit, value=q.value * factor, low=q.low * factor, high=q.high * factor
+    )
 
 
 def applicable(drive: Any, load: Any) -> list[str]:

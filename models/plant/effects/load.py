@@ -68,7 +68,7 @@ class AerodynamicDrag(Effect):
 
     name = "aerodynamic_drag"
     shared = (
-        Parameter(name="aerodynamic_drag_nm", unit="N.m", value=0.0, low=0.0, high=10.0,
+        Parameter(name="aerodynamic_drag_{torque}", unit="N.m", value=0.0, low=0.0, high=10.0,
                   role="effect", description="drag torque at 1 rad/s",
                   source="FACTS §6: 0.02 N·m"),
     )  # fmt: skip
@@ -82,7 +82,7 @@ class AerodynamicDrag(Effect):
         }
         speed = ca.sqrt(sum(r**2 for r in rate.values()) + STILL_RAD_S**2)
         for j in scope.joints:
-            torque = scope.p("aerodynamic_drag_nm") * speed * rate[j]
+            torque = scope.p("aerodynamic_drag_{torque}") * speed * rate[j]
             scope.joint_torque[j] -= torque
             for hinge, share in shares.items():
                 scope.bend_torque[hinge, j] -= share * torque

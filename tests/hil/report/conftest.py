@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from firmware_py.bundle import ModelBundle
-from firmware_py.registers import MODELS
+from firmware_py.servo_models import MODELS
 from fmu.check import check_unit
 from fmu.stepper import Archive
 from fmu.units import parts_inside

@@ -180,8 +180,8 @@ def test_the_others_work_on_every_load(tmp_path, drive, load):
     grown = plant.with_effects(*held)
     models = [p.step_model(1) for p in (plant, grown)]
     time_s = 0.01 * np.arange(40)
-    u = np.array([[1.0 if n.startswith("payload") else 5.0 if n.startswith("supply") else 0.0
-                   for n in names(models[0].inputs)]] * len(time_s))  # fmt: skip
+    constant = {"payload_kg": 1.0, "enabled_1": 1.0, "supply_1_v": 5.0}
+    u = np.array([[constant.get(n, 0.0) for n in names(models[0].inputs)]] * len(time_s))
     u[:, 0] = 0.3 * np.sin(5 * time_s)
     without, absent = (m.simulate(u, 0.01) for m in models)
     assert np.array_equal(without, absent)

@@ -37,7 +37,9 @@ def test_a_pendulum_swings_with_the_period_of_the_elliptic_integral(plant_of, am
     x[names(model.states).index("joint_1_rad")] = amplitude_rad
     step_s, payload_kg, angles = 5e-3, 0.3, []
     for _ in range(400):
-        x = model.advance(x, np.array([0.0, 0.0, payload_kg]), model.parameter_values(), step_s)
+        x = model.advance(
+            x, np.array([0.0, 0.0, 1.0, payload_kg]), model.parameter_values(), step_s
+        )
         angles.append(x[names(model.states).index("joint_1_rad")])
     angles = np.array(angles)
     down = np.flatnonzero((angles[:-1] > 0) & (angles[1:] <= 0))
@@ -55,7 +57,7 @@ def test_a_motor_holds_the_pendulum_where_torque_and_gravity_agree(plant_of):
     plant = plant_of("duty", "pendulum", changes, ["viscous_friction"])
     model = plant.step_model(1)
     p = model.parameter_values({"viscous_friction_1_nm_s_rad": 0.5})
-    u = np.tile([1.0, 6.0, 0.0], (800, 1))
+    u = np.tile([1.0, 6.0, 1.0, 0.0], (800, 1))
     angle, current = model.simulate(u, 0.01, p)[-1, :2]
     gravity = (0.5 + 0.1) * 9.81 * 0.3 * np.sin(angle)
     assert 0.4 * current == pytest.approx(gravity, rel=1e-4)
