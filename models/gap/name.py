@@ -6,7 +6,7 @@ One round of the search, repeated after each inclusion with everything tried aga
    with those of a candidate, its cost measured by simulation. Effects whose derivative vanishes
    where they are absent (a limit that is never met) are tried at a ladder of strengths.
 2. Refit the best five from several starts; the cost of a nested model never rises (asserted).
-3. Include the best where its gain passes the threshold and, over payloads left out in turn, its
+3. Include the best where its gain passes what it shows without a gap (`models.gap.null`) and, over payloads left out in turn, its
    held-out gain exceeds its standard error. Where none does, pairs are tried.
 4. Try to delete what was included before.
 """
@@ -22,11 +22,8 @@ import numpy as np
 
 from models.gap.crossvalidate import held_out_gains
 from models.gap.fit import Estimator, Point
+from models.gap.null import null_of
 from models.gap.spectrum import Array
-
-SEPARATION: Final = 5.0
-"""Least d′ of an effect that is named: the largest of 26 on data without a gap stays below it in
-97 % of cases (bench/gap)."""
 
 ALIKE: Final = 3.0
 """Separation below which two effects cannot be told apart (FACTS §8)."""
@@ -35,10 +32,6 @@ ROUNDS: Final = 2
 REFITTED: Final = 5
 MOST: Final = 3
 """Effects that one diagnosis may include."""
-
-PER_PARAMETER: Final = 5.0
-"""Fall of twice the cost that each further parameter of an effect must pay (log of some 150
-independent samples)."""
 
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""
@@ -107,6 +100,7 @@ class Namer:
         self, estimator: Estimator, catalogue: Sequence[str], report: Report = lambda text: None
     ) -> None:
         self.estimator = self.first = estimator
+        self.null = null_of(estimator.problem.plant)
         self.report = report
         self.knobs = estimator.problem.knobs
         self.base = np.array([k.kind != "effect" for k in self.knobs])
@@ -153,9 +147,8 @@ class Namer:
         return self._score(trial) + max(trial.promised - trial.gain, 0.0)
 
     def _score(self, trial: Candidate) -> float:
-        """Twice the gain, less what its parameters cost."""
-        count = sum(int(self.of[e].sum()) for e in trial.effects)
-        return 2 * trial.gain - PER_PARAMETER * count
+        """Twice the gain, less what it must be at least."""
+        return 2 * trial.gain - self.null.price(trial.effects)
 
     def free(self, effects: Sequence[str]) -> Array:
         """Knobs that are fitted when these effects are named."""
@@ -212,9 +205,10 @@ class Namer:
         self, refitted: Sequence[Candidate], here: Point, found: Naming
     ) -> Candidate | None:
         """Best candidate that passes threshold and cross-validation."""
-        least = SEPARATION**2 * self.dispersion(here)
+        dispersion = self.dispersion(here)
         for trial in refitted:
-            if self._score(trial) < max(least, self._score(refitted[0]) / 2):
+            enough = 2 * trial.gain > dispersion * self.null.price(trial.effects)
+            if not enough or self._score(trial) < self._score(refitted[0]) / 2:
                 break
             free = self.free([*found.named, *trial.effects])
             gains = held_out_gains(
@@ -270,7 +264,7 @@ class Namer:
             values = found.after.values.copy()
             values[self.of[effect]] = 0.0
             without = self.estimator.fit(self.estimator.at(values), self.free(rest), 5)
-            if 2 * (without.cost - found.after.cost) < SEPARATION**2:
+            if 2 * (without.cost - found.after.cost) < self.null.price([effect]):
                 found.named, found.after = rest, without
 
     def _unexcited(self, point: Point) -> list[str]:

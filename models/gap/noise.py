@@ -36,6 +36,10 @@ FORMULATION: Final = 0.1
 """Share of a named effect's contribution that its equation may miss: the plant reproduces the link
 itself to 6 to 10 %."""
 
+REPEATED: Final = 0.8
+"""Share of an equation's error (in power) that repeats when a trial is repeated: near instability
+no two trials are alike."""
+
 PAYLOAD_REACH_KG: Final = 1.0
 """Difference in payload over which the model's error changes."""
 
@@ -109,7 +113,9 @@ class Floor:
             noise = np.maximum(noise, LEAST * max(largest, 1e-12))
             shared = left * model + own_noise * noise
             if signal in self.formulation:
-                shared += np.interp(hz, self.frequency_hz, self.formulation[signal])
+                missed = np.interp(hz, self.frequency_hz, self.formulation[signal])
+                shared += REPEATED * missed
+                noise = noise + (1 - REPEATED) * missed
             variance = noise[:, None, None] * np.eye(len(own)) + shared[:, None, None] * alike
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
