@@ -2,8 +2,8 @@
 
 `inputs` reads a build directory; `motion_figures`, `error_figures`, `estimator_figures` and
 `loop_figures` draw (`svg` gives them one look); `tables` sets figures against targets; `page` puts
-it all together with `page.html` and `style.css`. `fault_tables` shows a campaign of faults, in the
-page and by itself.
+it all together with `page.html` in the look of `models.page`. `fault_tables` shows a campaign of
+faults, in the page and by itself.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from hil.report.loop_figures import loop_figures, stages
 from hil.report.motion_figures import motion_figures
 from hil.report.svg import Figure
 from hil.report.tables import Cell, Table
+from models.page import STYLE
 
 HERE: Final = Path(__file__).parent
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
@@ -63,7 +64,7 @@ def _rendered(template: str, **values: Any) -> str:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     return environment.get_template(template).render(
-        style=(HERE / "style.css").read_text(encoding="utf-8"),
+        style=STYLE.read_text(encoding="utf-8"),
         made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC"),
         **values,
     )

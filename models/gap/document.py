@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.gap.close import Diagnosis
-from models.gap.locate import plain, sentence
+from models.gap.locate import as_row, plain, sentence
 from models.gap.separate import as_document, look_alikes, separating_motion
 from models.gap.spectrum import Array
 from models.plant.evaluate import compare, signal_errors
@@ -41,6 +41,7 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
         },
         "sentence": sentence(cells),
         "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
+        "map": [as_row(c) for c in cells],
         "named": [_named(found, turn) for turn in range(len(naming.chosen))],
         "before": before,
         "after": after,

@@ -207,9 +207,9 @@ def sentence(cells: Sequence[Cell]) -> str:
     if abs(top.mean) > 0.5 * top.floors:
         side = " too large" if top.mean > 0 else " too small"
     band = _largest(own, "band")
-    parts = [f"{_spoken(top.signal)} is off most {where}"]
+    parts = [f"{spoken(top.signal)} is off most {where}"]
     if side:
-        parts = [f"{_spoken(top.signal)} is measured{side} for the plant {where}"]
+        parts = [f"{spoken(top.signal)} is measured{side} for the plant {where}"]
     parts.append(f"{top.floors:.1f} noise floors")
     if band:
         parts.append(f"mostly at {band.level}")
@@ -231,7 +231,8 @@ def _largest(cells: Sequence[Cell], factor: str) -> Cell | None:
     return max(own, key=lambda c: c.floors) if own else None
 
 
-def _spoken(signal: str) -> str:
+def spoken(signal: str) -> str:
+    """A signal in words."""
     if signal in SPOKEN:
         return SPOKEN[signal]
     what, joint, _ = (*signal.split("_"), "", "")[:3]
@@ -243,4 +244,12 @@ def plain(cell: Cell) -> dict[str, Any]:
     return {
         "signal": cell.signal, cell.factor: cell.level, "size": round(cell.floors, 3),
         "mean": round(cell.mean, 3), "p": round(cell.p, 4),
+    }  # fmt: skip
+
+
+def as_row(cell: Cell) -> dict[str, Any]:
+    """A cell of the map that gap.json holds, whether significant or not."""
+    return {
+        "signal": cell.signal, "factor": cell.factor, "level": cell.level,
+        "size": round(cell.floors, 3), "significant": cell.significant,
     }  # fmt: skip

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -13,12 +15,15 @@ from models.gap.spectrum import Array
 from models.trial import Trial
 from models.trials import TrialSet
 
+_STEPS: Final = 12
+
 
 def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:
     """Error on held-out trials, in noise floors: as given, refitted, with each effect in turn.
 
-    Common knobs are fitted to the trials of the study's split and then held; on the held-out
-    trials only the variation between trials is fitted, as the noise floor allows it.
+    Common knobs are fitted to the trials of the study's split and then held. On the held-out
+    trials only the variation between trials is fitted, as the noise floor allows it, from where
+    it ended in the trials of the same payload: a large gap that is not explained yet leans on it.
     """
     fit, held_out = trials.split()
     tested = held_out if len(held_out) else fit
@@ -38,7 +43,7 @@ def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float
             start[own] = naming.after.values[here]
         free = np.array([k.kind != "effect" or k.effect in named for k in learner.problem.knobs])
         candidates = [learner.at(start), point]
-        point = learner.fit(min(candidates, key=lambda p: p.cost), free, 4)
+        point = learner.fit(min(candidates, key=lambda p: p.cost), free, _STEPS, 1e-3)
         steps.append((label.replace("_", " "), _floors(judge, point.values, learner)))
     steps.append(("noise floor", 1.0))
     return steps
@@ -52,15 +57,26 @@ def _estimator(found: Diagnosis, trials: Sequence[Trial]) -> Estimator:
     return Estimator(Problem(found.plant, trials, knobs), found.namer.first.floor)
 
 
-def _floors(judge: Estimator, values: Array, learner: Estimator) -> float:
+def _floors(judge: Estimator, learned: Array, learner: Estimator) -> float:
     """Root mean square in noise floors with the learner's common knobs."""
-    common = {
-        k.name: v for k, v in zip(learner.problem.knobs, values, strict=True) if k.trial is None
-    }
-    start = np.array(
-        [common.get(k.name, 0.0) if k.trial is None else 0.0 for k in judge.problem.knobs]
-    )
-    own = np.array([k.kind == "trial" for k in judge.problem.knobs])
-    point = judge.fit(judge.at(start), own, 3)
+    variation = np.array([k.kind == "trial" for k in judge.problem.knobs])
+    point = judge.fit(judge.at(_handed_over(judge, learned, learner)), variation, _STEPS, 1e-3)
     white = judge.whitened(point.rows)
     return float(np.sqrt(sum(np.sum(w**2) for w in white) / sum(w.size for w in white)))
+
+
+def _handed_over(judge: Estimator, learned: Array, learner: Estimator) -> Array:
+    """The learner's values by name: common ones, and a trial's own by its payload."""
+    values = dict(zip(_keys(learner.problem), learned, strict=True))
+    return np.array([values.get(key, 0.0) for key in _keys(judge.problem)])
+
+
+def _keys(problem: Problem) -> list[tuple[str, float | None, int]]:
+    """Name, payload and turn of every knob: a name may come several times (one for each axis)."""
+    seen: Counter[tuple[str, int | None]] = Counter()
+    result = []
+    for knob in problem.knobs:
+        payload_kg = None if knob.trial is None else problem.trials[knob.trial].meta.payload_kg
+        result.append((knob.name, payload_kg, seen[knob.name, knob.trial]))
+        seen[knob.name, knob.trial] += 1
+    return result

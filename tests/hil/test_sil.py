@@ -117,13 +117,13 @@ def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
     x = np.asarray(plant.initial(u, p)).ravel()
     now_ns = 0
     for record in result.records:
-        # 15 bytes ask, after the return delay 17 answer, 19 bring the goal, at 10 µs each.
+        # 15 bytes ask, after the return delay 18 answer, 19 bring the goal, at 10 µs each.
         sample_ns = int(record["deadline_ns"]) + 150_000
         x = plant.advance(x, u, p, (sample_ns - now_ns) * 1e-9)
         angle_rad, current_a, *_ = np.asarray(plant.output(x, u, p)).ravel()
         assert abs(angle_rad - record["angle_1_rad"]) <= servo.rad_per_pulse
         assert abs(current_a - record["current_1_a"]) <= servo.current_a_per_lsb
-        now_ns = sample_ns + 500_000 + 170_000 + 190_000
+        now_ns = sample_ns + 500_000 + 180_000 + 190_000
         x = plant.advance(x, u, p, (now_ns - sample_ns) * 1e-9)
         u[0] = servo.angle_rad(servo.position_raw(float(record["goal_1_rad"])))
 

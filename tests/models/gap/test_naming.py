@@ -105,7 +105,9 @@ def test_gap_json_holds_what_the_contract_names(late, tmp_path):
     assert {row["effect"] for row in data["rejected"]} == set(CONSIDERED) - {"dead_time"}
     assert all(row["reason"] for row in data["rejected"])
     assert "dead_time" in in_words(data)
-    page = write_report(found, data, trials, tmp_path / "report.html").read_text()
+    page = write_report(
+        data, found.plant, found.improved, trials, tmp_path / "report.html"
+    ).read_text()
     assert page.count("<svg") >= 4
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
