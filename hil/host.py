@@ -58,7 +58,7 @@ class Watch:
         return self.privileged and len(self.wake_ns) > 0
 
     def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Longest time within the window for which the processor stood still.
+        """Time within the window for which the processor stood still, in one stall or several.
 
         Returns
         -------
@@ -70,15 +70,14 @@ class Watch:
             return 0, 0
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns + self.period_ns))
         wake, lateness = self.wake_ns[first : last + 1], self.lateness_ns[first : last + 1]
+        before = np.append(self.wake_ns[first - 1] if first else start_ns, wake[:-1])
         stalled = lateness >= STALL_NS
-        wake, lateness = wake[stalled], lateness[stalled]
-        if not len(wake):
-            return 0, 0
-        ends = np.minimum(wake, end_ns)
-        begins = wake - lateness
-        certain = (ends - np.maximum(begins, start_ns)).max()
-        possible = (ends - np.maximum(begins - self.period_ns, start_ns)).max()
-        return max(int(certain), 0), max(int(possible), 0)
+        ends, begins = np.minimum(wake, end_ns), wake - lateness
+        earliest = np.maximum(begins - self.period_ns, before)
+        certain, possible = (
+            np.maximum(ends - np.maximum(b, start_ns), 0)[stalled].sum() for b in (begins, earliest)
+        )
+        return int(certain), int(possible)
 
     def ours_between_ns(self, start_ns: int, end_ns: int) -> int:
         """Processor time of ours that may fall into the window."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from firmware_py.signals import tick_dtype
+from firmware_py.states import State
 from hil import verify
 from hil.host import PROBE_PERIOD_NS, Releases, Watch
 
@@ -49,7 +50,7 @@ def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> Watc
     for start_ns, length_ns in stalls:
         inside = (wake >= start_ns) & (wake < start_ns + length_ns)
         wake[inside] = start_ns + length_ns
-    keep = np.append(np.diff(wake) > 0, True)
+    keep = np.append(True, np.diff(wake) > 0)  # what was due first says how late it was
     return Watch(wake[keep], (wake - due)[keep], np.full(keep.sum(), ours_ns))
 
 
@@ -92,6 +93,17 @@ def test_a_stall_that_the_probe_saw_too_is_the_hosts():
     timing = judge(records, probe_over(records, stall), probe_over(records))
     assert (timing["verdict"], timing["misses"], timing["own_misses"]) == ("pass", 1, 0)
     assert timing["causes"]["preempted by the host"] == 1
+
+
+def test_two_stalls_in_one_tick_excuse_it_together():
+    records = run_of()
+    slow_down(records, 500, 72 * MS)
+    begin_ns = int(records["deadline_ns"][500]) + 30_000
+    stalls = (begin_ns, 21 * MS), (begin_ns + 24 * MS, 44 * MS)
+    one = judge(records, probe_over(records, stalls[1]), probe_over(records))
+    both = judge(records, probe_over(records, *stalls), probe_over(records))
+    assert (one["verdict"], both["verdict"]) == ("fail", "pass")
+    assert 65 * MS - 2 * PROBE_PERIOD_NS <= both["host"]["max_ns"] <= 65 * MS
 
 
 def test_a_stall_that_may_have_fallen_outside_the_tick_excuses_it_and_does_not_count():
@@ -234,6 +246,24 @@ def test_a_robot_that_was_stopped_has_not_passed():
     timing = judge(records, probe_over(records), probe_over(records), stopped="no fresh data")
     assert (timing["verdict"], verify.exit_code(timing)) == ("fail", 1)
     assert "no fresh data" in timing["reason"]
+
+
+@pytest.mark.parametrize(("stalled", "verdict"), [(False, "fail"), (True, "inconclusive")])
+def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
+    records = run_of()
+    slow_down(records, 500, 72 * MS)
+    records["state"] = State.RUNNING
+    records["state"][501:] = State.STOPPING
+    stalls = [(int(records["deadline_ns"][500]) + 30_000, 70 * MS)] if stalled else []
+    watch = probe_over(records, *stalls)
+    timing = judge(records, watch, probe_over(records), stopped="4 slots missed in a row")
+    assert timing["verdict"] == verdict
+    records["missed"][501], records["missed"][502] = (
+        0,
+        4,
+    )  # it was stopped before, by something else
+    timing = judge(records, watch, probe_over(records), stopped="a limit")
+    assert timing["verdict"] == "fail"
 
 
 @pytest.mark.parametrize(
