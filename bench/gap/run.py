@@ -40,10 +40,9 @@ def run(case: BenchCase, plant_path: str, directory: str) -> str:
 
 
 def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
-    rig = read_parameters()
-    rig = rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
+    rig = laboratory(case)
     try:
-        trials = TrialSet(tuple(_trials(rig.hide(case.hidden), case.seed)))
+        trials = TrialSet(tuple(lean_trials(rig.hide(case.hidden), case.seed)))
         sealed = _sealed(rig.hide(case.hidden), case.seed)
         sealed_floor = _sealed(rig, case.seed)
     except InputError as error:  # the link folds: no data set
@@ -96,7 +95,14 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _trials(rig: Parameters, seed: int) -> list[Trial]:
+def laboratory(case: BenchCase) -> Parameters:
+    """Laboratory of a case, without what is hidden in it."""
+    rig = read_parameters()
+    return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
+
+
+def lean_trials(rig: Parameters, seed: int) -> list[Trial]:
+    """Three payloads, two repetitions."""
     return [
         run_case(rig, Case(Motion(), payload, trial, seed))
         for payload in PAYLOADS_KG

@@ -93,6 +93,7 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
         },
         "evidence": {
             "separation": chosen.separation,
+            "least": namer.null.least(chosen.effects),
             "held_out_gain": chosen.held_out_gain,
             "held_out_error": chosen.held_out_error,
         },
@@ -114,7 +115,10 @@ def rejected(found: Diagnosis) -> list[dict[str, Any]]:
     for effect, size in sorted(naming.screened.items(), key=lambda row: -row[1]):
         if effect in naming.named:
             continue
-        entry: dict[str, Any] = {"effect": effect, "separation": round(size, 3)}
+        entry: dict[str, Any] = {
+            "effect": effect, "separation": round(size, 3),
+            "least": round(found.namer.null.least([effect]), 3),
+        }  # fmt: skip
         if effect in refitted and not np.isnan(refitted[effect].held_out_gain):
             entry["reason"] = "its gain does not hold on trials left out"
         elif naming.named:
@@ -126,7 +130,8 @@ def rejected(found: Diagnosis) -> list[dict[str, Any]]:
         result.append(entry)
     known = {row["effect"] for row in result} | set(naming.named)
     result += [
-        {"effect": e, "separation": 0.0, "reason": "not excited by these trials"}
+        {"effect": e, "separation": 0.0, "least": found.namer.null.least([e]),
+         "reason": "not excited by these trials"}
         for e in naming.unexcited if e not in known
     ]  # fmt: skip
     return result

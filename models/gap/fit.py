@@ -1,19 +1,21 @@
 """Generalised least squares over the knobs, in units of the noise floor.
 
-The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor, m is the
-error that the plant is known to keep, the second part holds nuisance and trial variation to their
-priors. Gauss–Newton steps stay in the bounds and are taken only where the cost falls. Exact
-derivatives cost twenty simulations, so between them they are carried on by secants (Broyden 1965).
+The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor and by the
+patterns of the plant's own error, m is what is known of that error, the second part holds nuisance
+and trial variation to their priors. Gauss–Newton steps stay in the bounds and are taken only where
+the cost falls. Exact derivatives cost twenty simulations, so between them they are carried on by secants (Broyden 1965).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from models.gap.discrepancy import discrepancy_of
 from models.gap.noise import Floor
 from models.gap.problem import Problem
 from models.gap.spectrum import Array
@@ -51,17 +53,46 @@ class Estimator:
     def __init__(self, problem: Problem, floor: Floor) -> None:
         self.problem, self.floor = problem, floor
         self.whiteners = [floor.whitener(g, problem.trials) for g in problem.groups]
+        self.basis, self.shrinkage = self._patterns()
         self.means = [floor.mean(g, problem.trials) for g in problem.groups]
         spread = np.array([k.spread for k in problem.knobs])
         self.precision = np.where(np.isfinite(spread), 1 / spread**2, 0.0)
         self.low = np.array([k.low for k in problem.knobs])
         self.high = np.array([k.high for k in problem.knobs])
 
+    def _patterns(self) -> tuple[Array, Array]:
+        """Orthonormal patterns of the plant's own error, and what each loses by it.
+
+        With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
+        """
+        known = discrepancy_of(self.problem.plant) if self.floor.learned else None
+        if known is None:
+            return np.empty((0, 0)), np.empty(0)
+        rows = [known.rows(g, self.problem.trials) for g in self.problem.groups]
+        scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
+        basis, size, _ = np.linalg.svd(_stack(scaled), full_matrices=False)
+        return basis, 1 - 1 / np.sqrt(1 + size**2)
+
     def whitened(self, rows: list[Array]) -> list[Array]:
         """Residual spectra in noise floors, (trials, signals, K)."""
+        return self._whiten([r - m for r, m in zip(rows, self.means, strict=True)])
+
+    def _whiten(self, rows: Sequence[Array]) -> list[Array]:
+        """Rows (trials, signals, K, …) in noise floors."""
+        scaled = self._scaled(rows)
+        if not len(self.shrinkage):
+            return scaled
+        stacked = _stack(scaled)
+        stacked -= self.basis @ (self.shrinkage[:, None] * (self.basis.T @ stacked))
+        ends = np.cumsum([w[..., 0].size if w.ndim > 3 else w.size for w in scaled])[:-1]
+        parts = np.split(stacked, ends)
+        return [part.reshape(w.shape) for part, w in zip(parts, scaled, strict=True)]
+
+    def _scaled(self, rows: Sequence[Array]) -> list[Array]:
+        """Rows (trials, signals, K, …) in units of the floor alone."""
         return [
-            np.einsum("skij,jsk->isk", w, r - m)
-            for w, r, m in zip(self.whiteners, rows, self.means, strict=True)
+            np.einsum("skij,jsk...->isk...", w, r)
+            for w, r in zip(self.whiteners, rows, strict=True)
         ]
 
     def at(self, values: Array) -> Point:
@@ -75,10 +106,7 @@ class Estimator:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
         if not point.exact:
             _, slopes = self.problem.jacobian(point.values)
-            white = [
-                np.einsum("skij,jskp->iskp", w, s).reshape(-1, s.shape[-1])
-                for w, s in zip(self.whiteners, slopes, strict=True)
-            ]
+            white = [w.reshape(-1, w.shape[-1]) for w in self._whiten(slopes)]
             self._set_slopes(point, white)
             point.exact = True
         return point
@@ -163,3 +191,8 @@ class Estimator:
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
         inverse = np.linalg.pinv(normal / np.outer(size, size), hermitian=True)
         return np.asarray(inverse / np.outer(size, size))
+
+
+def _stack(rows: Sequence[Array]) -> Array:
+    """Rows (trials, signals, K[, columns]) of all groups as one matrix."""
+    return np.concatenate([r.reshape(-1, r.shape[3] if r.ndim > 3 else 1) for r in rows])

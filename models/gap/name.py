@@ -6,8 +6,9 @@ One round of the search, repeated after each inclusion with everything tried aga
    with those of a candidate, its cost measured by simulation. Effects whose derivative vanishes
    where they are absent (a limit that is never met) are tried at a ladder of strengths.
 2. Refit the best five from several starts; the cost of a nested model never rises (asserted).
-3. Include the best where its gain passes what it shows without a gap (`models.gap.null`) and, over payloads left out in turn, its
-   held-out gain exceeds its standard error. Where none does, pairs are tried.
+3. Include the best where its gain passes what it shows without a gap (`models.gap.null`) and, over
+   payloads left out in turn, its held-out gain exceeds its standard error. Where none does, pairs
+   are tried.
 4. Try to delete what was included before.
 """
 
@@ -148,7 +149,7 @@ class Namer:
 
     def _score(self, trial: Candidate) -> float:
         """Twice the gain, less what it must be at least."""
-        return 2 * trial.gain - self.null.price(trial.effects)
+        return 2 * trial.gain - self.null.least(trial.effects) ** 2
 
     def free(self, effects: Sequence[str]) -> Array:
         """Knobs that are fitted when these effects are named."""
@@ -207,7 +208,7 @@ class Namer:
         """Best candidate that passes threshold and cross-validation."""
         dispersion = self.dispersion(here)
         for trial in refitted:
-            enough = 2 * trial.gain > dispersion * self.null.price(trial.effects)
+            enough = 2 * trial.gain > dispersion * self.null.least(trial.effects) ** 2
             if not enough or self._score(trial) < self._score(refitted[0]) / 2:
                 break
             free = self.free([*found.named, *trial.effects])
@@ -221,16 +222,18 @@ class Namer:
                 return trial
         return None
 
-    def dispersion(self, point: Point) -> float:
-        """Mean squared residual in noise floors, at most that which counts as explained."""
+    def left(self, point: Point) -> float:
+        """Mean squared residual, in noise floors."""
         rows = self.estimator.whitened(point.rows)
-        mean = sum(float(np.sum(w**2)) for w in rows) / sum(w.size for w in rows)
-        return float(np.clip(mean, 1.0, EXPLAINED))
+        return sum(float(np.sum(w**2)) for w in rows) / sum(w.size for w in rows)
+
+    def dispersion(self, point: Point) -> float:
+        """The same, at least 1, at most what counts as explained."""
+        return float(np.clip(self.left(point), 1.0, self.null.explained))
 
     def has_gap(self, point: Point) -> bool:
         """Whether more is left than noise explains."""
-        rows = self.estimator.whitened(point.rows)
-        return sum(float(np.sum(w**2)) for w in rows) > EXPLAINED * sum(w.size for w in rows)
+        return self.left(point) > self.null.explained
 
     def _pairs(self, here: Point, found: Naming) -> Candidate | None:
         """Best pair of effects, by the linear promise, then refitted."""
@@ -264,7 +267,7 @@ class Namer:
             values = found.after.values.copy()
             values[self.of[effect]] = 0.0
             without = self.estimator.fit(self.estimator.at(values), self.free(rest), 5)
-            if 2 * (without.cost - found.after.cost) < self.null.price([effect]):
+            if 2 * (without.cost - found.after.cost) < self.null.least([effect]) ** 2:
                 found.named, found.after = rest, without
 
     def _unexcited(self, point: Point) -> list[str]:
@@ -283,8 +286,3 @@ class Namer:
             if np.sqrt(max(left, 0.0)) * reach < ALIKE:
                 result.append(effect)
         return result
-
-
-EXPLAINED: Final = 1.6
-"""Mean square in noise floors up to which a residual counts as noise: on data without a gap it
-stays below (bench/gap)."""

@@ -17,7 +17,6 @@ import numpy as np
 from models.catalogue import CATALOGUE
 from models.gap import svg
 from models.gap.locate import spoken
-from models.gap.name import SEPARATION
 from models.gap.spectrum import Array
 from models.page import SHOWN, Section, page_of, panels_of, readable, table_of
 from models.plant.evaluate import TIP, Comparison, compare
@@ -89,7 +88,8 @@ def sections(
         Section(
             "what", "What is missing", _named(data, hidden) + _rivals(data),
             "d′: distance from a plant without the effect, in standard deviations of the noise "
-            f"floor; an effect is named from {SEPARATION:g} on.",
+            "floor. What each effect needs to be named was measured where nothing is missing; the "
+            "bars show how many times that it reached.",
         ),
     ]  # fmt: skip
     if data.get("waterfall"):
@@ -212,14 +212,17 @@ def _unit(unit: str) -> str:
 
 
 def _rivals(data: Mapping[str, Any]) -> str:
-    """Named effects beside those that came next, by d′ alone."""
-    named = [(_words(r["effect"]), r["evidence"]["separation"]) for r in data["named"][:1]]
-    others = [(_words(r["effect"]), r["separation"]) for r in data["rejected"]]
+    """Named effects beside those that came next, each alone."""
+    named = [
+        (_words(r["effect"]), r["evidence"]["separation"] / r["evidence"]["least"])
+        for r in data["named"][:1]
+    ]
+    others = [(_words(r["effect"]), r["separation"] / r["least"]) for r in data["rejected"]]
     rows = named + sorted(others, key=lambda row: -row[1])[: RIVALS - len(named)]
     if not rows:
         return ""
-    title = "How well each effect alone explains the gap, d′"
-    return panels_of([(title, svg.bars(rows, "", SEPARATION, f"named from {SEPARATION:g}"))])
+    title = "How well each effect alone explains the gap, beside what it needs to be named"
+    return panels_of([(title, svg.bars(rows, "", 1.0, "needed"))])
 
 
 def _rejected(data: Mapping[str, Any]) -> str:

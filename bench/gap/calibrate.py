@@ -1,0 +1,143 @@
+"""Measure what the gap workflow must know of data without a gap.
+
+    python -m bench.gap.calibrate --plant build/plant.json --out build/calibrate
+
+Two sets of laboratories without a hidden effect, their nuisance drawn anew: from the first come the
+patterns of the plant's own error (`models/gap/discrepancy.npz`), from the second how far every
+effect seems to help there (`models/gap/null.json`). Resumable: one file per laboratory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bench.gap.cases import BenchCase, draw
+from bench.gap.run import laboratory, lean_trials
+from firmware_py.console import Progress
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from models.gap.close import diagnose
+from models.gap.discrepancy import PATH as PATTERNS
+from models.gap.discrepancy import Discrepancy, patterns_of
+from models.gap.fit import Estimator
+from models.gap.knobs import nuisance_knobs, trial_knobs
+from models.gap.learn import floor_of
+from models.gap.noise import group_hz
+from models.gap.null import PATH as PRICES
+from models.gap.null import calibrate
+from models.gap.problem import Problem
+from models.plant.plant import read_plant
+from models.rig.case import Case
+from models.rig.protocol import run_case
+from models.trials import TrialSet
+
+PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+SEEDS: Final = {"patterns": 9000, "prices": 9001}
+"""Of the draws; the benchmark has others."""
+
+
+def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
+    """Save what the nuisance fit leaves on one laboratory: spectra by payload."""
+    rig = laboratory(case)
+    try:
+        trials = [run_case(rig, Case(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
+    except InputError:  # its link folds
+        np.savez(path)
+        return
+    plant = read_plant(plant_path)
+    problem = Problem(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
+    floor = floor_of(plant, 1)
+    assert floor is not None, "identify the plant on repeated trials first"
+    estimator = Estimator(problem, floor)
+    start = estimator.at(np.zeros(len(problem.knobs)))
+    point = estimator.fit(start, np.ones(len(problem.knobs), bool), 20)
+    (group,) = problem.groups
+    hz = group_hz(group, problem.trials)
+    noise = [np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals]
+    np.savez(
+        path, rows=point.rows[0] - estimator.means[0], noise=noise, key=group.key,
+        signals=np.array(group.signals),
+    )  # fmt: skip
+
+
+def price_case(case: BenchCase, plant_path: str, path: str) -> None:
+    """Save how far each effect seems to help on one laboratory, and what is left without any."""
+    try:
+        trials = lean_trials(laboratory(case), case.seed)
+    except InputError:
+        Path(path).write_text("{}")
+        return
+    found = diagnose(read_plant(plant_path), TrialSet(tuple(trials)))
+    result = dict(found.naming.screened)
+    for tried in found.naming.rounds[0]:
+        if len(tried.effects) == 1:
+            (effect,) = tried.effects
+            result[effect] = max(result[effect], tried.separation)
+    row = {"separations": result, "left": found.namer.left(found.naming.before)}
+    Path(path).write_text(json.dumps(row))
+
+
+def learn_patterns(files: list[Path]) -> Discrepancy:
+    """Patterns from the files of `pattern_case`."""
+    loaded = [dict(np.load(f)) for f in files]
+    loaded = [d for d in loaded if "rows" in d]
+    rows = np.array([d["rows"] for d in loaded])
+    table = patterns_of(rows, loaded[0]["noise"])
+    print(f"{len(table)} patterns from {len(rows)} laboratories")
+    return Discrepancy(
+        str(loaded[0]["key"]), np.array(PAYLOADS_KG), tuple(loaded[0]["signals"].tolist()), table
+    )
+
+
+def main() -> None:
+    """Draw, run, and write both files."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plant", type=Path, required=True, help="identified without effects")
+    parser.add_argument("--out", type=Path, required=True, help="directory of results")
+    parser.add_argument("--patterns", type=int, default=64, help="laboratories for the patterns")
+    parser.add_argument("--prices", type=int, default=96, help="laboratories for the prices")
+    args = parser.parse_args()
+    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.patterns:
+        work = _cases("patterns", args.patterns, args.out, "npz")
+        learn_patterns(_run(pattern_case, work, args.plant)).write(PATTERNS)
+    if args.prices:
+        work = _cases("prices", args.prices, args.out, "json")
+        rows = [json.loads(f.read_text()) for f in _run(price_case, work, args.plant)]
+        rows = [r for r in rows if r]
+        found = calibrate([r["separations"] for r in rows], [r["left"] for r in rows])
+        PRICES.write_text(json.dumps(found, indent=1) + "\n")
+
+
+Work = list[tuple[BenchCase, Path]]
+
+
+def _cases(what: str, count: int, out: Path, suffix: str) -> Work:
+    drawn = draw(0, count, 0, 0, SEEDS[what])
+    return [(case, out / f"{what}_{case.key}.{suffix}") for case in drawn]
+
+
+def _run(job: Callable[[BenchCase, str, str], None], work: Work, plant: Path) -> list[Path]:
+    """Do what is missing, on two processors."""
+    left = [(case, path) for case, path in work if not path.exists()]
+    progress = Progress("bench.gap.calibrate", len(left))
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        futures = [pool.submit(job, case, str(plant), str(path)) for case, path in left]
+        for future in as_completed(futures):
+            future.result()
+            progress.step(job.__name__)
+    return [path for _, path in work]
+
+
+if __name__ == "__main__":
+    main()
