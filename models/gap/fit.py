@@ -3,7 +3,8 @@
 The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor and by the
 patterns of the plant's own error, m is what is known of that error, the second part holds nuisance
 and trial variation to their priors. Gauss–Newton steps stay in the bounds and are taken only where
-the cost falls. Exact derivatives cost twenty simulations, so between them they are carried on by secants (Broyden 1965).
+the cost falls. Exact derivatives cost twenty simulations, so between them they are
+carried on by secants (Broyden 1965).
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class Floor:
     def widened(
         self, groups: Sequence[Group], trials: Sequence[Trial], gap: Sequence[Array]
     ) -> Floor:
-        """Floor that also allows for an error in the equation of what closes the gap, a share of it.
+        """Floor that also allows for an error in the equation of what closes the gap: a share.
 
         Without it the few coefficients with the least noise would decide which effect fits best,
         and every name would need others to mend what its equation misses.
