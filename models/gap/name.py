@@ -139,7 +139,7 @@ class Namer:
                 break
             found.named += list(choice.effects)
             found.chosen.append(choice)
-            found.after = choice.point
+            found.after = self.estimator.fit(choice.point, self.free(found.named), 20)
             self._delete(found)
         return found
 
