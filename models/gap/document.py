@@ -93,7 +93,7 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
         },
         "evidence": {
             "separation": chosen.separation,
-            "least": namer.null.least(chosen.effects),
+            "least": chosen.least,
             "held_out_gain": chosen.held_out_gain,
             "held_out_error": chosen.held_out_error,
         },

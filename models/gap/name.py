@@ -47,9 +47,15 @@ class Candidate:
     effects: tuple[str, ...]
     point: Point
     gain: float
+    least: float
     promised: float = 0.0
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
+
+    @property
+    def score(self) -> float:
+        """Twice the gain, less what it must be at least."""
+        return 2 * self.gain - self.least**2
 
     @property
     def separation(self) -> float:
@@ -130,7 +136,7 @@ class Namer:
                 found.screened = {e: t.separation for (e,), t in screen.items()}
             best = sorted(screen.values(), key=self._hope, reverse=True)[:REFITTED]
             refitted = [self._refit(t, here, found.named) for t in best]
-            refitted.sort(key=self._score, reverse=True)
+            refitted.sort(key=lambda t: t.score, reverse=True)
             found.rounds.append(refitted)
             choice = self._accept(refitted, here, found)
             if choice is None and self.has_gap(here):
@@ -145,11 +151,13 @@ class Namer:
 
     def _hope(self, trial: Candidate) -> float:
         """Score that a screened candidate may reach, halfway to what its derivatives promise."""
-        return self._score(trial) + max(trial.promised - trial.gain, 0.0)
+        return trial.score + max(trial.promised - trial.gain, 0.0)
 
-    def _score(self, trial: Candidate) -> float:
-        """Twice the gain, less what it must be at least."""
-        return 2 * trial.gain - self.null.least(trial.effects) ** 2
+    def _candidate(
+        self, effects: tuple[str, ...], point: Point, here: Point, promised: float = 0.0
+    ) -> Candidate:
+        gain = here.cost - point.cost
+        return Candidate(effects, point, gain, self.null.least(effects), promised)
 
     def free(self, effects: Sequence[str]) -> Array:
         """Knobs that are fitted when these effects are named."""
@@ -174,7 +182,7 @@ class Namer:
             if effect in found.unexcited and effect not in self.absent:
                 tried += self._ladder(here, effect)
             point = min(tried, key=lambda p: p.cost)
-            result[effect,] = Candidate((effect,), point, here.cost - point.cost, most)
+            result[effect,] = self._candidate((effect,), point, here, most)
         self.report(f"{len(result)} effects screened")
         return result
 
@@ -200,7 +208,7 @@ class Namer:
         point = self.estimator.fit(min([here, *first], key=lambda p: p.cost), free, 8, 1e-3)
         assert point.cost <= here.cost, "the cost of a nested model rose"
         self.report(" + ".join(trial.effects))
-        return Candidate(trial.effects, point, here.cost - point.cost)
+        return self._candidate(trial.effects, point, here)
 
     def _accept(
         self, refitted: Sequence[Candidate], here: Point, found: Naming
@@ -208,8 +216,8 @@ class Namer:
         """Best candidate that passes threshold and cross-validation."""
         dispersion = self.dispersion(here)
         for trial in refitted:
-            enough = 2 * trial.gain > dispersion * self.null.least(trial.effects) ** 2
-            if not enough or self._score(trial) < self._score(refitted[0]) / 2:
+            enough = 2 * trial.gain > dispersion * trial.least**2
+            if not enough or trial.score < refitted[0].score / 2:
                 break
             free = self.free([*found.named, *trial.effects])
             gains = held_out_gains(
@@ -247,9 +255,9 @@ class Namer:
         refitted = []
         for _, pair, step in promised[:3]:
             point = self.estimator.search(here, step) or here
-            trial = Candidate(pair, point, here.cost - point.cost)
+            trial = self._candidate(pair, point, here)
             refitted.append(self._refit(trial, here, found.named))
-        refitted.sort(key=self._score, reverse=True)
+        refitted.sort(key=lambda t: t.score, reverse=True)
         return self._accept(refitted, here, found)
 
     def _widen(self, point: Point) -> None:

@@ -20,8 +20,8 @@ from models.plant.plant import Plant
 PATH: Final = Path(__file__).with_name("null.json")
 SHARE: Final = 0.98
 """Share of data sets without an effect on which nothing shall be named."""
-LEAST: Final = 5.0
-"""Least threshold: what five standard deviations are where nothing has been measured."""
+LEAST: Final = 4.0
+"""Least threshold: one of 25 effects passes it by chance in fewer than one of 500 data sets."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Null:
         Root mean square of d′ by effect, at least 1; 1 for effects that are not listed.
     """
 
-    threshold: float = LEAST
+    threshold: float = 5.0
     explained: float = 1.6
     scatter: Mapping[str, float] = field(default_factory=dict)
 

@@ -37,12 +37,16 @@ SWAPPED_KG: Final = 2.0
 
 
 def look_alikes(naming: Naming, turn: int) -> list[Candidate]:
-    """Candidates that did nearly as well as the one included in a turn."""
+    """Candidates that did nearly as well as the one included in a turn.
+
+    Where an equation misses a share ε of the gap, the gains of two effects that look alike differ
+    by up to 2 ε sin(angle) of the whole either way; half of that is allowed for.
+    """
     chosen = naming.chosen[turn]
-    margin = ALIKE**2 + (FORMULATION * chosen.separation) ** 2
+    margin = ALIKE**2 + FORMULATION * chosen.separation**2
     return [
         c for c in naming.rounds[turn]
-        if c.effects != chosen.effects and 2 * (chosen.gain - c.gain) < margin
+        if c.effects != chosen.effects and chosen.score - c.score < margin
     ]  # fmt: skip
 
 
