@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -19,6 +20,7 @@ def planned(target, *options):
     done = subprocess.run(
         ["make", "--dry-run", "--always-make", "--directory", ROOT, target, *options],
         capture_output=True, text=True, check=True,
+        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},  # of the make around the test
     )  # fmt: skip
     return re.findall(r'PATH="[^"]*" (python -m .*)', done.stdout)
 
