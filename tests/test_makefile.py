@@ -16,11 +16,11 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 
 
 def planned(target, *options):
-    """Commands of ours that a target would run, with nothing built."""
+    """Commands of ours that a target would run, with nothing built, whatever make runs the test."""
     done = subprocess.run(
         ["make", "--dry-run", "--always-make", "--directory", ROOT, target, *options],
         capture_output=True, text=True, check=True,
-        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},  # of the make around the test
+        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
     )  # fmt: skip
     return re.findall(r'PATH="[^"]*" (python -m .*)', done.stdout)
 
