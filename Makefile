@@ -10,21 +10,33 @@ BIN := .venv/bin
 READY := .venv/.ready
 SEED ?= 1
 
+# What gap-demo hides in the laboratory: EFFECT=STRENGTH, several with spaces between them.
+HIDE ?= hysteresis=0.3
+SPACE := $() $()
+GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
+HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))
+
 # Run one command of ours, show it, and keep it for the report.
+LOG := build/commands.log
+$(GAP)/%: private LOG := $(GAP)/commands.log
+
 define run
-@mkdir -p build && echo "$(1)" >> build/commands.log && echo "\$$ $(1)"
+@mkdir -p $(dir $(LOG)) && echo "$(1)" >> $(LOG) && echo "\$$ $(1)"
 @PATH="$(CURDIR)/$(BIN):$$PATH" $(1)
 endef
 
 # The same for a command whose verdict belongs into the report, good or bad (exit 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo test lint sil faults mutate soak hitl hitl-emulated bench lock clean
+.PHONY: help setup demo gap-demo test lint sil faults mutate soak hitl hitl-emulated bench lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
 help:
 	@echo "make demo    the main job end to end; ends by naming the report to open"
+	@echo "make gap-demo HIDE=$(HIDE)"
+	@echo "             hide an effect in the laboratory, find and add it, rebuild unit and bundle,"
+	@echo "             run the robot again; ends by naming the report of before and after"
 	@echo "make test    lint, types, import contract and tests"
 	@echo "make sil     the loop in software for 10 s, its timing judged"
 	@echo "make soak    the same for 28 minutes under load with faults on the wire"
@@ -116,6 +128,68 @@ REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(do
 
 build/report.html: $(REPORT_PARTS)
 	$(call run,python -m hil report --build build --out $@)
+
+# --- the gap workflow ---------------------------------------------------------------------------
+
+# Three payloads. The gap is looked for in the study's motion and judged on another, where the
+# trials differ from those of build/unseen_multisine in nothing but the effect.
+GAP_PAYLOADS := 0 1 2
+
+gap-demo: $(GAP)/report.html
+	@echo
+	@echo "open $(CURDIR)/$<"
+
+$(GAP)/trials/.done: | $(READY)
+	$(call run,python -m models simulate --out $(@D) --payloads $(GAP_PAYLOADS) --seed 3 $(HIDDEN))
+	@touch $@
+
+$(GAP)/sealed/.done: | $(READY)
+	$(call run,python -m models simulate --out $(@D) --motion multisine --payloads $(GAP_PAYLOADS) --trials 1 --seed $(SEED) $(HIDDEN))
+	@touch $@
+
+$(GAP)/found/plant.json: $(GAP)/trials/.done build/plant.json
+	$(call judge,python -m models gap $(<D) --plant build/plant.json --out $(@D))
+
+$(GAP)/bundle_after/observer.fmu: PLANT := $(GAP)/found/plant.json
+$(GAP)/bundle_retrained/observer.fmu: PLANT := build/plant.json
+$(GAP)/bundle_%/observer.fmu: $(GAP)/found/plant.json $(GAP)/sealed/.done
+	$(call run,python -m models train $(GAP)/trials --dof 1 --plant $(PLANT) --unseen $(GAP)/sealed --out $(@D))
+	$(call run,python -m fmu build $(@D) --plant $(PLANT) --unit observer --out $@)
+
+$(GAP)/twin_1dof.fmu: $(GAP)/bundle_after/observer.fmu
+	$(call run,python -m fmu build $(<D) --plant $(GAP)/found/plant.json --out $@)
+
+$(GAP)/check_twin_1dof.json: $(GAP)/twin_1dof.fmu
+	$(call judge,python -m fmu check $< --json > $@)
+
+# Both units in FMPy on the sealed trials, and the one before on the same without the effect.
+in_fmpy = $(call run,python -m fmu simulate $(1) --trial $(2)/dof1_payload$*_trial1_multisine_30deg.csv --out $(basename $@) --json > $@)
+
+$(GAP)/fmpy_before_%.json: build/twin_1dof.fmu $(GAP)/sealed/.done
+	$(call in_fmpy,$<,$(GAP)/sealed)
+$(GAP)/fmpy_after_%.json: $(GAP)/twin_1dof.fmu $(GAP)/sealed/.done
+	$(call in_fmpy,$<,$(GAP)/sealed)
+$(GAP)/fmpy_without_%.json: build/twin_1dof.fmu build/unseen_multisine/.done
+	$(call in_fmpy,$<,build/unseen_multisine)
+
+# The robot's loop with every bundle, the laboratory behind its servos.
+on_robot = $(call judge,python -m hil sil --bundle $(<D) --rig $(1) --payload-kg $* --line virtual --seconds 24 --out $(@D))
+
+$(GAP)/sil_before_%/timing.json: build/bundle_1dof/observer.fmu
+	$(call on_robot,$(HIDDEN))
+$(GAP)/sil_retrained_%/timing.json: $(GAP)/bundle_retrained/observer.fmu
+	$(call on_robot,$(HIDDEN))
+$(GAP)/sil_after_%/timing.json: $(GAP)/bundle_after/observer.fmu
+	$(call on_robot,$(HIDDEN))
+$(GAP)/sil_without_%/timing.json: build/bundle_1dof/observer.fmu
+	$(call on_robot)
+
+GAP_PARTS := $(GAP)/found/plant.json $(GAP)/check_twin_1dof.json \
+  $(foreach kg,$(GAP_PAYLOADS),$(foreach unit,before after without,$(GAP)/fmpy_$(unit)_$(kg).json) \
+  $(foreach bundle,before retrained after without,$(GAP)/sil_$(bundle)_$(kg)/timing.json))
+
+$(GAP)/report.html: $(GAP_PARTS)
+	$(call run,python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --out $@)
 
 # --- checks -------------------------------------------------------------------------------------
 

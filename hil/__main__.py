@@ -1,4 +1,4 @@
-"""The loop against an emulated servo: emulate, sil, faults, report."""
+"""The loop against an emulated servo: emulate, sil, faults, gap, report."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ COMMANDS = (
     Command("emulate", "hil.commands.emulate", "be a servo for any Dynamixel program"),
     Command("sil", "hil.commands.sil", "run the loop in software, judge its timing"),
     Command("faults", "hil.commands.faults", "inject every fault, judge what happens"),
+    Command("gap", "hil.commands.gap", "write the HTML report of a gap found and closed"),
     Command("report", "hil.commands.report", "write the HTML report of a whole run"),
 )
 

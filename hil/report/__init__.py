@@ -3,17 +3,24 @@
 `inputs` reads a build directory; `motion_figures`, `error_figures`, `estimator_figures` and
 `loop_figures` draw (`svg` gives them one look); `tables` sets figures against targets; `page` puts
 it all together with `page.html` in the look of `models.page`. `fault_tables` shows a campaign of
-faults, in the page and by itself.
+faults, in the page and by itself. A gap that was closed has a page of its own: `gap_inputs`
+reads what was built around the diagnosis, `gap_figures` sets numbers against each other, `gap_page`
+shows them around the sections of `models.gap.report`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from hil.report.gap_figures import in_words, summary
+from hil.report.gap_inputs import read_gap
+from hil.report.gap_page import render_gap
 from hil.report.inputs import Json, read_inputs
 from hil.report.page import render, render_faults
 
-__all__ = ["write_fault_report", "write_report"]
+__all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
 
 def write_report(build: Path, out: Path) -> int:
@@ -30,6 +37,33 @@ def write_report(build: Path, out: Path) -> int:
 def write_fault_report(document: Json, out: Path) -> int:
     """Write the page of a campaign (`faults.json`); returns its size in bytes."""
     return _write(render_faults(document), out)
+
+
+def write_gap_report(
+    directory: Path, plant: Path, hidden: Mapping[str, float], out: Path
+) -> tuple[dict[str, Any], str]:
+    """Write the page of a gap; returns its figures for machines and for people.
+
+    Parameters
+    ----------
+    directory : Path
+        What was built around the diagnosis (see `hil.report.gap_inputs`).
+    plant : Path
+        Plant that the diagnosis began with.
+    hidden : mapping of str to float
+        Effects that were hidden, each with its strength.
+    out : Path
+        Page to write.
+
+    Raises
+    ------
+    InputError
+        If something is missing or damaged.
+    """
+    inputs = read_gap(directory, plant)
+    data = {**summary(inputs, hidden), "report": str(out)}
+    _write(render_gap(inputs, data, hidden), out)
+    return data, in_words(data)
 
 
 def _write(page: str, out: Path) -> int:

@@ -127,7 +127,7 @@ def read_inputs(directory: Path) -> Inputs:
         raise InputError(directory, "is not a directory", "run 'make demo' first")
     bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
     path = directory / "plant.json"
-    plant = _read_json(path) if path.is_file() else None
+    plant = read_json(path) if path.is_file() else None
     studies = _by_dof({dof: path / "study.json" for dof, path in bundles.items()})
     return Inputs(
         studies=studies,
@@ -136,21 +136,22 @@ def read_inputs(directory: Path) -> Inputs:
         plant=plant,
         evaluations=_evaluations(directory, plant),
         checks={
-            path.stem.removeprefix("check_"): _read_json(path)
+            path.stem.removeprefix("check_"): read_json(path)
             for path in sorted(directory.glob("check_*.json"))
         },
         loops=sorted(
-            (_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
+            (read_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
             key=lambda loop: not loop.in_real_time,
         ),
-        commands=_commands(directory / "commands.log"),
-        faults=_read_json(faults)
+        commands=read_commands(directory / "commands.log"),
+        faults=read_json(faults)
         if (faults := directory / "faults" / "faults.json").is_file()
         else None,
     )
 
 
-def _read_json(path: Path) -> Json:
+def read_json(path: Path) -> Json:
+    """A file that holds one JSON object."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -161,12 +162,12 @@ def _read_json(path: Path) -> Json:
 
 
 def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
-    return {dof: _read_json(path) for dof, path in paths.items() if path.is_file()}
+    return {dof: read_json(path) for dof, path in paths.items() if path.is_file()}
 
 
 def _motions(directory: Path, studies: dict[int, Json]) -> dict[str, Json]:
     apart = {
-        int(path.parent.name.removeprefix("study_2dof_phase")): _read_json(path)
+        int(path.parent.name.removeprefix("study_2dof_phase")): read_json(path)
         for path in directory.glob("study_2dof_phase*/study.json")
     }
     motions = {"1DOF": studies[1]} if 1 in studies else {}
@@ -185,12 +186,13 @@ def _evaluations(directory: Path, plant: Json | None) -> dict[str, Json]:
     found = {"held-out trials": held_out} if held_out else {}
     for path in sorted(directory.glob("evaluate*.json")):
         name = path.stem.removeprefix("evaluate").strip("_").replace("_", " ")
-        found[name.replace("20deg", "20° motion") or "trials"] = _read_json(path)
+        found[name.replace("20deg", "20° motion") or "trials"] = read_json(path)
     return found
 
 
-def _loop(directory: Path) -> Loop:
-    timing = _read_json(directory / "timing.json")
+def read_loop(directory: Path) -> Loop:
+    """What `hil sil` left in a directory."""
+    timing = read_json(directory / "timing.json")
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
     if not log.is_file():
         return Loop(directory.name, timing, None)
@@ -204,7 +206,7 @@ def _loop(directory: Path) -> Loop:
     return Loop(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
 
 
-def _commands(path: Path) -> list[str]:
+def read_commands(path: Path) -> list[str]:
     """Commands of the last run, each once, in order."""
     if not path.is_file():
         return []

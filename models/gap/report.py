@@ -1,7 +1,7 @@
 """OUT/report.html: one page without outside files, its pictures inline SVG.
 
 Everything comes from gap.json, the two plants and the trials, so that whoever has those files can
-draw the same page again, and put more sections to it (`hil.gap`).
+draw the same page again, and put more sections to it (`hil.report.gap_page`).
 """
 
 from __future__ import annotations
@@ -263,7 +263,8 @@ def _residuals(
     panels = []
     for signal in both[0].simulated:
         series = [-c.error(signal) for c in both]
-        if not np.nanmax(np.abs(series[0])) > 0 or signal not in data["before"][part]:
+        still = all(np.ptp(c.simulated[signal]) == 0 for c in both)  # across a single joint's plane
+        if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in data["before"][part]:
             continue
         row = data["before"][part][signal]
         unit, factor = SHOWN.get(row["unit"], (row["unit"], 1.0))

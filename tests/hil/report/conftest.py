@@ -1,6 +1,9 @@
-"""A small build directory made by the commands' own code: a toy link, three seconds of SIL."""
+"""Small build directories made by the commands' own code: a toy link, three seconds of SIL."""
 
+import io
 import json
+import shutil
+from contextlib import redirect_stdout
 from dataclasses import replace
 
 import msgspec
@@ -8,18 +11,22 @@ import pytest
 
 from firmware_py.bundle import ModelBundle
 from firmware_py.servo_models import MODELS
+from fmu.__main__ import main as fmu_main
 from fmu.check import check_unit
 from fmu.stepper import Archive
 from fmu.units import parts_inside
 from hil import sil
 from hil.commands.sil import write_results
-from hil.report import write_report
+from hil.report import write_gap_report, write_report
 from hil.twin import build_twin
 from models.commands.train import name_tests
+from models.gap.document import errors
 from models.plant.evaluate import evaluation
 from models.plant.plant import NOMINAL, read_plant
+from models.plant.simulate import CompiledModel, run_trial
+from models.plant.step import names
 from models.study import run_study
-from models.trials import TrialSet
+from models.trials import TrialSet, write_trial
 
 COMMANDS = [
     "python -m models simulate --out build/trials --dof 1 2 --seed 1",
@@ -79,4 +86,106 @@ def page(build):
     """Path of the report of that directory."""
     out = build / "report.html"
     write_report(build, out)
+    return out
+
+
+def as_if_by(plant, trials):
+    """The same trials with angle, current and tip as a plant simulates them."""
+    compiled = CompiledModel(plant.step_model(1, "twin"))
+    outputs = names(compiled.model.outputs)
+    result = []
+    for trial in trials:
+        y = run_trial(compiled, trial)
+        simulated = {s: y[:, k] for k, s in enumerate(outputs) if s in trial.columns}
+        result.append(replace(trial, columns={**trial.columns, **simulated}))
+    return TrialSet(tuple(result))
+
+
+def diagnosis(before, after, trials):
+    """A gap.json that names softening."""
+    floor = {s: {"rms": 1e-3} for s in ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m")}
+    fit, held_out = trials.split()
+    levels = {
+        "phase": ("1/8", "2/8"),
+        "payload": ("0 kg", "2 kg"),
+        "stroke": ("way out to negative angles", "return from positive angles"),
+        "band": ("0 to 0.3 Hz", "0.3 to 0.8 Hz"),
+    }
+    cells = [
+        {"signal": s, "factor": factor, "level": level, "size": size, "significant": size > 1}
+        for factor, pair in levels.items()
+        for s in floor
+        for level, size in zip(pair, (0.8, 12.3), strict=True)
+    ]
+    steps = (("plant as given", 4.0), ("noise floor", 1.0))
+    rival = {"effect": "load_dependent_friction", "separation": 7.0, "least": 5.0, "reason": "none"}
+    value = {"value": 0.19, "unit": "1", "error": 0.01, "before": 0.0}
+    return {
+        "schema": 1, "verdict": "closed", "sentence": "The tip (x) is off most.", "map": cells,
+        "named": [{
+            "effect": "stiffness_softening", "kept": True, "look_alikes": [],
+            "parameters": {"softening_share": value},
+            "evidence": {"separation": 40.0, "least": 5.0},
+        }],
+        "rejected": [rival],
+        "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
+        **{when: {part: errors(plant, own, floor)
+                  for part, own in (("fitted", fit), ("held_out", held_out))}
+           for when, plant in (("before", before), ("after", after))},
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def plant_before():
+    """Path of the plant that a diagnosis began with."""
+    return NOMINAL
+
+
+@pytest.fixture(scope="session")
+def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
+    """What is built around a diagnosis; its trials are those of the improved plant itself."""
+    directory = tmp_path_factory.mktemp("gap")
+    before = read_plant(plant_before)
+    after = before.with_effects("stiffness_softening").with_values({"softening_share": 0.19})
+    (directory / "found").mkdir()
+    after.write(directory / "found" / "plant.json")
+    trials = as_if_by(after, toy_trials(1, amplitudes_deg=(30,), payloads_kg=(0.0, 2.0)))
+    sealed = as_if_by(
+        after, toy_trials(1, amplitudes_deg=(20,), trials=(1,), payloads_kg=(0.0, 2.0))
+    )
+    paths = {name: [write_trial(t, directory / name) for t in of]
+             for name, of in (("trials", trials), ("sealed", sealed))}  # fmt: skip
+    found = diagnosis(before, after, trials)
+    (directory / "found" / "gap.json").write_text(json.dumps(found))
+    for variant, plant in {
+        "before": plant_before,
+        "after": directory / "found" / "plant.json",
+    }.items():
+        unit = directory / f"{variant}.fmu"
+        command(["build", str(toy_bundle), "--plant", str(plant), "--out", str(unit)])
+        for kg, trial in zip(("0", "2"), paths["sealed"], strict=True):
+            name = directory / f"fmpy_{variant}_{kg}"
+            said = command(
+                ["simulate", str(unit), "--trial", str(trial), "--out", str(name), "--json"]
+            )
+            name.with_suffix(".json").write_text(said)
+        for kg in ("0", "2"):
+            shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
+    said = command(["check", str(unit), "--json"])
+    (directory / "check_twin_1dof.json").write_text(said)
+    return directory
+
+
+def command(arguments):
+    """Output of a command of `fmu`."""
+    with redirect_stdout(io.StringIO()) as said:
+        assert fmu_main(arguments) == 0
+    return said.getvalue()
+
+
+@pytest.fixture(scope="session")
+def gap_page(gap_build, plant_before):
+    """Path of the page about that directory."""
+    out = gap_build / "report.html"
+    write_gap_report(gap_build, plant_before, {"stiffness_softening": 0.2}, out)
     return out

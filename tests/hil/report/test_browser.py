@@ -1,4 +1,4 @@
-"""The page in a real browser, as wide as a desk's screen and as a phone's."""
+"""The pages in a real browser, as wide as a desk's screen and as a phone's."""
 
 import html
 import json
@@ -56,12 +56,18 @@ pytestmark = [
 ]
 
 
+@pytest.fixture(scope="module", params=["page", "gap_page"])
+def shown(request):
+    """Path of a page."""
+    return request.getfixturevalue(request.param)
+
+
 @pytest.fixture(scope="module", params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
-def seen(request, page, tmp_path_factory):
+def seen(request, shown, tmp_path_factory):
     """What the browser measured and what it complained of."""
     directory = tmp_path_factory.mktemp("browser")
     copy = directory / "report.html"
-    copy.write_text(page.read_text(encoding="utf-8").replace("</body>", MEASURE), encoding="utf-8")
+    copy.write_text(shown.read_text(encoding="utf-8").replace("</body>", MEASURE), encoding="utf-8")
     width, height = request.param
     frame = directory / "frame.html"
     frame.write_text(FRAME % (width, height), encoding="utf-8")

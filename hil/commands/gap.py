@@ -1,0 +1,39 @@
+"""Write one HTML page about a gap that was closed: plant, unit and robot before and after.
+
+DIR holds what `make gap-demo` built: the diagnosis (found/), runs of both twin units in FMPy over
+trials that nothing was fitted to (fmpy_*), and of the robot's loop with both bundles (sil_*).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, emit
+from models.catalogue import parse_strengths
+
+EXAMPLE = (
+    "python -m hil gap build/gap_demo/hysteresis_0.3 --plant build/plant.json --hide hysteresis=0.3"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("directory", type=Path, metavar="DIR", help="what was built around the diagnosis")
+    add("--plant", type=Path, required=True, help="plant before the diagnosis")
+    add(
+        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        help="what was hidden in the laboratory, to set beside what was found; repeatable",
+    )  # fmt: skip
+    add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    hidden = parse_strengths(args.hide)
+    from hil.report import write_gap_report  # loads CasADi
+
+    out = args.out or args.directory / "report.html"
+    emit(args, *write_gap_report(args.directory, args.plant, hidden, out))
+    return DONE

@@ -1,0 +1,120 @@
+"""The page of a gap: what it reads, what it concludes, and that it says when a name was wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from firmware_py.errors import InputError
+from hil.__main__ import main
+from hil.report import write_gap_report
+from hil.report.gap_figures import share_removed, summary
+from hil.report.gap_inputs import read_gap
+
+HIDDEN = {"stiffness_softening": 0.2}
+
+
+@pytest.fixture
+def copy(gap_build, tmp_path):
+    """A copy of the directory, to spoil."""
+    return shutil.copytree(gap_build, tmp_path / "gap")
+
+
+def edited(path, change):
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def test_the_unit_in_fmpy_is_the_plant_and_removes_its_gap(gap_build, plant_before):
+    unit = summary(read_gap(gap_build, plant_before), HIDDEN)["unit"]
+    assert unit["worst_difference"] < 1e-9
+    assert unit["sound"] is True
+    # The trials are the improved plant's own: nothing is left but that they are stored in a file.
+    assert unit["tip_rms_m"]["before"] > 1e-3
+    assert unit["tip_rms_m"]["after"] < 1e-6
+
+
+def test_a_unit_of_another_plant_is_found_out(copy, plant_before):
+    for before in copy.glob("fmpy_before_*/result.csv"):
+        shutil.copy(before, before.parent.parent / before.parent.name.replace("before", "after"))
+    unit = summary(read_gap(copy, plant_before), HIDDEN)["unit"]
+    assert unit["worst_difference"] > 1e-3
+
+
+def test_what_was_found_stands_beside_what_was_hidden(gap_build, plant_before):
+    row = summary(read_gap(gap_build, plant_before), HIDDEN)["hidden"]["stiffness_softening"]
+    assert row["found"] == pytest.approx(0.19 - 0.0)
+    assert row["said"] == "stiffness softening: 0.2 hidden, 0.19 ± 0.01 found"
+
+
+def test_a_strength_that_was_there_before_is_not_counted_as_found(copy, plant_before):
+    def shift(found):
+        found["named"][0]["parameters"]["softening_share"]["before"] = 0.05
+
+    edited(copy / "found" / "gap.json", shift)
+    row = summary(read_gap(copy, plant_before), HIDDEN)["hidden"]["stiffness_softening"]
+    assert row["found"] == pytest.approx(0.14)
+
+
+def test_a_wrong_name_is_said(gap_build, plant_before, tmp_path):
+    out = tmp_path / "page.html"
+    data, text = write_gap_report(gap_build, plant_before, {"creep": 0.3}, out)
+    assert data["also_named"] == ["stiffness_softening"]
+    assert "creep was hidden and not named" in text
+    page = out.read_text(encoding="utf-8")
+    assert "Creep was hidden and not named; stiffness softening was named without being" in page
+
+
+def test_a_look_alike_is_told_from_a_wrong_name(copy, plant_before):
+    def add(found):
+        found["named"][0]["look_alikes"] = [{"effect": "creep + backlash", "separation": 9.0}]
+
+    edited(copy / "found" / "gap.json", add)
+    row = summary(read_gap(copy, plant_before), {"creep": 0.3})["hidden"]["creep"]
+    assert "as far as these trials can tell" in row["said"]
+
+
+def test_an_effect_that_was_dropped_again_is_not_named(copy, plant_before):
+    edited(copy / "found" / "gap.json", lambda found: found["named"][0].update(kept=False))
+    data = summary(read_gap(copy, plant_before), HIDDEN)
+    assert data["hidden"]["stiffness_softening"]["found"] is None
+
+
+def test_a_share_is_told_only_of_a_gap():
+    assert share_removed({"before": 5.0, "after": 2.0, "without": 1.0}) == pytest.approx(0.75)
+    assert share_removed({"before": 5.0, "after": 6.0, "without": 1.0}) == pytest.approx(-0.25)
+    assert share_removed({"before": 1.05, "after": 1.0, "without": 1.0}) is None
+    assert share_removed({"before": 5.0, "after": 2.0}) is None
+
+
+def test_a_run_without_motion_has_no_figure(copy, plant_before, tmp_path):
+    def stop(timing):
+        timing["prediction_error"] = {"n": 0, "parts": {}}
+
+    for timing in copy.glob("sil_after_*/timing.json"):
+        edited(timing, stop)
+    data, _ = write_gap_report(copy, plant_before, HIDDEN, tmp_path / "page.html")
+    assert data["robot"]["tip_mean_m"]["after"] is None
+    assert data["robot"]["tip_mean_m"]["before"] > 0
+
+
+@pytest.mark.parametrize(
+    "gone", ["found/gap.json", "fmpy_after_2.json", "sil_before_2", "check_twin_1dof.json"]
+)
+def test_what_is_missing_is_named(copy, plant_before, gone):
+    path = copy / gone
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(InputError, match="make gap-demo"):
+        read_gap(copy, plant_before)
+
+
+def test_the_command_writes_the_page_and_names_it(gap_build, plant_before, tmp_path, capsys):
+    out = tmp_path / "page.html"
+    code = main(["gap", str(gap_build), "--plant", str(plant_before), "--out", str(out),
+                 "--hide", "stiffness_softening=0.2"])  # fmt: skip
+    assert code == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(out)
+    assert "http://" not in out.read_text(encoding="utf-8").replace("http://www.w3.org", "")

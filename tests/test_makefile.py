@@ -1,0 +1,53 @@
+"""What `make gap-demo` would run: what is hidden reaches the laboratory, and only there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+
+
+def planned(target, *options):
+    """Commands of ours that a target would run, with nothing built, whatever make runs the test."""
+    done = subprocess.run(
+        ["make", "--dry-run", "--always-make", "--directory", ROOT, target, *options],
+        capture_output=True, text=True, check=True,
+        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
+    )  # fmt: skip
+    return re.findall(r'PATH="[^"]*" (python -m .*)', done.stdout)
+
+
+@pytest.fixture(scope="module")
+def commands():
+    return planned("gap-demo", "HIDE=dead_time=0.03 creep=0.2")
+
+
+def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
+    own = [c for c in commands if "build/gap_demo/" in c]
+    for what in ("models simulate", "hil sil", "hil gap"):
+        told = [c for c in own if what in c and "sil_without" not in c]
+        assert told
+        assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in told)
+
+
+def test_nothing_else_knows_what_is_hidden(commands):
+    blind = [c for c in commands if re.search(r"models (gap|train|identify)|fmu |sil_without", c)]
+    assert len(blind) > 10
+    assert not any("--hide" in c for c in blind)
+
+
+def test_every_choice_has_a_directory_of_its_own(commands):
+    (report,) = [c for c in commands if "hil gap" in c]
+    assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
+
+
+def test_the_demo_hides_nothing():
+    assert not any("--hide" in c for c in planned("demo"))
