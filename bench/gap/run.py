@@ -72,7 +72,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             sealed_error(plant, sealed), sealed_error(found.improved, sealed),
             sealed_error(plant, sealed_floor),
         ],
-        "dispersion": found.namer.dispersion(naming.before),
+        "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],
         "wall_s": wall_s,
         "cpu_s": cpu_s,
     }  # fmt: skip

@@ -34,6 +34,10 @@ REFITTED: Final = 5
 MOST: Final = 3
 """Effects that one diagnosis may include."""
 
+NEXT: Final = 0.25
+"""Share of the d′ already named that a further effect must have beyond its own least: what an
+equation misses of the first looks like another, up to a fifth of it on single hidden effects."""
+
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""
 
@@ -215,8 +219,9 @@ class Namer:
     ) -> Candidate | None:
         """Best candidate that passes threshold and cross-validation."""
         dispersion = self.dispersion(here)
+        missed = NEXT**2 * sum(c.separation**2 for c in found.chosen)
         for trial in refitted:
-            enough = 2 * trial.gain > dispersion * trial.least**2
+            enough = 2 * trial.gain > dispersion * trial.least**2 + missed
             if not enough or trial.score < refitted[0].score / 2:
                 break
             free = self.free([*found.named, *trial.effects])
