@@ -121,10 +121,13 @@ build/sil_2dof_phase90/timing.json: build/twin_2dof.fmu
 build/sil/timing.json: build/twin_1dof.fmu
 	$(call judge,python -m hil sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out $(@D))
 
+build/sil_socket_2dof/timing.json: build/twin_2dof.fmu
+	$(call judge,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 10 --out $(@D))
+
 REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(dof)dof/timing.json) \
   $(foreach phase,0 90,build/study_2dof_phase$(phase)/study.json) \
   $(foreach motion,20deg multisine,build/evaluate_unseen_$(motion).json) \
-  build/sil_2dof_phase90/timing.json build/sil/timing.json
+  build/sil_2dof_phase90/timing.json build/sil/timing.json build/sil_socket_2dof/timing.json
 
 build/report.html: $(REPORT_PARTS)
 	$(call run,python -m hil report --build build --out $@)
