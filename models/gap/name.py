@@ -41,6 +41,9 @@ equation misses of the first looks like another, up to a fifth of it on single h
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""
 
+REFINED: Final = 5
+"""Times that the ladder is made denser around its best rung."""
+
 Report = Callable[[str], None]
 
 
@@ -191,13 +194,24 @@ class Namer:
         return result
 
     def _ladder(self, here: Point, effect: str) -> list[Point]:
+        """Points along an effect that shows nothing where it is absent, denser around the best."""
         knob = int(np.flatnonzero(self.of[effect])[0])
-        result = []
-        for share in LADDER:
+        rungs = [here]
+
+        def climb(value: float) -> None:
             values = here.values.copy()
-            values[knob] = share * self.knobs[knob].high
-            result.append(self.estimator.carry(here, self.estimator.at(values)))
-        return result
+            values[knob] = value
+            rungs.append(self.estimator.at(values))
+
+        for share in LADDER:
+            climb(share * self.knobs[knob].high)
+        for _ in range(REFINED):
+            rungs.sort(key=lambda p: p.values[knob])
+            best = min(range(len(rungs)), key=lambda k: rungs[k].cost)
+            around = [p.values[knob] for p in rungs[max(best - 1, 0) : best + 2]]
+            for low, high in itertools.pairwise(around):
+                climb((low + high) / 2)
+        return [self.estimator.carry(here, p) for p in rungs if p is not here]
 
     def _refit(self, trial: Candidate, here: Point, named: Sequence[str]) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""

@@ -20,6 +20,8 @@ from models.plant.plant import Plant
 PATH: Final = Path(__file__).with_name("null.json")
 SHARE: Final = 0.98
 """Share of data sets without an effect on which nothing shall be named."""
+FARTHEST: Final = 4.0
+"""Standard deviations over data sets without an effect up to which a residual counts as noise."""
 LEAST: Final = 4.0
 """Least threshold: one of 25 effects passes it by chance in fewer than one of 500 data sets."""
 
@@ -76,6 +78,6 @@ def calibrate(separations: Sequence[Mapping[str, float]], left: Sequence[float])
     return {
         "sets": len(separations),
         "threshold": round(threshold, 3),
-        "explained": round(float(np.quantile(left, SHARE, method="higher")), 3),
+        "explained": round(float(np.mean(left) + FARTHEST * np.std(left)), 3),
         "scatter": {e: round(s, 3) for e, s in scatter.items()},
     }

@@ -23,6 +23,9 @@ SUBSTEP_S: Final = 2.9e-3
 """Longest internal step: what a dead time of zero allows (`models.plant.effects.command`). Six a
 period are within 5 µm and 0.5 mA of a step of 0.25 ms; 46 µm with ten times the usual friction."""
 
+LOST_RAD: Final = 0.6
+"""Following error from which on a joint has lost its goal: ten times that of the study's motion."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -101,6 +104,8 @@ class Problem:
             [[k.trial is None or k.trial == i for k in knobs] for i in range(len(trials))]
         )
         self._measured = [measured_signals(t) for t in trials]
+        driven = plant.load == "link"
+        self._counted = [counted(t) if driven else np.ones(len(t)) for t in trials]
         self.groups = self._group()
         self._low = np.array([v.minimum for v in model.parameters])
         self._high = np.array([v.maximum for v in model.parameters])
@@ -170,8 +175,14 @@ class Problem:
 
     def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
         trial = self.trials[k]
-        weight = weights(trial, signal).reshape(-1, *[1] * (rows.ndim - 1))
-        return transform(weight * rows, trial.step_s)
+        weight = self._counted[k] * weights(trial, signal)
+        return transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
+
+
+def counted(trial: Trial) -> Array:
+    """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike."""
+    lost = np.any(np.abs(trial.goal_rad - trial.angle_rad) > LOST_RAD, axis=1)
+    return np.asarray(np.cumsum(lost) == 0, dtype=np.float64)
 
 
 def fill(rows: Array) -> Array:

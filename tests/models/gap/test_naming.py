@@ -1,6 +1,7 @@
 """What is hidden in trials of our own plant is named; nothing is where nothing is."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from models.gap.close import diagnose
 from models.gap.document import document, in_words
 from models.gap.knobs import candidates
+from models.gap.problem import LOST_RAD, counted
 from models.gap.report import write_report
 from models.plant.plant import read_plant
 from models.plant.simulate import CompiledModel
@@ -120,3 +122,22 @@ def test_the_improved_plant_is_read_and_runs(late, tmp_path):
     y = model.simulate(np.zeros((5, 2)), 0.017)
     assert np.isfinite(y).all()
     assert trials
+
+
+def test_a_trial_counts_until_its_joint_has_lost_the_goal(trials_of, plant):
+    """An arm that falls does so differently each time; what came before still counts."""
+    trial = trials_of(plant, 3, (1.0,), 1)[0]
+    assert counted(trial).all()
+    fallen = {**trial.columns, "angle_1_rad": trial.columns["angle_1_rad"].copy()}
+    fallen["angle_1_rad"][150:170] += 2 * LOST_RAD
+    rows = counted(replace(trial, columns=fallen))
+    assert rows[:150].all() and not rows[150:].any()
+
+
+def test_a_limit_of_the_current_is_named_though_it_shows_nothing_at_first(plant, hidden):
+    current_a = max(np.abs(t.current_a).max() for t in hidden())
+    limit_a = plant.parameters["current_limit_1_a"].value
+    found = diagnosed(plant, hidden(current_saturation_1_a=limit_a - 0.9 * current_a))
+    assert found.naming.named[:1] == ["current_saturation"]
+    cut = found.improved.parameters["current_saturation_1_a"]
+    assert limit_a - cut.value == pytest.approx(0.9 * current_a, rel=0.05)
