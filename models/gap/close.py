@@ -23,7 +23,7 @@ from models.trials import TrialSet
 Verdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
 
 REDUCED: Final = 0.6
-"""Largest share of the gap (in amplitude) that may be left of one that counts as reduced."""
+"""Largest share of a gap (in amplitude) that may be left once it is named."""
 
 
 @dataclass
@@ -124,9 +124,10 @@ def judge(namer: Namer, naming: Naming) -> tuple[Verdict, float]:
     left = float(np.sqrt(after / before)) if before > 0 else 0.0
     if not naming.named:
         return ("not in the catalogue", 1.0) if namer.has_gap(naming.before) else ("no gap", 0.0)
-    if not namer.has_gap(naming.after):
-        return "closed", left
-    return ("reduced" if left <= REDUCED else "not in the catalogue"), left
+    clearly = namer.left(naming.after) > (1 + namer.null.explained) / 2
+    if namer.has_gap(naming.before) and clearly and left > REDUCED:
+        return "not in the catalogue", left
+    return ("reduced" if namer.has_gap(naming.after) else "closed"), left
 
 
 def excess(namer: Namer, rows: list[Array]) -> float:
