@@ -16,9 +16,8 @@ SPACE := $() $()
 GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
 HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))
 
-# Run one command of ours, show it, and keep it for the report.
-LOG := build/commands.log
-$(GAP)/%: private LOG := $(GAP)/commands.log
+# Run one command of ours, show it, and keep it for the report that it belongs to.
+LOG = $(if $(filter $(GAP)/%,$@),$(GAP),build)/commands.log
 
 define run
 @mkdir -p $(dir $(LOG)) && echo "$(1)" >> $(LOG) && echo "\$$ $(1)"
