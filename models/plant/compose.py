@@ -147,7 +147,12 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
         state.initial = substitute(substitute(state.initial, [(symbols, first)]), held)
 
 
-def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) -> StepModel:
+def build(
+    name: str,
+    scope: Scope,
+    outputs: dict[str, tuple[Variable, Expr]],
+    max_substep_s: float = MAX_SUBSTEP_S,
+) -> StepModel:
     """Make the functions of a `StepModel` from what the scope has gathered."""
     x = ca.vertcat(*(s.symbol for s in scope.states.values()))
     u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
@@ -175,6 +180,6 @@ def build(name: str, scope: Scope, outputs: dict[str, tuple[Variable, Expr]]) ->
         flow=runge_kutta(f"{name}_flow", rate),
         finish=function("finish", [h], finish),
         output=function("output", [], [expression for _, expression in outputs.values()]),
-        max_substep_s=MAX_SUBSTEP_S,
+        max_substep_s=max_substep_s,
         rate=rate,
     )

@@ -1,5 +1,7 @@
 """The observer on the plant's own runs: payload and index come back, whatever the step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,18 @@ def test_payload_and_index_come_back(units, dof, payload_kg):
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(true["di"][HALF:])
     tip = sum((found[f"tip_{a}_m"] - true[f"tip_{a}_m"])[HALF:] ** 2 for a in "xyz")
     assert np.sqrt(np.mean(tip)) < 0.003
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_its_long_internal_steps_cost_no_accuracy(units, dof):
+    measured, _ = twin_run(units, dof, 2.0, count=REST + 150)
+    model = units[dof, "observer"].model
+    fine = CompiledModel(replace(model, max_substep_s=2.5e-4))
+    exact = observe({(dof, "observer"): fine}, dof, measured)
+    found = observe(units, dof, measured)
+    for axis in "xyz":
+        assert np.abs(found[f"tip_{axis}_m"] - exact[f"tip_{axis}_m"]).max() < 5e-5
+    assert np.abs(found["di"] - exact["di"]).max() < 5e-6
 
 
 def test_friction_that_differs_from_the_plants_is_not_taken_for_payload(units):
