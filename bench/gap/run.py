@@ -62,6 +62,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             [list(c.effects) for c in look_alikes(naming, k)] for k in range(len(naming.chosen))
         ],
         "largest": max(naming.screened.values(), default=0.0),
+        "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
         "own": {e: naming.screened.get(e) for e in case.hidden},
         "estimates": {
             name: [known[name].value, known[name].error, plant_value(plant, name)]
@@ -81,6 +82,14 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
 def plant_value(plant: Plant, name: str) -> float:
     """Value before the diagnosis; zero where the plant did not hold the effect."""
     return plant.parameters[name].value if name in plant.parameters else 0.0
+
+
+def true_strength(plant: Plant, rig: Parameters, effect: str, hidden: float) -> float:
+    """Change that is to be found.
+
+    Where the plant has no such effect, what the laboratory always has (2 ms of dead time) comes in.
+    """
+    return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
 
 
 def sealed_error(plant: Plant, trial: Trial) -> float:

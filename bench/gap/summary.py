@@ -105,7 +105,7 @@ def _change(r: dict[str, Any]) -> tuple[float, float, float] | None:
     if not _top(r, 1):
         return None
     value, error, before = next(iter(r["estimates"].values()))
-    return value - before, error or 0.0, next(iter(r["case"]["hidden"].values()))
+    return value - before, error or 0.0, r["true"][_true(r)]
 
 
 def _parameter(r: dict[str, Any]) -> float | None:

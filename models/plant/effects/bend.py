@@ -34,21 +34,26 @@ BRANCHES: Final = (1 / 16, 1.0, 24.0)
 
 
 class Prebend(Effect):
-    """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0)."""
+    """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0).
+
+    The link is bent evenly, by β from root to tip, so its tip is off by β L/2; the span hinge at
+    x L puts it there with ψ_0 = β / (2 (1 − x)).
+    """
 
     name = "prebend"
     needs = ("bend",)
     per_joint = (
         Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
-                  role="effect", description="bend of the unloaded link",
+                  role="effect", description="bend of the unloaded link from root to tip",
                   source="assumed straight"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         """Shift where the span is at ease, in its torque and its stiffness."""
         planes = [("span", j) for j in scope.joints]
+        share = 0.5 / (1 - scope.p("span_position"))
         shift = [
-            (scope.bend[key], scope.bend[key] - scope.p("prebend_{j}_rad", key[1]))
+            (scope.bend[key], scope.bend[key] - share * scope.p("prebend_{j}_rad", key[1]))
             for key in planes
         ]
         for key in planes:
