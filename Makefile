@@ -11,7 +11,7 @@ READY := .venv/.ready
 SEED ?= 1
 
 # What gap-demo hides in the laboratory: EFFECT=STRENGTH, several with spaces between them.
-HIDE ?= hysteresis=0.3
+HIDE ?= stiffness_softening=0.15
 SPACE := $() $()
 GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
 HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))

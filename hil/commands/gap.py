@@ -13,7 +13,7 @@ from firmware_py.console import DONE, emit
 from models.catalogue import parse_strengths
 
 EXAMPLE = (
-    "python -m hil gap build/gap_demo/hysteresis_0.3 --plant build/plant.json --hide hysteresis=0.3"
+    "python -m hil gap build/gap_demo/dead_time_0.03 --plant build/plant.json --hide dead_time=0.03"
 )
 
 

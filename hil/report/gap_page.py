@@ -26,13 +26,17 @@ def render_gap(inputs: GapInputs, data: Mapping[str, Any], hidden: Mapping[str, 
     """The whole page as HTML; `data` as `gap_figures.summary` gives it."""
     *own, others = sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
     parts = [
-        Section("glance", "At a glance", _glance(data)),
+        Section(
+            "glance", "At a glance", _glance(data),
+            "Hidden and found strength need not agree within the fit's error: the laboratory has "
+            "equations of its own.",
+        ),
         *own,
         _unit(inputs, data["unit"]),
         _robot(inputs),
         others,
         Section("made", "How it was made", _commands(inputs.commands)),
-    ]
+    ]  # fmt: skip
     opening = lead(inputs.found) + f"<p>{_told(data)}</p>"
     return page_of("A hidden effect, from trial to robot", opening, parts)
 
