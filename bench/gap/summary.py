@@ -60,6 +60,28 @@ def summarise(directory: Path) -> dict[str, Any]:
         "coverage": share([c for r in detected if (c := _covered(r)) is not None]),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
         "cpu_s": _quantiles([r["cpu_s"] for r in possible]),
+        "peer": beside(directory),
+    }
+
+
+def beside(directory: Path) -> dict[str, Any]:
+    """Figures of PySINDy (`bench.gap.peer`) and of ours, on the cases that both have.
+
+    Of a pair the first two names count, whatever else is named.
+    """
+    peer = {p.name: json.loads(p.read_text()) for p in sorted(directory.glob("peer/*.json"))}
+    ours = {name: json.loads((directory / name).read_text()) for name in peer}
+    return {"pysindy": _plain(list(peer.values())), "ours": _plain(list(ours.values()))}
+
+
+def _plain(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    of = lambda kind: [r for r in results if r["case"]["kind"] == kind]  # noqa: E731
+    singles = of("single")
+    return {
+        "top_1_detected": share([_top(r, 1) for r in singles if r["named"]]),
+        "top_1_all": share([_top(r, 1) for r in singles]),
+        "false_alarms": share([r["verdict"] != "no gap" for r in of("null")]),
+        "pairs_exact": share([set(r["named"][:2]) == set(r["case"]["hidden"]) for r in of("pair")]),
     }
 
 

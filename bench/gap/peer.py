@@ -1,0 +1,195 @@
+"""PySINDy on the benchmark's data sets: discrepancy modelling beside the gap workflow.
+
+    python -m bench.gap.peer --plant build/plant.json --out build/bench_gap
+
+As Kaheman et al. (2019) and Ebers, Steele and Kutz (2024) do it, what the plant misses is written
+as a sparse sum of library terms by sequentially thresholded least squares (STLSQ). It starts where
+the gap workflow does: identified plant, its known error, nuisance and trial variation refitted.
+Residuals are in units of what differs between repetitions and columns have unit size, so a
+coefficient is a contribution in noise floors; the effect with the greatest is named first, nothing
+where no term survives. Equations and library: `bench.gap.library`.
+
+How it was tuned: on 27 data sets without an effect, of other draws (seeds 1000 and 5000), as the
+least threshold, and a tenth, at which none of them raised an alarm. The ridge hardly matters: from
+0.003 to 1, each with its own such threshold, 8 to 10 of 25 large effects were named rightly. The
+library and its shapes were chosen on draw 1000 with effects; columns scaled by what they show
+without an effect, or thresholds found by leaving out payloads, named no more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.gap.cases import BenchCase
+from bench.gap.library import Equation, equations
+from bench.gap.run import laboratory, lean_trials
+from bench.gap.summary import beside
+from firmware_py.console import Progress
+from firmware_py.errors import InputError
+from models.gap.fit import Estimator
+from models.gap.knobs import Knob, full_plant, nuisance_knobs, trial_knobs
+from models.gap.learn import floor_of
+from models.gap.problem import SUBSTEP_S, Problem
+from models.gap.spectrum import Array, restore
+from models.plant.fit import weights
+from models.plant.plant import Plant, Unit, read_plant
+from models.plant.simulate import CompiledModel, run_trial, trial_parameters
+from models.plant.step import names
+from models.trial import Trial
+
+THRESHOLD: Final = 1.75
+"""Least contribution that a term may have, in noise floors."""
+
+RIDGE: Final = 0.1
+"""Ridge of STLSQ for each row."""
+
+
+def refitted(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
+    """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
+    problem = Problem(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
+    floor = floor_of(plant, 1)
+    assert floor is not None, "identify the plant on repeated trials first"
+    estimator = Estimator(problem, floor)
+    start = estimator.at(np.zeros(len(problem.knobs)))
+    values = estimator.fit(start, np.ones(len(problem.knobs), bool)).values
+    (group,), (means,) = problem.groups, estimator.means
+    units: dict[Unit, CompiledModel] = {}
+    for unit in ("twin", "driven"):
+        model = full_plant(plant).step_model(1, unit)
+        units[unit] = CompiledModel(replace(model, max_substep_s=SUBSTEP_S))
+    result = []
+    for k, trial in enumerate(trials):
+        knobs = zip(problem.knobs, values, strict=True)
+        turned = [(knob, value) for knob, value in knobs if knob.trial in (None, k)]
+        loop, p = simulated(units["twin"], trial, turned)
+        moved = replace(trial, columns={**trial.columns, "angle_1_rad": loop["angle_1_rad"]})
+        at_loop, at_measured = (simulated(units["driven"], t, turned)[0] for t in (moved, trial))
+        twin = {}
+        for b, s in enumerate(group.signals):
+            known = restore(means[k, b], len(trial)) / np.maximum(weights(trial, s), 0.05)
+            twin[s] = trial.columns[s] - loop[s] - known if s in trial.columns else known
+        # Against the driven link on the loop's own motion: what its filter does drops out.
+        driven = {s: twin[s] + at_loop[s] - y for s, y in at_measured.items() if s in twin}
+        result.append(equations(trial, p, twin, driven))
+    return result
+
+
+def simulated(
+    unit: CompiledModel, trial: Trial, turned: Sequence[tuple[Knob, float]]
+) -> tuple[dict[str, Array], dict[str, float]]:
+    """Outputs by name, and the parameters, with knobs turned."""
+    p = dict(zip(names(unit.model.parameters), trial_parameters(unit.model, trial), strict=True))
+    outputs = names(unit.model.outputs)
+    shift = np.zeros(len(outputs))
+    for knob, value in turned:
+        for name, weight in knob.parameters.items():
+            p[name] += weight * value
+        shift += value * np.array([knob.outputs.get(name, 0.0) for name in outputs])
+    y = run_trial(unit, trial, np.array(list(p.values()))) + shift
+    return dict(zip(outputs, y.T, strict=True)), p
+
+
+def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[float]) -> Any:
+    """Size of what survives STLSQ by effect, in noise floors; the greatest first."""
+    found: dict[str, float] = {}
+    for name in trials[0]:
+        rows = [t[name] for t in trials]
+        for effect, size in sparse(rows, noise(rows, payloads)).items():
+            if not effect.startswith("("):
+                found[effect] = max(found.get(effect, 0.0), size)
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
+    """Root mean square of what differs between two repetitions, for one of them."""
+    squares = [
+        np.mean((a.missing - b.missing)[both] ** 2) / 2
+        for i, a in enumerate(rows) for j, b in enumerate(rows[:i])
+        if payloads[i] == payloads[j] and (both := a.counts & b.counts).any()
+    ]  # fmt: skip
+    return float(np.sqrt(np.mean(squares)))
+
+
+def sparse(rows: Sequence[Equation], unit: float) -> dict[str, float]:
+    """Size of each term of one equation that survives, in units of `unit`."""
+    sindy = pysindy()
+    effects = list(rows[0].columns)
+    library = [np.column_stack([r.columns[e] for e in effects])[r.counts] for r in rows]
+    missing = [r.missing[r.counts, None] / unit for r in rows]
+    size = np.sqrt(np.mean(np.concatenate(library) ** 2, axis=0))
+    count = sum(len(x) for x in library)
+    size = np.where(size > 0, size, 1.0)  # a term that these trials never excite
+    model = sindy.SINDy(
+        optimizer=sindy.STLSQ(threshold=THRESHOLD, alpha=RIDGE * count, unbias=False),
+        feature_library=sindy.IdentityLibrary(),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that nothing survives is an answer
+        model.fit([x / size for x in library], t=1.0, x_dot=missing)
+    found = np.abs(model.coefficients()[0])
+    return {e: float(c) for e, c in zip(effects, found, strict=True) if c > 0}
+
+
+def pysindy() -> Any:
+    """The package, which is not among the locked ones."""
+    try:
+        return importlib.import_module("pysindy")
+    except ImportError as error:
+        raise InputError(
+            "bench.gap.peer", f"PySINDy is needed for this comparison only ({error})",
+            "install it for this once: .venv/bin/python -m pip install pysindy==2.1.0",
+        ) from error  # fmt: skip
+
+
+def run(case: BenchCase, plant: Plant, path: Path) -> None:
+    """Write the result of one case, in the form that `bench.gap.summary` reads."""
+    trials = lean_trials(laboratory(case).hide(case.hidden), case.seed)
+    found = contributions(refitted(plant, trials), [t.meta.payload_kg for t in trials])
+    result = {
+        "case": asdict(case), "verdict": "reduced" if found else "no gap",
+        "named": list(found), "contributions": found,
+    }  # fmt: skip
+    fresh = path.with_suffix(".part")
+    fresh.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    fresh.replace(path)
+
+
+def main() -> int:
+    """Run the cases that stand in the benchmark's directory, and summarise."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plant", type=Path, required=True, help="as the benchmark had it")
+    parser.add_argument("--out", type=Path, required=True, help="results of the benchmark")
+    args = parser.parse_args()
+    try:
+        pysindy()
+        plant, out = read_plant(args.plant), args.out / "peer"
+        out.mkdir(exist_ok=True)
+        stand = {p.name: json.loads(p.read_text()) for p in sorted(args.out.glob("*.json"))}
+        left = {
+            out / name: BenchCase(**r["case"]) for name, r in stand.items()
+            if "impossible" not in r and r["case"]["kind"] != "outside"
+            and not (out / name).exists()
+        }  # fmt: skip
+        progress = Progress("bench.gap.peer", len(left))
+        for path, case in left.items():
+            run(case, plant, path)
+            progress.step(case.kind)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(json.dumps(beside(args.out), indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

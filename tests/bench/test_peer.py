@@ -1,0 +1,99 @@
+"""The peer beside the benchmark: its equations, its noise, what it names and what it lacks."""
+
+import importlib
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.gap import peer
+from bench.gap.library import Equation, equations
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from firmware_py.signals import PERIOD_S
+from models.gap.knobs import Knob
+from models.plant.plant import read_plant
+from models.plant.simulate import CompiledModel
+from models.trial import Trial, TrialMeta
+
+REST_ROWS = 60
+HIDDEN = {
+    "dead_time": ("command", "dead_time_1_s", 0.03),
+    "load_offset": ("torque", "load_offset_1_nm", 3.0),
+}
+
+
+@pytest.fixture(scope="module")
+def units():
+    plant = read_plant().with_effects(*HIDDEN)
+    return {unit: CompiledModel(plant.step_model(1, unit)) for unit in ("twin", "driven")}
+
+
+@pytest.fixture(scope="module")
+def trial():
+    motion = Motion(period_s=2.6)
+    goal = motion.table_rad(rest_samples=REST_ROWS)[:, 0]
+    meta = TrialMeta(
+        dof=1, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="sinusoid", source="test",
+        period_s=motion.period_s, amplitude_rad=motion.amplitude_rad, base_offset_m=0.06,
+        link_length_m=0.95, link_width_m=0.15, rest_samples=REST_ROWS,
+    )  # fmt: skip
+    return Trial("made", meta, {"time_s": PERIOD_S * np.arange(len(goal)), "goal_1_rad": goal})
+
+
+@pytest.mark.parametrize("effect", HIDDEN)
+def test_an_equation_misses_what_was_hidden_in_it(units, trial, effect):
+    name, parameter, strength = HIDDEN[effect]
+    hidden = [(Knob(effect, "effect", {parameter: 1.0}), strength)]
+    measured, p = peer.simulated(units["twin"], trial, hidden)
+    seen = replace(trial, columns={**trial.columns, **measured})
+    loop, _ = peer.simulated(units["twin"], seen, [])
+    link, _ = peer.simulated(units["driven"], seen, [])
+    twin, driven = ({s: measured[s] - y[s] for s in y} for y in (loop, link))
+    found = equations(seen, p, twin, driven)[name]
+    column, missing = found.columns[effect][found.counts], found.missing[found.counts]
+    estimate = column @ missing / (column @ column)
+    assert abs(abs(estimate) / strength - 1) < 0.15
+    assert np.mean((missing - estimate * column) ** 2) < 0.1 * np.mean(missing**2)
+
+
+def made(rng, gain):
+    """Four repetitions of one equation: noise of size one, and `gain` times a term."""
+    drawn = {name: rng.standard_normal(400) for name in ("coulomb_friction", "load_offset")}
+    counts = np.ones(400, bool)
+    return [
+        {"torque": Equation(gain * drawn["load_offset"] + rng.standard_normal(400), drawn, counts)}
+        for _ in range(4)
+    ]
+
+
+def test_noise_is_what_differs_between_repetitions_of_one_payload(rng):
+    rows = [t["torque"] for t in made(rng, 20.0)]
+    assert peer.noise(rows, [0.0, 0.0, 1.0, 1.0]) == pytest.approx(1.0, rel=0.2)
+
+
+def test_the_term_that_contributes_most_is_named_and_noise_is_not(rng):
+    pytest.importorskip("pysindy")
+    assert list(peer.contributions(made(rng, 20.0), [0.0] * 4)) == ["load_offset"]
+    assert not peer.contributions(made(rng, 0.0), [0.0] * 4)
+
+
+def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch, capsys, tmp_path):
+    def missing(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(InputError):
+        peer.pysindy()
+    monkeypatch.setattr(
+        sys, "argv", ["peer", "--plant", str(tmp_path / "plant.json"), "--out", str(tmp_path)]
+    )
+    assert peer.main() == 2
+    said = capsys.readouterr().err
+    assert "pip install pysindy" in said and said.count("\n") == 1
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
