@@ -1,6 +1,7 @@
 """The peer beside the benchmark: its equations, its noise, what it names and what it lacks."""
 
 import importlib
+import json
 import sys
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 
 from bench.gap import peer
 from bench.gap.library import Equation, equations
+from bench.gap.summary import beside
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
@@ -92,6 +94,31 @@ def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch, capsys
     assert peer.main() == 2
     said = capsys.readouterr().err
     assert "pip install pysindy" in said and said.count("\n") == 1
+
+
+def test_both_are_counted_on_the_cases_that_both_have(tmp_path):
+    def result(path, kind, hidden, named):
+        path.parent.mkdir(exist_ok=True)
+        verdict = "reduced" if named else "no gap"
+        row = {"case": {"kind": kind, "hidden": hidden}, "named": named, "verdict": verdict}
+        path.write_text(json.dumps(row))
+
+    single, pair = {"creep": 0.3}, {"creep": 0.3, "backlash": 0.01}
+    for name, kind, hidden, ours, peers in (
+        ("a", "single", single, ["creep"], ["backlash", "creep"]),
+        ("b", "single", single, ["creep"], []),
+        ("c", "pair", pair, ["creep"], ["backlash", "creep", "prebend"]),
+        ("d", "null", {}, [], ["creep"]),
+    ):
+        result(tmp_path / f"{name}.json", kind, hidden, ours)
+        result(tmp_path / "peer" / f"{name}.json", kind, hidden, peers)
+    result(tmp_path / "e.json", "null", {}, ["creep"])  # the peer has not come to it yet
+    figures = beside(tmp_path)
+    counted = {
+        who: [round(f["share"] * f["of"]) for f in rows.values()] for who, rows in figures.items()
+    }
+    assert counted == {"pysindy": [0, 0, 1, 1], "ours": [2, 2, 0, 0]}
+    assert figures["pysindy"]["top_1_detected"]["of"] == 1
 
 
 @pytest.fixture
