@@ -27,7 +27,7 @@ endef
 # The same for a command whose verdict belongs into the report, good or bad (exit 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo gap-demo test lint sil faults mutate soak hitl hitl-emulated bench lock clean
+.PHONY: help setup demo gap-demo test lint sil faults mutate soak hitl hitl-emulated bench bench-real lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -43,6 +43,7 @@ help:
 	@echo "make mutate  every comparison of the safety supervisor changed: do the tests notice?"
 	@echo "make hitl    tests on a real servo at DROPSTITCH_HITL_PORT; hitl-emulated: without one"
 	@echo "make bench   ratios against peers, measured side by side"
+	@echo "make bench-real DATA=DIR  measured data of two other rigs: name what their plants lack"
 	@echo "make lock    renew requirements/ from pyproject.toml"
 	@echo "make clean   remove what was built (keeps .venv)"
 
@@ -230,6 +231,9 @@ mutate: $(READY)
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
 	$(BIN)/python -m bench.loop --bundle build/bundle_2dof --fmu $<
+
+bench-real: $(READY)
+	$(BIN)/python -m bench.real $(DATA)
 
 lock:
 	for extra in record:robot test:workshop; do \

@@ -155,17 +155,18 @@ def effect_knobs(plant: Plant, name: str, dof: int) -> list[Knob]:
     if name == "cross_axis_coupling" and dof == 1:
         return []
     tied = effect.port not in ("bend_torque", "stiffness")
-    patterns = [q for q in effect.per_joint if q.role == "effect"]
     groups: list[list[str]] = []
-    for q in patterns:
+    for q in effect.per_joint:
         own = [scope.name(q.name, j) for j in scope.joints]
         groups += [own] if tied else [[n] for n in own]
-    groups += [[scope.name(q.name)] for q in effect.shared if q.role == "effect"]
+    groups += [[scope.name(q.name)] for q in effect.shared]
     strengths = effect.strengths(scope)
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):
         first = full.parameters[group[0]]
-        is_strength = group[0] in strengths
+        if first.role != "effect":
+            continue
+        is_strength = group[0] in strengths or first.value == 0  # then it has no scale of its own
         result.append(
             Knob(
                 group[0], "effect", dict.fromkeys(group, 1.0), {},

@@ -32,6 +32,8 @@ MENU: Final[dict[str, Kind]] = {
     "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
     "step and hold": "steps", "free decay": "decay",
 }  # fmt: skip
+NO_MOTION: Final = "none of the menu"
+"""What is said of a plant that cannot run the menu."""
 SWAPPED_KG: Final = 2.0
 """Payload of the swap, or none where the trials carried more than half of it."""
 
@@ -58,9 +60,11 @@ def separating_motion(
     Returns
     -------
     tuple
-        Its name, and for every motion the least d′ from any of them.
+        Its name, and for every motion the least d′ from any of them; the menu is that of the link.
     """
     problem = namer.first.problem
+    if improved.load != "link":
+        return NO_MOTION, {}
     model = problem.trials[0]
     heaviest = max(t.meta.payload_kg for t in problem.trials)
     result = {}

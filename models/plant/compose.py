@@ -14,7 +14,7 @@ from firmware_py.signals import PAYLOAD
 from models.plant.effects import Effect
 from models.plant.mechanics import solve
 from models.plant.scope import Expr, Scope, substitute
-from models.plant.servo import UNIT_OF, Drive
+from models.plant.servo import UNIT_OF, Drive, mesh
 from models.plant.step import StepModel, Variable, runge_kutta
 
 MAX_SUBSTEP_S: Final = 1e-3
@@ -30,10 +30,14 @@ def compose_twin(
     scope.payload_kg = scope.input(payload_variable())
     for j in scope.joints:
         declare_joint(scope, j, scope.start[j])
+        if drive.meshes:
+            mesh(scope, j)
     load.declare(scope)
     serve(scope, ("command",), effects)
     strain(scope, load, effects)
     drive.drive(scope)
+    for j, pressing in scope.pressing.items():
+        scope.friction[j] = substitute(scope.friction[j], [(pressing, scope.motor_torque[j])])
     mass, force = load.equations(scope)
     lost = mass[:, : len(scope.joints)] @ ca.vertcat(*scope.windup_acceleration.values())
     torque = []

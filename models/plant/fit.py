@@ -135,7 +135,7 @@ class Objective:
         self.start = np.array([q.value for q in chosen])
         self.low = np.array([q.low for q in chosen])
         self.high = np.array([q.high for q in chosen])
-        self._prior = 4 / (self.high - self.low)
+        self.spread = (self.high - self.low) / 4
         self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
@@ -144,10 +144,10 @@ class Objective:
         if key != self._last[0]:
             with ThreadPoolExecutor(WORKERS) as pool:
                 parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
-            prior = (values - self.start) * self._prior
+            prior = (values - self.start) / self.spread
             residual = np.concatenate([r for rows in parts for r, _ in rows.values()] + [prior])
             jacobian = np.concatenate(
-                [j for rows in parts for _, j in rows.values()] + [np.diag(self._prior)]
+                [j for rows in parts for _, j in rows.values()] + [np.diag(1 / self.spread)]
             )
             self._last = (key, residual, jacobian)
         return self._last[1], self._last[2]

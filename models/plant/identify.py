@@ -41,6 +41,12 @@ STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 DRIVEN_SUBSTEP_S: Final = 2.2e-3
 """Longest internal step of the driven link, an eighth of a control period: no dry friction."""
 
+DRAWS: Final = 32
+"""Starts that are drawn for the fit of a rigid load."""
+
+FITTED_STARTS: Final = 2
+"""The best of them, from which it is fitted; from the plant as it is in any case."""
+
 LINK_SIGNALS: Final = ("tip", "di", "current")
 DRIVE_SIGNALS: Final = ("angle", "position", "current")
 
@@ -99,10 +105,9 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found, rms = _round(_mirrored(found, first), fit.trials, rms, report)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
-        solution = solve(
-            Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS),
-            evaluations=60, tolerance=1e-6, report=lambda cost: report(f"cost {cost:.4g}"),
-        )  # fmt: skip
+        solution = _best_of_several(
+            Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS), report
+        )
         found, rms = solution.plant, solution.rms
     found = _mirrored(found, fit.trials)
     errors = evaluation(found, held_out if len(held_out) else fit)
@@ -118,6 +123,27 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     }
     found = replace(found, name=f"{_stem(plant.name)}, identified", provenance=provenance)
     return Identification(found, tuple(found.parameters[n] for n in fitted), errors)
+
+
+def _best_of_several(objective: Objective, report: Report) -> Solution:
+    """Best fit of those from the plant as it is and from draws of the prior.
+
+    A joint that sticks makes the cost rugged: where it stops jumps as a parameter moves.
+    """
+    rng = np.random.default_rng(0)
+    drawn = objective.start + objective.spread * rng.standard_normal((DRAWS, len(objective.free)))
+    starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
+    costs = np.array([float(r @ r) for r in (objective(start)[0] for start in starts)])
+    report(f"{DRAWS} starts drawn")
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))[:FITTED_STARTS]
+    fits = [
+        solve(
+            objective, starts[k], evaluations=60, tolerance=1e-5,
+            report=lambda cost: report(f"cost {cost:.4g}"),
+        )
+        for k in dict.fromkeys((0, *order))
+    ]  # fmt: skip
+    return min(fits, key=lambda s: s.cost)
 
 
 def _round(

@@ -99,6 +99,8 @@ class Plant:
         Names of the effects that it holds.
     parameters : dict of str to Parameter
         All of them, for two joints where the load has two.
+    expected : dict of str to Parameter
+        What is known of effects that the plant does not hold (yet).
     signals : dict of str to SignalRole
         Columns of a trial where they are not the link's.
     provenance : dict
@@ -110,6 +112,7 @@ class Plant:
     load: str
     effects: tuple[str, ...]
     parameters: dict[str, Parameter]
+    expected: dict[str, Parameter] = field(default_factory=dict)
     signals: dict[str, SignalRole] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -183,7 +186,7 @@ class Plant:
                 "value": q.value, "unit": q.unit, "bounds": [q.low, q.high], "role": q.role,
                 "source": q.source, **({} if q.error is None else {"error": q.error}),
             }
-            for q in self.parameters.values()
+            for q in (*self.parameters.values(), *self.expected.values())
         }  # fmt: skip
         return {
             "schema": SCHEMA,
@@ -242,28 +245,37 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
             raise InputError(path, f"{kind!r} is no {what}", "choose from " + ", ".join(known))
     plant = Plant(
         document.name, document.drive.kind, document.load.kind,
-        tuple(e.name for e in document.effects), {}, document.signals, document.provenance,
+        tuple(e.name for e in document.effects), {}, {}, document.signals, document.provenance,
     )  # fmt: skip
     return _complete(plant, path, document.parameters)
 
 
 def _complete(plant: Plant, where: Path | str, entries: Mapping[str, float | _Entry]) -> Plant:
-    """Plant with every parameter that its parts declare, the document's put over theirs."""
+    """Plant with every parameter that its parts declare, the document's put over theirs.
+
+    A document may also say what it knows of effects that the plant could hold.
+    """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
     scope = _scope(plant.load, LOADS[plant.load].max_dof)
-    parameters = {
-        q.name: plant.parameters.get(q.name, q)
-        for q in _declared(scope, plant.drive, plant.load, plant._effects(), observer=True)
-    }
+    parts = plant.drive, plant.load
+    own = {q.name: q for q in _declared(scope, *parts, plant._effects(), observer=True)}
+    others = [EFFECTS[name]() for name in plant.applicable()]
+    possible = {q.name: q for q in _declared(scope, *parts, others, observer=True)}
+    known = plant.expected | plant.parameters
+    parameters = {name: known.get(name, q) for name, q in own.items()}
+    expected = {name: q for name, q in known.items() if name not in own and name in possible}
     for name, given in entries.items():
+        if name in possible and name not in parameters:
+            expected[name] = _merge(where, possible[name], given)
+            continue
         if name not in parameters:
             raise InputError(
                 where, f"parameter {name!r} belongs to no part of this plant",
                 "correct the name, or add the effect that it belongs to",
             )  # fmt: skip
         parameters[name] = _merge(where, parameters[name], given)
-    check_values(str(where), parameters.values())
-    return replace(plant, parameters=parameters)
+    check_values(str(where), (*parameters.values(), *expected.values()))
+    return replace(plant, parameters=parameters, expected=expected)
 
 
 def _merge(where: Path | str, q: Parameter, given: float | _Entry) -> Parameter:

@@ -55,9 +55,12 @@ class Scope:
     goal, start, angle, rate, acceleration, holding : dict by joint
         Goal after the command port; where the joint starts; its coordinate and rate, and its
         acceleration where it is driven; torque that holds the load still at the start.
-    current, motor_torque, friction, joint_torque, transmitted : dict by joint
+    direction : dict by joint
+        Smooth sign of the rate, where the drive knows a better one than that of the rate alone.
+    current, motor_torque, friction, joint_torque, transmitted, pressing : dict by joint
         Drive's current and torque; friction that opposes `rate`; other torque on the joint;
-        torque that the load puts on the joint apart from its inertia.
+        torque that the load puts on the joint apart from its inertia; torque that the drive puts
+        on the teeth from the other side, where the friction of its gear depends on that.
     torque_scale, current_limit_cut : dict by joint
         Factor on the drive's torque; reduction of its limit.
     windup, windup_rate, windup_acceleration : dict by joint
@@ -86,11 +89,13 @@ class Scope:
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)
     holding: dict[int, Expr] = field(default_factory=dict)
+    direction: dict[int, Expr] = field(default_factory=dict)
     current: dict[int, Expr] = field(default_factory=dict)
     motor_torque: dict[int, Expr] = field(default_factory=dict)
     friction: dict[int, Expr] = field(default_factory=dict)
     joint_torque: dict[int, Expr] = field(default_factory=dict)
     transmitted: dict[int, Expr] = field(default_factory=dict)
+    pressing: dict[int, Expr] = field(default_factory=dict)
     torque_scale: dict[int, Expr] = field(default_factory=dict)
     current_limit_cut: dict[int, Expr] = field(default_factory=dict)
     windup: dict[int, Expr] = field(default_factory=dict)

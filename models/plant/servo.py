@@ -22,6 +22,7 @@ class Drive(Protocol):
 
     kind: ClassVar[str]
     has: ClassVar[tuple[str, ...]]
+    meshes: ClassVar[bool]
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Parameters for the joints of `scope`."""
@@ -93,6 +94,7 @@ class Cascade:
 
     kind: ClassVar[str] = "cascade"
     has: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    meshes: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Gains, torque constant, inertia and limit of each joint."""
@@ -167,17 +169,44 @@ class Cascade:
         return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)
 
 
+BRISTLE_S: Final = 5e-3
+"""Time by which a joint that sticks is damped: it rings no longer than some periods."""
+
+FASTEST_S: Final = 5e-4
+"""Shortest time in which bristles turn over; half an internal step."""
+
+
+def mesh(scope: Scope, joint: int) -> None:
+    """Wire what the friction of a small gear depends on beside the load and the rate.
+
+    The drive presses the teeth as the load does (BAM), so its torque is made known; and dry
+    friction holds a joint that stands, by bristles that bend before they slide (Dahl 1968)::
+
+        ż = (q̇ − |q̇| z) / (δ + |q̇| T),   direction = z + T_d ż
+
+    z goes to sign(q̇) within the distance δ and stays what it is at rest, where a smooth sign of
+    the rate alone lets the joint creep. T bounds the rate of change for the sake of the integrator.
+    """
+    scope.pressing[joint] = ca.SX.sym(f"drive_torque_{joint}")
+    z = scope.state(Variable(f"bristle_{joint}", "1"))
+    speed = ca.fabs(scope.rate[joint])
+    reach = scope.p("presliding_{j}_{angle}", joint) + speed * FASTEST_S
+    scope.states[z.name()].rate = (scope.rate[joint] - speed * z) / reach
+    scope.direction[joint] = z + BRISTLE_S * scope.states[z.name()].rate
+
+
 class Duty:
     """DC motor under a proportional duty cycle, as small Dynamixels run position control (BAM).
 
-        d = clip(k_d (goal − q), ±1),   i = (d V − k_t q̇) / R,   τ = k_t i
+        d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
     The supply voltage V is an input: a sagging supply imitates friction (data README). With its
     torque disabled (`enabled` is 0) the winding is open: no current, so no braking either.
     """
 
     kind: ClassVar[str] = "duty"
-    has: ClassVar[tuple[str, ...]] = ("current",)
+    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    meshes: ClassVar[bool] = True
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Duty per error, winding and inertia of each joint."""
@@ -197,7 +226,11 @@ class Duty:
                 Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
                           high=0.1, role="nuisance", description="rotor inertia at the output",
                           source="assumed"),
-                friction_speed(scope, j),
+                Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.1, high=50.0,
+                          description="rated current limit", source="assumed: never met"),
+                Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
+                          description="distance in which dry friction turns over",
+                          source="assumed: two steps of the encoder"),
             ]  # fmt: skip
         return tuple(result)
 
@@ -216,8 +249,10 @@ class Duty:
             duty = ca.fmin(ca.fmax(duty, -1), 1)
             constant = self.torque_per_current(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
+            wanted = voltage / scope.p("winding_resistance_{j}_ohm", j)
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
             closed = scope.inputs[f"enabled_{j}"][1]
-            scope.current[j] = closed * voltage / scope.p("winding_resistance_{j}_ohm", j)
+            scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
             scope.motor_torque[j] = constant * scope.current[j]
 
     def inertia(self, scope: Scope, joint: int) -> Expr:
@@ -238,6 +273,7 @@ class Force:
 
     kind: ClassVar[str] = "force"
     has: ClassVar[tuple[str, ...]] = ()
+    meshes: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Force (or torque) per volt of each joint."""

@@ -10,8 +10,18 @@ from models.plant.scope import Expr, Scope
 
 
 def direction(scope: Scope, joint: int) -> Expr:
-    """Smooth sign of a joint's rate, for dry friction."""
+    """Smooth sign of a joint's rate, for dry friction; the drive's own where it has one."""
+    if joint in scope.direction:
+        return scope.direction[joint]
     return ca.tanh(scope.rate[joint] / scope.p("friction_speed_{j}_{angle}_s", joint))
+
+
+def gear_load(scope: Scope, joint: int) -> Expr:
+    """Torque that presses the gear's teeth: |τ_load − τ_drive|, or |τ_load| of a stiff large gear.
+
+    A drive that lifts a load presses them from both sides (BAM, eq. of the gearbox torque).
+    """
+    return ca.fabs(scope.transmitted[joint] - scope.pressing.get(joint, 0))
 
 
 class CoulombFriction(Effect):
@@ -49,7 +59,11 @@ class ViscousFriction(Effect):
 
 
 class StribeckFriction(Effect):
-    """Extra dry friction near standstill, F_s exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902]."""
+    """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902].
+
+    μ_s, its share of the transmitted torque τ (BAM, model M4), is zero unless a plant's file frees
+    it: in a gear that slides slowly under load it is the larger part.
+    """
 
     name = "stribeck_friction"
     per_joint = (
@@ -59,14 +73,18 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.03, high=1.0,
                   role="effect", description="rate at which it has faded to 37 %",
                   source="assumed: a fifth of the study's peak rate"),
+        Parameter(name="stribeck_load_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+                  description="extra friction near standstill per transmitted torque",
+                  source="assumed absent"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         """Oppose the rate, the less the faster."""
         for j in scope.joints:
             fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
-            strength = scope.p("stribeck_friction_{j}_{torque}", j)
-            scope.friction[j] += strength * fade * direction(scope, j)
+            load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
+            extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
+            scope.friction[j] += extra * fade * direction(scope, j)
 
 
 class LoadDependentFriction(Effect):
@@ -83,7 +101,5 @@ class LoadDependentFriction(Effect):
     def apply(self, scope: Scope) -> None:
         """Oppose the rate in proportion to the load."""
         for j in scope.joints:
-            load = ca.fabs(scope.transmitted[j])
-            scope.friction[j] += (
-                scope.p("load_dependent_friction_{j}", j) * load * direction(scope, j)
-            )
+            share = scope.p("load_dependent_friction_{j}", j)
+            scope.friction[j] += share * gear_load(scope, j) * direction(scope, j)

@@ -1,0 +1,238 @@
+"""Measured data of others through the commands of ours: import, identify, gap, identify.
+
+Two rigs, each described by a plant file and a map (models/plant/examples): the XL330 pendulum, a
+DYNAMIXEL that swings a weight (Rhoban/bam), and the EMPS, a car on a ball screw (Janot et al.).
+The program names what the plant lacks, until it finds nothing more. What it named is then refitted
+with each gain of the pendulum left out in turn and judged on the logs of that gain, beside Coulomb
+and viscous friction treated alike.
+
+Writes OUT/real.json, OUT/real.html and the plants OUT/RIG/plant.json; exit 1 if a limit is missed.
+Steps that are done are not repeated.
+
+    python -m bench.real DATA --out build/bench_real
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.real_page import write_page
+from firmware_py.console import DONE, NEGATIVE, Progress
+from models.__main__ import main as models
+from models.plant.evaluate import compare
+from models.plant.identify import identify
+from models.plant.plant import Plant, read_plant
+from models.trial import TrialSet
+from models.trials import read_trials
+
+EXAMPLES: Final = Path(__file__).parents[1] / "models/plant/examples"
+BASELINE: Final = "viscous + Coulomb"
+FOUND: Final = "named by the program"
+ROUNDS: Final = 4
+"""Most times that the gap is looked for and the plant identified again."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One source of data.
+
+    Attributes
+    ----------
+    name : str
+        Of its plant and map.
+    folder, pattern : str
+        Where the recordings are.
+    signal : str
+        What is compared.
+    unit, factor : str, float
+        In which errors are shown.
+    measure : str
+        Key of the error of `errors`: "mae" or "rms".
+    ladder : dict of str to tuple of str
+        Effects beside viscous friction of fits to compare with.
+    leave_out : str
+        Condition of which every value is left out in turn; none if empty.
+    """
+
+    name: str
+    folder: str
+    pattern: str
+    signal: str
+    unit: str
+    factor: float
+    measure: str
+    ladder: dict[str, tuple[str, ...]]
+    leave_out: str = ""
+
+
+RIGS: Final = (
+    Rig(
+        "xl330_pendulum", "bam_xl330", "*.json", "angle_1_rad", "mrad", 1e3, "mae",
+        {BASELINE: ("coulomb_friction",)}, "duty_gain_1",
+    ),
+    Rig(
+        "emps", "emps", "*.mat", "position_1_m", "mm", 1e3, "rms",
+        {"viscous": (), BASELINE: ("coulomb_friction",), "viscous + offset": ("load_offset",)},
+    ),
+)  # fmt: skip
+
+
+def import_all(rig: Rig, data: Path, out: Path) -> TrialSet:
+    """Trials of every recording of a rig."""
+    nominal = read_plant(EXAMPLES / f"{rig.name}.toml")
+    for file in sorted((data / rig.folder).glob(rig.pattern)):
+        if not (out / f"{file.stem}.toml").exists():
+            command = ["import", str(file), "--as", "table", "--out", str(out)]
+            _command([*command, "--map", str(EXAMPLES / f"{rig.name}.map.toml")])
+    return read_trials(out, nominal.signals)
+
+
+def name_and_identify(rig: Rig, trials: Path, out: Path) -> tuple[Path, list[list[str]]]:
+    """Plant with all that the program names, and what it named in each round."""
+    plant, rounds = out / "identified_0.json", []
+    _identify(trials, EXAMPLES / f"{rig.name}.toml", plant)
+    for k in range(1, ROUNDS + 1):
+        gap = out / f"gap_{k}"
+        if not (gap / "report.html").exists():
+            command = ["gap", str(trials), "--plant", str(plant), "--out", str(gap)]
+            _command(command, negative=True)
+        named = json.loads((gap / "gap.json").read_text(encoding="utf-8"))["named"]
+        rounds.append([e for row in named if row["kept"] for e in row["effect"].split(" + ")])
+        if not rounds[-1]:
+            break
+        better = out / f"identified_{k}.json"
+        _identify(trials, gap / "plant.json", better)
+        plant = better
+    return plant, rounds
+
+
+def _identify(trials: Path, plant: Path, out: Path) -> None:
+    if not out.exists():
+        _command(["identify", str(trials), "--plant", str(plant), "--out", str(out)])
+
+
+def _command(arguments: list[str], negative: bool = False) -> None:
+    print("$ python -m models", " ".join(arguments), file=sys.stderr)
+    code = models([*arguments, "--json"])
+    if code != DONE and not (negative and code == NEGATIVE):
+        raise SystemExit(code)
+
+
+def fitted(plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], None]) -> Plant:
+    """Plant identified on trials; read where it was before."""
+    if not path.exists():
+        identify(plant, trials).plant.write(path)
+    step(path.stem)
+    return read_plant(path)
+
+
+def errors(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
+    """Mean absolute and root mean square error of a signal, by trial."""
+    result = {}
+    for c in compare(plant, trials):
+        error = c.error(signal)
+        result[c.trial.name] = {
+            "mae": float(np.mean(np.abs(error))), "rms": float(np.sqrt(np.mean(error**2)))
+        }  # fmt: skip
+    return result
+
+
+def judge_fit(
+    rig: Rig, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
+) -> dict[str, Any]:
+    """Errors of one structure: of a fit to all trials, and with each condition left out."""
+    full = fitted(plant, trials, out / "all.json", step)
+    row: dict[str, Any] = {"effects": list(full.effects)}
+    row["all"] = _mean(errors(full, trials, rig.signal), rig.measure)
+    if rig.leave_out:
+        left: dict[str, dict[str, float]] = {}
+        for value in sorted({t.meta.conditions[rig.leave_out] for t in trials}):
+            rest = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] != v)
+            own = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] == v)
+            fit = fitted(plant, rest, out / f"without_{value:.3g}.json", step)
+            left |= errors(fit, own, rig.signal)
+        row["left_out"] = _mean(left, rig.measure)
+        row["left_out_by_trial"] = {name: e[rig.measure] for name, e in left.items()}
+    return row
+
+
+def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
+    return float(np.mean([e[measure] for e in by_trial.values()]))
+
+
+def run(rig: Rig, data: Path, out: Path, step: Callable[[str], None]) -> dict[str, Any]:
+    """Everything about one rig."""
+    trials = import_all(rig, data, out / "trials")
+    found, rounds = name_and_identify(rig, out / "trials", out)
+    step("named")
+    shutil.copyfile(found, out / "plant.json")
+    nominal, plant = read_plant(EXAMPLES / f"{rig.name}.toml"), read_plant(found)
+    fits = {
+        label: judge_fit(rig, nominal.with_effects(*effects), trials, out / label, step)
+        for label, effects in rig.ladder.items()
+    }
+    held = [e for e in plant.effects if e not in nominal.effects]
+    fits[FOUND] = judge_fit(rig, nominal.with_effects(*held), trials, out / FOUND, step)
+    fits[FOUND]["all"] = _mean(errors(plant, trials, rig.signal), rig.measure)
+    return {
+        "rounds": rounds,
+        "plant": str(out / "plant.json"),
+        "unit": rig.unit,
+        "measure": rig.measure,
+        "fits": fits,
+        "parameters": {
+            q.name: {"value": q.value, "error": q.error, "unit": q.unit}
+            for q in plant.parameters.values() if q.error is not None
+        },
+    }  # fmt: skip
+
+
+def verdicts(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """The figures that have limits."""
+    pendulum, car = (result[rig.name] for rig in RIGS)
+    ratio = pendulum["fits"][FOUND]["left_out"] / pendulum["fits"][BASELINE]["left_out"]
+    named = {e for round_ in car["rounds"] for e in round_}
+    rows = [
+        ("XL330, a gain left out: error over that of viscous + Coulomb", ratio, 0.75),
+        ("EMPS: root mean square error, mm", 1e3 * car["fits"][FOUND]["all"], 3.0),
+        ("EMPS: of Coulomb friction and load offset not named",
+         len({"coulomb_friction", "load_offset"} - named), 0.0),
+    ]  # fmt: skip
+    return [
+        {"limit": what, "value": float(value), "at_most": most, "met": bool(value <= most)}
+        for what, value, most in rows
+    ]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run both rigs, judge, write."""
+    parser = argparse.ArgumentParser(prog="python -m bench.real", description=__doc__)
+    parser.add_argument("data", type=Path, metavar="DATA", help="folder of bam_xl330 and emps")
+    parser.add_argument("--out", type=Path, default=Path("build/bench_real"))
+    args = parser.parse_args(argv)
+    for rig in RIGS:
+        if not any((args.data / rig.folder).glob(rig.pattern)):
+            parser.error(f"{args.data / rig.folder} holds no {rig.pattern}")
+    progress = Progress("real", 16)
+    result = {rig.name: run(rig, args.data, args.out / rig.name, progress.step) for rig in RIGS}
+    data = {"rigs": result, "verdicts": verdicts(result)}
+    (args.out / "real.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    page = write_page(data, args.out)
+    for v in data["verdicts"]:
+        print(f"{'met   ' if v['met'] else 'MISSED'} {v['limit']}: {v['value']:.3g} "
+              f"(at most {v['at_most']:g})")  # fmt: skip
+    print(page)
+    return DONE if all(v["met"] for v in data["verdicts"]) else NEGATIVE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""The page of `bench.real`: verdicts, what was named, fits side by side, pictures."""
+
+from __future__ import annotations
+
+import html
+import io
+from pathlib import Path
+from typing import Any, Final
+
+from models.page import Section, page_of, table_of
+from models.plant.evaluate import Comparison, compare
+from models.plant.plant import read_plant
+from models.trials import read_trials
+
+COLUMNS: Final = 3
+SHOWN_ROWS: Final = 400
+FACTOR: Final = {"mrad": 1e3, "mm": 1e3}
+MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
+
+
+def write_page(data: dict[str, Any], out: Path) -> Path:
+    """Write OUT/real.html; returns its path."""
+    verdicts = table_of(
+        ("figure", "value", "at most", ""),
+        [
+            (html.escape(v["limit"]), f"{v['value']:.3g}", f"{v['at_most']:g}",
+             "met" if v["met"] else "missed")
+            for v in data["verdicts"]
+        ],
+    )  # fmt: skip
+    parts = [Section("verdicts", "Verdicts", verdicts)]
+    parts += [_rig(name, rig, out / name) for name, rig in data["rigs"].items()]
+    path = out / "real.html"
+    opening = "<p>Recordings of others, imported, identified and diagnosed by our commands.</p>"
+    path.write_text(page_of("Measured data", opening, parts), encoding="utf-8")
+    return path
+
+
+def _rig(name: str, rig: dict[str, Any], out: Path) -> Section:
+    """What was named, the fits, and every trial."""
+    rounds = "; ".join(" + ".join(names) or "nothing more" for names in rig["rounds"])
+    factor, unit = FACTOR[rig["unit"]], rig["unit"]
+    fits = table_of(
+        ("fit", f"all trials, {unit}", f"condition left out, {unit}"),
+        [
+            (html.escape(label), f"{factor * row['all']:.1f}",
+             f"{factor * row['left_out']:.1f}" if "left_out" in row else "")
+            for label, row in rig["fits"].items()
+        ],
+        MEASURE[rig["measure"]],
+    )  # fmt: skip
+    values = table_of(
+        ("parameter", "value", "standard error", "unit"),
+        [
+            (html.escape(n), f"{q['value']:.4g}", f"{q['error']:.1g}", html.escape(q["unit"]))
+            for n, q in rig["parameters"].items()
+        ],
+        "identified",
+    )
+    plant = read_plant(out / "plant.json")
+    picture = _picture(compare(plant, read_trials(out / "trials", plant.signals)))
+    body = f"<p>Named, round by round: {html.escape(rounds)}.</p>{fits}{values}{picture}"
+    return Section(name, plant.name, body)
+
+
+def _picture(comparisons: list[Comparison]) -> str:
+    """Measured and simulated coordinate of every trial as one SVG."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot
+
+    columns = min(COLUMNS, len(comparisons))
+    rows = -(-len(comparisons) // columns)
+    figure, axes = pyplot.subplots(
+        rows, columns, squeeze=False, figsize=(3.2 * columns, 1.9 * rows), layout="constrained"
+    )
+    for axis, c in zip(axes.flat, comparisons, strict=False):
+        every = max(1, len(c.trial) // SHOWN_ROWS)
+        (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
+        axis.plot(c.trial.time_s[::every], c.measured[signal][::every], color="0.6", lw=2)
+        axis.plot(c.trial.time_s[::every], c.simulated[signal][::every], color="C3", lw=0.9)
+        axis.set_title(f"{c.trial.name}: {signal.rsplit('_', 1)[1]} over s", fontsize=8)
+        axis.tick_params(labelsize=7)
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    pyplot.close(figure)
+    drawn = text.getvalue()
+    return f"<figure>{drawn[drawn.index('<svg') :]}</figure><p>grey: measured; red: the plant</p>"
