@@ -167,7 +167,7 @@ def test_an_unknown_effect_is_refused_with_the_list(tmp_path):
         ("duty", "pendulum", "sync_offset", "tip"),
         ("force", "mass", "backlash", "gear load"),
         ("force", "mass", "current_bias", "current"),
-        ("duty", "pendulum", "current_saturation", "current limit"),
+        ("force", "mass", "current_saturation", "current limit"),
     ],
 )
 def test_an_effect_that_makes_no_sense_is_refused(tmp_path, drive, load, effect, missing):
