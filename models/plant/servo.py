@@ -226,8 +226,9 @@ class Duty:
                 Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
                           high=0.1, role="nuisance", description="rotor inertia at the output",
                           source="assumed"),
-                Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.1, high=50.0,
-                          description="rated current limit", source="assumed: never met"),
+                Parameter(name=f"current_limit_{j}_a", unit="A", value=3.0, low=0.1, high=50.0,
+                          description="rated current limit",
+                          source="assumed: twice the stall current at 5 V"),
                 Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
                           description="distance in which dry friction turns over",
                           source="assumed: two steps of the encoder"),
@@ -251,6 +252,7 @@ class Duty:
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
             wanted = voltage / scope.p("winding_resistance_{j}_ohm", j)
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
+            limit = ca.fmax(limit, 0)
             closed = scope.inputs[f"enabled_{j}"][1]
             scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
             scope.motor_torque[j] = constant * scope.current[j]
