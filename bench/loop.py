@@ -109,14 +109,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def ours(setting: Setting, line: sil.LineKind) -> Turn:
     """One turn of the robot's loop."""
     options = sil.Options(
-        setting.bundle, setting.model, setting.scratch / "ours", setting.unit, line,
-        setting.seconds, BAUD, load=setting.load, faults={"lost": setting.lost},
+        setting.bundle, setting.model, setting.scratch / "ours", unit=setting.unit, line=line,
+        seconds=setting.seconds, baud=BAUD, load=setting.load, faults={"lost": setting.lost},
     )  # fmt: skip
     result = sil.run(options)
     records = result.records
     return Turn(
         records["lateness_ns"] + records["busy_ns"], records["lateness_ns"],
-        int(records["tick"][-1]) + 1, int((records["stale_ticks"] > 0).sum()),
+        int(np.ptp(records["tick"])) + 1, int((records["stale_ticks"] > 0).sum()),
         float((records["busy_ns"] - records["bus_wait_ns"]).sum()) * 1e-9, result.wall_s,
     )  # fmt: skip
 
