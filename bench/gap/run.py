@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
         "named": list(naming.named),
-        "first": [list(c.effects) for c in naming.chosen[:1]],
+        "chosen": [list(c.effects) for c in naming.chosen],
         "separation": [c.separation for c in naming.chosen],
         "look_alikes": [
             [list(c.effects) for c in look_alikes(naming, k)] for k in range(len(naming.chosen))
@@ -64,6 +65,8 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
         "largest": max(naming.screened.values(), default=0.0),
         "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
         "own": {e: naming.screened.get(e) for e in case.hidden},
+        "scatter": {e: found.namer.null.least([e]) / found.namer.null.threshold
+                    for e in case.hidden},
         "estimates": {
             name: [known[name].value, known[name].error, plant_value(plant, name)]
             for k in found.namer.knobs if k.effect in naming.named
@@ -74,9 +77,26 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             sealed_error(plant, sealed_floor),
         ],
         "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],
+        "constancy": {e: [c.spread, c.chance] for e, c in found.constancy.items()},
+        "separable": separable(plant, trials, case, naming.named),
         "wall_s": wall_s,
         "cpu_s": cpu_s,
     }  # fmt: skip
+
+
+def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequence[str]) -> bool:
+    """Whether the whole catalogue tells a denied effect from what was named in its place.
+
+    It does where it names the effect, and no stand-in is among the declared look-alikes.
+    """
+    if case.kind != "outside":
+        return True
+    naming = diagnose(plant, trials).naming
+    alike = {
+        e for turn, chosen in enumerate(naming.chosen) if set(chosen.effects) & set(case.hidden)
+        for c in look_alikes(naming, turn) for e in c.effects
+    }  # fmt: skip
+    return set(case.hidden) <= set(naming.named) and not alike & set(stand_ins)
 
 
 def plant_value(plant: Plant, name: str) -> float:

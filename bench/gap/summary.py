@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +50,16 @@ def summarise(directory: Path) -> dict[str, Any]:
         "top_1_clear": share([_top(r, 1) for r in clear]),
         "top_1_faint": share([_top(r, 1) for r in faint]),
         "top_2": share([_top(r, 2) for r in detected]),
+        "top_1_unique": share([_top(r, 1) for r in detected if not r["look_alikes"][0]]),
         "class": share([_in_class(r) for r in detected]),
         "nothing_beside": share([len(r["named"]) == 1 for r in detected]),
         "false_alarms": share([r["verdict"] != "no gap" for r in of("null")]),
         "largest_on_nulls": sorted(round(r["largest"], 2) for r in of("null"))[-5:],
         "pairs_exact": share([set(r["named"]) == set(r["case"]["hidden"]) for r in of("pair")]),
-        "outside_said": share([r["verdict"] == "not in the catalogue" for r in of("outside")]),
+        "pairs_in_class": share([_pair_in_class(r) for r in of("pair")]),
+        "outside_said": share([_said(r) for r in of("outside") if r["separable"]]),
+        "outside_said_all": share([_said(r) for r in of("outside")]),
+        "inside_said": share([_said(r) for r in detected]),
         "share_of_gap_removed": _quantiles(removed),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
         "coverage": share([c for r in detected if (c := _covered(r)) is not None]),
@@ -99,8 +104,8 @@ def confusion(directory: Path) -> str:
 
 
 def _own(r: dict[str, Any]) -> float:
-    """d′ of the hidden effect itself in the first screen."""
-    return max((v or 0.0 for v in r["own"].values()), default=0.0)
+    """d′ of the hidden effect itself in the first screen, in scatters of its d′ without a gap."""
+    return max(((v or 0.0) / r["scatter"][e] for e, v in r["own"].items()), default=0.0)
 
 
 def _true(r: dict[str, Any]) -> str:
@@ -114,7 +119,24 @@ def _top(r: dict[str, Any], most: int) -> bool:
 def _in_class(r: dict[str, Any]) -> bool:
     """The hidden effect is the first name or one of its declared look-alikes."""
     alike = [e for c in r["look_alikes"][0] for e in c] if r["look_alikes"] else []
-    return _true(r) in [*r["first"][0], *alike]
+    return _true(r) in [*r["chosen"][0], *alike]
+
+
+def _pair_in_class(r: dict[str, Any]) -> bool:
+    """Two names, and each hidden effect is one of them or a declared look-alike of one."""
+    alike = [
+        {*names, *(e for c in others for e in c)}
+        for names, others in zip(r["chosen"], r["look_alikes"], strict=True)
+    ]
+    hidden = set(r["case"]["hidden"])
+    apart = len(alike) == 1 or any(
+        first in alike[0] and second in alike[1] for first, second in permutations(hidden)
+    )
+    return len(r["named"]) == 2 and hidden <= set().union(*alike) and apart
+
+
+def _said(r: dict[str, Any]) -> bool:
+    return bool(r["verdict"] == "not in the catalogue")
 
 
 def _removed(r: dict[str, Any]) -> float:

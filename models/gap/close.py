@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from firmware_py.errors import InputError
+from models.gap.constancy import Constancy, constancy
 from models.gap.fit import Estimator
 from models.gap.knobs import Knob, candidates, effect_knobs, nuisance_knobs, trial_knobs
 from models.gap.learn import fitted, floor_of, guess
@@ -44,6 +45,8 @@ class Diagnosis:
         With problem and estimator.
     naming : Naming
         Result of the search.
+    constancy : dict of str to Constancy
+        Whether the strength of each named effect is the same everywhere.
     verdict : str
         See `Verdict`.
     left : float
@@ -56,6 +59,7 @@ class Diagnosis:
     improved: Plant
     namer: Namer
     naming: Naming
+    constancy: dict[str, Constancy]
     verdict: Verdict
     left: float
     located: list[Cell]
@@ -98,13 +102,14 @@ def diagnose(
     floor = floor_of(plant, trials[0].meta.dof) or own_floor(problem)
     namer = Namer(Estimator(problem, floor), catalogue, report)
     naming = namer.search()
-    verdict, left = judge(namer, naming)
+    constant = constancies(namer, naming)
+    verdict, left = judge(namer, naming, constant)
     where = [
         locate(problem.groups, problem.trials, namer.first.whitened(point.rows))
         for point in (naming.before, naming.after)
     ]
     improved = improve(plant, namer, naming, trials)
-    return Diagnosis(plant, improved, namer, naming, verdict, left, *where)
+    return Diagnosis(plant, improved, namer, naming, constant, verdict, left, *where)
 
 
 def all_knobs(plant: Plant, trials: Sequence[Any], catalogue: Sequence[str]) -> list[Knob]:
@@ -124,14 +129,30 @@ def own_floor(problem: Problem) -> Floor:
     return floor
 
 
-def judge(namer: Namer, naming: Naming) -> tuple[Verdict, float]:
-    """Verdict, and the share of the gap's amplitude that is left."""
+def constancies(namer: Namer, naming: Naming) -> dict[str, Constancy]:
+    """Constancy of each strength; not of an effect with a threshold, which has no share."""
+    free = namer.free(naming.named)
+    return {
+        effect: constancy(namer.estimator, naming.after, free, namer.of[effect])
+        for effect in naming.named if effect not in naming.unexcited
+    }  # fmt: skip
+
+
+def judge(
+    namer: Namer, naming: Naming, constant: Mapping[str, Constancy]
+) -> tuple[Verdict, float]:
+    """Verdict, and the share of the gap's amplitude that is left.
+
+    What is named is not what is there where its strength would have to differ from one payload,
+    signal or band to the next, or where most of the gap is left.
+    """
     before, after = (excess(namer, p.rows) for p in (naming.before, naming.after))
     left = float(np.sqrt(after / before)) if before > 0 else 0.0
     if not naming.named:
         return ("not in the catalogue", 1.0) if namer.has_gap(naming.before) else ("no gap", 0.0)
     clearly = namer.left(naming.after) > (1 + namer.null.explained) / 2
-    if namer.has_gap(naming.before) and clearly and left > REDUCED:
+    unclosed = namer.has_gap(naming.before) and clearly and left > REDUCED
+    if unclosed or not all(c.holds for c in constant.values()):
         return "not in the catalogue", left
     return ("reduced" if namer.has_gap(naming.after) else "closed"), left
 

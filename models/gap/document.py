@@ -81,6 +81,7 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
     namer, naming = found.namer, found.naming
     chosen = naming.chosen[turn]
     alike = look_alikes(naming, turn)
+    constant = [found.constancy[e] for e in chosen.effects if e in found.constancy]
     result: dict[str, Any] = {
         "effect": " + ".join(chosen.effects),
         "kept": all(e in naming.named for e in chosen.effects),
@@ -96,6 +97,8 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
             "least": chosen.least,
             "held_out_gain": chosen.held_out_gain,
             "held_out_error": chosen.held_out_error,
+            "strength_spread": max((c.spread for c in constant), default=0.0),
+            "strength_holds": all(c.holds for c in constant),
         },
         "look_alikes": [
             {"effect": " + ".join(c.effects), "separation": c.separation} for c in alike
@@ -150,6 +153,12 @@ def in_words(data: dict[str, Any]) -> str:
             others = ", ".join(c["effect"] for c in row["look_alikes"])
             motion = row["separated_by"]["motion"]
             lines.append(f"  these trials cannot tell it from {others}; {motion} would")
+        if not row["evidence"]["strength_holds"]:
+            spread = row["evidence"]["strength_spread"]
+            lines.append(
+                f"  its strength would have to differ by {spread:.0%} between payloads, signals and "
+                "frequencies: it stands in for something else"
+            )
     if data["verdict"] in ("reduced", "not in the catalogue"):
         lines.append("what remains: " + data["remaining"]["sentence"])
     part = "held_out" if "held_out" in data["before"] else "fitted"

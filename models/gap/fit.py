@@ -76,9 +76,9 @@ class Estimator:
 
     def whitened(self, rows: list[Array]) -> list[Array]:
         """Residual spectra in noise floors, (trials, signals, K)."""
-        return self._whiten([r - m for r, m in zip(rows, self.means, strict=True)])
+        return self.whiten([r - m for r, m in zip(rows, self.means, strict=True)])
 
-    def _whiten(self, rows: Sequence[Array]) -> list[Array]:
+    def whiten(self, rows: Sequence[Array]) -> list[Array]:
         """Rows (trials, signals, K, …) in noise floors."""
         scaled = self._scaled(rows)
         if not len(self.shrinkage):
@@ -107,7 +107,7 @@ class Estimator:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
         if not point.exact:
             _, slopes = self.problem.jacobian(point.values)
-            white = [w.reshape(-1, w.shape[-1]) for w in self._whiten(slopes)]
+            white = [w.reshape(-1, w.shape[-1]) for w in self.whiten(slopes)]
             self._set_slopes(point, white)
             point.exact = True
         return point

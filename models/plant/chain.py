@@ -128,9 +128,12 @@ class Link:
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
 
     def transmit(self, scope: Scope) -> None:
-        """Wire the torque that the joint transmits: what the root hinge is bent with."""
+        """Wire the torque that the gear transmits: what bends the root, and what acts on the joint.
+
+        A torque on the joint that also bends the root counts in both, and cancels here.
+        """
         for j in scope.joints:
-            scope.transmitted[j] = -scope.bend_torque["root", j]
+            scope.transmitted[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
 
     def equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Mass matrix and force over the joints' coordinates and the bends."""

@@ -100,13 +100,16 @@ def serve(scope: Scope, ports: Iterable[str], effects: Sequence[Effect]) -> None
 
 
 def strain(scope: Scope, load: Any, effects: Sequence[Effect]) -> None:
-    """Wire every torque but the drive's: on the bends, through the gear and on the joint."""
+    """Wire every torque but the drive's: on the bends, on the joint and through the gear."""
     serve(scope, ("stiffness", "mass"), effects)
     load.load(scope)
-    serve(scope, ("bend_torque",), effects)
+    serve(scope, ("bend_torque", "joint_torque"), effects)
     load.transmit(scope)
-    serve(scope, ("servo_torque", "joint_torque"), effects)
+    serve(scope, ("servo_torque",), effects)
 
+
+NEWTON_STEPS: Final = 3
+"""From the straight link to where it rests: stiffness may differ by direction and size of a bend."""
 
 LARGEST_START_RAD: Final = 0.5
 """A link too weak to stand starts folded by no more than this."""
@@ -115,8 +118,8 @@ LARGEST_START_RAD: Final = 0.5
 def settle(scope: Scope, load: Any, force: Expr) -> None:
     """Start at rest: bends in equilibrium at the first goal, the drive holding the load.
 
-    The equilibrium is one Newton step from the straight link. The bend at rest upright is the
-    reference of the Deformation Index.
+    The equilibrium is `NEWTON_STEPS` from the straight link. The bend at rest where the encoders
+    show upright is the reference of the Deformation Index.
     """
     bends = [scope.states[b.name()] for b in scope.bend.values()]
     symbols = ca.vertcat(*(b.symbol for b in bends))
@@ -133,13 +136,16 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
     def equilibrium(angles: Sequence[Expr]) -> Expr:
         balance = at_rest(residual, angles)
         slope = ca.jacobian(balance, symbols)
-        zero = [(symbols, ca.SX.zeros(symbols.numel()))]
-        bend = solve(-substitute(slope, zero), substitute(balance, zero))
-        return ca.fmin(ca.fmax(bend, -LARGEST_START_RAD), LARGEST_START_RAD)
+        bend = ca.SX.zeros(symbols.numel())
+        for _ in range(NEWTON_STEPS):
+            here = [(symbols, bend)]
+            bend = bend + solve(-substitute(slope, here), substitute(balance, here))
+            bend = ca.fmin(ca.fmax(bend, -LARGEST_START_RAD), LARGEST_START_RAD)
+        return bend
 
     start = [scope.states[a.name()].initial for a in scope.angle.values()]
     first = equilibrium(start) if bends else ca.SX(0, 1)
-    upright = equilibrium([ca.SX(0)] * count) if bends else ca.SX(0, 1)
+    upright = equilibrium([ca.SX(-scope.angle_error[j]) for j in scope.joints]) if bends else ca.SX(0, 1)
     for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
         scope.rest_bend[key] = value
     holding = force[:count] - ca.vertcat(*scope.joint_torque.values())

@@ -52,8 +52,8 @@ class Pendulum(_Rigid):
         )  # fmt: skip
 
     def transmit(self, scope: Scope) -> None:
-        """Wire the torque of gravity."""
-        scope.transmitted[1] = -self._gravity(scope)
+        """Wire the torque of gravity, and what acts on the joint."""
+        scope.transmitted[1] = scope.joint_torque[1] - self._gravity(scope)
 
     def equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Inertia and gravity torque."""
@@ -81,8 +81,8 @@ class Mass(_Rigid):
         )  # fmt: skip
 
     def transmit(self, scope: Scope) -> None:
-        """Wire the transmitted force: none beside that of inertia."""
-        scope.transmitted[1] = ca.SX(0)
+        """Wire the transmitted force: what acts on the joint, beside inertia."""
+        scope.transmitted[1] = ca.SX(scope.joint_torque[1])
 
     def equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Mass, and no force of its own."""

@@ -3,7 +3,7 @@
 Drive, load and effects know nothing of each other. Each reads and writes wires, symbolic
 expressions by joint or by hinge, in the order of the ports (`models.plant.compose`)::
 
-    sensor → command → stiffness → mass → bend_torque → servo_torque → joint_torque → motion
+    sensor → command → stiffness → mass → bend_torque → joint_torque → servo_torque → motion
 """
 
 from __future__ import annotations

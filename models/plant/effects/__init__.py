@@ -22,7 +22,7 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Scope
 
 PORTS: Final[tuple[Port, ...]] = (
-    "sensor", "command", "stiffness", "mass", "bend_torque", "servo_torque", "joint_torque",
+    "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
 )  # fmt: skip
 """Order in which the ports are served: what the sensors show is what the drive sees."""
 

@@ -1,0 +1,55 @@
+"""A slice of the gap benchmark: what the laboratory hides is found in a plant identified on it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.gap.__main__ import run_all
+from bench.gap.cases import draw
+from bench.gap.summary import summarise
+from firmware_py.motion import Motion
+from models.gap.learn import with_floor
+from models.plant.identify import identify
+from models.plant.plant import read_plant
+from models.rig.case import Case
+from models.rig.parameters import read_parameters
+from models.rig.protocol import run_case
+from models.trials import TrialSet
+
+PAYLOADS_KG = (0.0, 1.0, 2.0)
+SINGLES, NULLS = 3, 2
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Directory of results: three effects, two data sets without any, one effect denied."""
+    directory = tmp_path_factory.mktemp("slice")
+    rig = read_parameters()
+    own = [run_case(rig, Case(Motion(), p, n, 1)) for p in PAYLOADS_KG for n in (1, 2)]
+    trials = TrialSet(tuple(own))
+    plant = with_floor(identify(read_plant(), trials).plant, trials.trials)
+    plant.write(directory / "plant.json")
+    drawn = list(draw(1, NULLS, 0, 1, seed=0))
+    run_all(drawn[:SINGLES] + drawn[-NULLS - 1 :], directory / "plant.json", directory / "out")
+    return directory / "out"
+
+
+def test_what_is_hidden_is_found_and_nothing_else(results):
+    figures = summarise(results)
+    assert figures["detected"]["share"] == 1.0
+    assert figures["class"]["share"] == 1.0
+    assert figures["nothing_beside"]["share"] == 1.0
+    assert figures["false_alarms"]["share"] == 0.0
+    assert figures["share_of_gap_removed"]["median"] > 0.85
+
+
+def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
+    files = sorted(results.glob("*.json"))
+    assert len(files) == SINGLES + NULLS + 1
+    before = {f: f.stat().st_mtime_ns for f in files}
+    drawn = list(draw(1, NULLS, 0, 1, seed=0))
+    run_all(drawn[:SINGLES], Path("no such plant"), results)
+    assert {f: f.stat().st_mtime_ns for f in files} == before
+    kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
+    assert sorted(kinds) == ["null", "null", "outside", "single", "single", "single"]
