@@ -133,14 +133,14 @@ def constancies(namer: Namer, naming: Naming) -> dict[str, Constancy]:
     """Constancy of each strength; not of an effect with a threshold, which has no share."""
     free = namer.free(naming.named)
     return {
-        effect: constancy(namer.estimator, naming.after, free, namer.of[effect])
+        effect: constancy(
+            namer.estimator, naming.after, free, namer.of[effect], EFFECTS[effect].port
+        )
         for effect in naming.named if effect not in naming.unexcited
     }  # fmt: skip
 
 
-def judge(
-    namer: Namer, naming: Naming, constant: Mapping[str, Constancy]
-) -> tuple[Verdict, float]:
+def judge(namer: Namer, naming: Naming, constant: Mapping[str, Constancy]) -> tuple[Verdict, float]:
     """Verdict, and the share of the gap's amplitude that is left.
 
     What is named is not what is there where its strength would have to differ from one payload,

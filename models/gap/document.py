@@ -156,8 +156,8 @@ def in_words(data: dict[str, Any]) -> str:
         if not row["evidence"]["strength_holds"]:
             spread = row["evidence"]["strength_spread"]
             lines.append(
-                f"  its strength would have to differ by {spread:.0%} between payloads, signals and "
-                "frequencies: it stands in for something else"
+                f"  its strength would have to differ by {spread:.0%} between payloads, signals "
+                "and frequencies: it stands in for something else"
             )
     if data["verdict"] in ("reduced", "not in the catalogue"):
         lines.append("what remains: " + data["remaining"]["sentence"])

@@ -35,10 +35,10 @@ REFITTED: Final = 5
 MOST: Final = 3
 """Effects that one diagnosis may include."""
 
-NEXT: Final = {"stiffness": 0.25, "bend_torque": 0.25}
+NEXT: Final = {"stiffness": 0.25, "bend_torque": 0.25, "sensor": 0.1, "joint_torque": 0.1}
 """Share of the d′ already named that a further effect must have beyond its own least, by the port
 of what was named, 0.15 elsewhere: what an equation misses of the first looks like another. On
-single hidden effects it was up to 0.25 of it with the link's, 0.2 with others."""
+single hidden effects that was up to 0.25 of it with the link's equations, 0.2 with the others."""
 
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""

@@ -109,7 +109,7 @@ def strain(scope: Scope, load: Any, effects: Sequence[Effect]) -> None:
 
 
 NEWTON_STEPS: Final = 3
-"""From the straight link to where it rests: stiffness may differ by direction and size of a bend."""
+"""From the straight link to where it rests: stiffness may depend on a bend."""
 
 LARGEST_START_RAD: Final = 0.5
 """A link too weak to stand starts folded by no more than this."""
@@ -145,7 +145,8 @@ def settle(scope: Scope, load: Any, force: Expr) -> None:
 
     start = [scope.states[a.name()].initial for a in scope.angle.values()]
     first = equilibrium(start) if bends else ca.SX(0, 1)
-    upright = equilibrium([ca.SX(-scope.angle_error[j]) for j in scope.joints]) if bends else ca.SX(0, 1)
+    shown = [ca.SX(-scope.angle_error[j]) for j in scope.joints]
+    upright = equilibrium(shown) if bends else ca.SX(0, 1)
     for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
         scope.rest_bend[key] = value
     holding = force[:count] - ca.vertcat(*scope.joint_torque.values())

@@ -18,20 +18,20 @@ from models.rig.protocol import run_case
 from models.trials import TrialSet
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
-SINGLES, NULLS = 3, 2
+SINGLES, NULLS = 2, 1
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Directory of results: three effects, two data sets without any, one effect denied."""
+    """Directory of results: two effects, and a data set without any."""
     directory = tmp_path_factory.mktemp("slice")
     rig = read_parameters()
     own = [run_case(rig, Case(Motion(), p, n, 1)) for p in PAYLOADS_KG for n in (1, 2)]
     trials = TrialSet(tuple(own))
     plant = with_floor(identify(read_plant(), trials).plant, trials.trials)
     plant.write(directory / "plant.json")
-    drawn = list(draw(1, NULLS, 0, 1, seed=0))
-    run_all(drawn[:SINGLES] + drawn[-NULLS - 1 :], directory / "plant.json", directory / "out")
+    drawn = list(draw(1, NULLS, 0, 0, seed=0))
+    run_all(drawn[:SINGLES] + drawn[-NULLS:], directory / "plant.json", directory / "out")
     return directory / "out"
 
 
@@ -46,10 +46,10 @@ def test_what_is_hidden_is_found_and_nothing_else(results):
 
 def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
     files = sorted(results.glob("*.json"))
-    assert len(files) == SINGLES + NULLS + 1
+    assert len(files) == SINGLES + NULLS
     before = {f: f.stat().st_mtime_ns for f in files}
-    drawn = list(draw(1, NULLS, 0, 1, seed=0))
+    drawn = list(draw(1, NULLS, 0, 0, seed=0))
     run_all(drawn[:SINGLES], Path("no such plant"), results)
     assert {f: f.stat().st_mtime_ns for f in files} == before
     kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
-    assert sorted(kinds) == ["null", "null", "outside", "single", "single", "single"]
+    assert sorted(kinds) == ["null", "single", "single"]

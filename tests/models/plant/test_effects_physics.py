@@ -157,6 +157,24 @@ def test_load_offset_is_symmetric_and_shows_in_the_current(bench):
         assert runs[sign]["angle_1_rad"] == pytest.approx(runs[0]["angle_1_rad"], abs=1e-8)
 
 
+@pytest.mark.parametrize("offset_nm", [-20.0, 20.0])
+def test_a_pull_on_the_joint_presses_the_gear(bench, offset_nm):
+    """With it the gear carries |G + T|: friction μ |G + T| where the link alone has μ |G|."""
+    effects, share = ["load_dependent_friction", "load_offset"], 0.2
+    rise = 0.2 * bench.step_s * np.arange(300)
+    change = {}
+    for pull in (0.0, offset_nm):
+        changes = {"load_offset_1_nm": pull}
+        smooth, rough = (
+            bench.run(effects, changes | {"load_dependent_friction_1": s}, goal=rise)
+            for s in (0.0, share)
+        )
+        change[pull] = 6.83 * (rough["current_1_a"] - smooth["current_1_a"])[-1]
+    load_nm = change[0.0] / share  # rising: friction is positive, and the link falls forwards
+    assert load_nm > 3.0
+    assert change[offset_nm] == pytest.approx(share * abs(load_nm + offset_nm), rel=0.05)
+
+
 def test_drag_takes_energy_and_grows_with_the_square(bench):
     time_s = bench.step_s * np.arange(300)
     losses = []
@@ -241,6 +259,27 @@ def test_encoder_offset_turns_the_link_and_hides_itself(bench):
     run = bench.run(["encoder_offset"], offset, goal=np.full(600, 0.05), count=600)
     assert run["angle_1_rad"][-1] == pytest.approx(0.05, abs=1e-6)
     assert run["tip_x_m"][-1] == pytest.approx(0.0, abs=1e-6)  # the servo stands upright
+
+
+@pytest.mark.parametrize("effects", [["encoder_offset"], ["encoder_offset", "prebend"]])
+def test_the_index_is_that_of_noise_where_the_encoder_shows_upright(bench, effects):
+    """Its reference is the link at rest, bent by the payload that the offset lets lean."""
+    changes = dict.fromkeys((f"{e}_1_rad" for e in effects), 0.05)
+    conditions = {"goal": STILL, "payload_kg": 2.0}
+    straight = bench.run(effects, **conditions)
+    leaning = bench.run(effects, changes, **conditions)
+    assert abs(leaning["tip_x_m"][-1]) > 0.02
+    assert leaning["di"] == pytest.approx(straight["di"], abs=1e-5)
+
+
+def test_a_link_with_a_soft_side_starts_at_rest(bench):
+    """Its stiffness at a bend is not that of the straight link; the start knows."""
+    changes = {"directional_stiffness_1": 0.3, "payload_offset_share": 0.05}
+    run = bench.run(
+        ["directional_stiffness", "payload_offset"], changes, goal=STILL, payload_kg=2.0
+    )
+    assert abs(run["tip_x_m"][0]) > 0.002
+    assert np.ptp(run["tip_x_m"]) < 1e-5
 
 
 def test_current_errors_touch_the_current_alone(bench):
