@@ -89,7 +89,8 @@ def sections(
             "what", "What is missing", _named(data, hidden) + _rivals(data),
             "d′: distance from a plant without the effect, in standard deviations of the noise "
             "floor. What each effect needs to be named was measured where nothing is missing; the "
-            "bars show how many times that it reached.",
+            "bars show how many times that it reached. A strength that differs much between "
+            "payloads, signals and frequencies belongs to something else.",
         ),
     ]  # fmt: skip
     if data.get("waterfall"):
@@ -121,7 +122,8 @@ def _verdict(data: Mapping[str, Any]) -> str:
         "no gap": "No gap.",
         "closed": f"Closed by {names}.",
         "reduced": f"Reduced by {names}; something is left.",
-        "not in the catalogue": "Something is missing that the catalogue does not hold.",
+        "not in the catalogue": "Something is missing that the catalogue does not hold."
+        + (f" {names.capitalize()} can only stand in for it." if names else ""),
     }[data["verdict"]]
 
 
@@ -195,16 +197,22 @@ def _named(data: Mapping[str, Any], hidden: Mapping[str, float] | None) -> str:
             alike += f"; {_words(entry['separated_by']['motion'])} would tell them apart"
         row = [
             f"<b>{_words(entry['effect'])}</b><br><small>{html.escape(meaning)}</small>", values,
-            f"{entry['evidence']['separation']:.1f}", alike,
+            f"{entry['evidence']['separation']:.1f}", _spread(entry["evidence"]), alike,
         ]  # fmt: skip
         if hidden is not None:
             told = [f"{hidden[e]:g} {_unit(CATALOGUE[e].unit)}" for e in effects if e in hidden]
             row.insert(1, "<br>".join(told) or "nothing")
         rows.append(row)
-    head = ["effect", "value found", "d′", "cannot be told from"]
+    head = ["effect", "value found", "d′", "strength differs by", "cannot be told from"]
     if hidden is not None:
         head.insert(1, "hidden")
     return table_of(head, rows)
+
+
+def _spread(evidence: Mapping[str, Any]) -> str:
+    """How far its strength differs between payloads, signals and frequencies."""
+    spread = f"{100 * evidence['strength_spread']:.0f} %"
+    return spread if evidence["strength_holds"] else f"<b>{spread}: a stand-in</b>"
 
 
 def _unit(unit: str) -> str:
