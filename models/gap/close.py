@@ -9,12 +9,13 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from firmware_py.errors import InputError
+from models.gap.candidate import Naming
 from models.gap.constancy import Constancy, constancy
 from models.gap.fit import Estimator
 from models.gap.knobs import Knob, candidates, effect_knobs, nuisance_knobs, trial_knobs
 from models.gap.learn import fitted, floor_of, guess
 from models.gap.locate import Cell, locate
-from models.gap.name import Namer, Naming, Report
+from models.gap.name import Namer, Report
 from models.gap.noise import Floor, floor_of_residual
 from models.gap.problem import Problem
 from models.gap.spectrum import Array

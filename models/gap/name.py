@@ -7,8 +7,9 @@ One round of the search, repeated after each inclusion with everything tried aga
    where they are absent (a limit that is never met) are tried at a ladder of strengths.
 2. Refit the best five from several starts; the cost of a nested model never rises (asserted).
 3. Include the best where its gain passes what it shows without a gap (`models.gap.null`) and, over
-   payloads left out in turn, its held-out gain exceeds its standard error. Where none does, pairs
-   are tried.
+   payloads left out in turn, its held-out gain exceeds its standard error. A further effect must
+   also stand out beside what the equations of those before may miss. Where none does, pairs are
+   tried.
 4. Try to delete what was included before.
 """
 
@@ -16,11 +17,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
+from models.gap.candidate import Candidate, Naming
+from models.gap.constancy import constancy
 from models.gap.crossvalidate import held_out_gains
 from models.gap.fit import Estimator, Point
 from models.gap.null import null_of
@@ -35,10 +37,14 @@ REFITTED: Final = 5
 MOST: Final = 3
 """Effects that one diagnosis may include."""
 
-NEXT: Final = {"stiffness": 0.25, "bend_torque": 0.25, "sensor": 0.1, "joint_torque": 0.1}
+NEXT: Final = {"stiffness": 0.2, "bend_torque": 0.2}
 """Share of the d′ already named that a further effect must have beyond its own least, by the port
-of what was named, 0.15 elsewhere: what an equation misses of the first looks like another. On
-single hidden effects that was up to 0.25 of it with the link's equations, 0.2 with the others."""
+of what was named, 0.1 elsewhere: what an equation misses of the first looks like another."""
+
+DOUBTED: Final = 0.35
+"""The same share where the further effect's strength differs from place to place, as that of a
+stand-in for an equation's error does (`models.gap.constancy`): on single hidden effects such
+errors were up to 0.25 of the first."""
 
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""
@@ -47,56 +53,6 @@ REFINED: Final = 5
 """Times that the ladder is made denser around its best rung."""
 
 Report = Callable[[str], None]
-
-
-@dataclass
-class Candidate:
-    """A candidate (one effect, or two) and its fit."""
-
-    effects: tuple[str, ...]
-    point: Point
-    gain: float
-    least: float
-    promised: float = 0.0
-    held_out_gain: float = np.nan
-    held_out_error: float = np.nan
-
-    @property
-    def score(self) -> float:
-        """Twice the gain, less what it must be at least."""
-        return 2 * self.gain - self.least**2
-
-    @property
-    def separation(self) -> float:
-        """Its d′: root of twice the fall of the cost."""
-        return float(np.sqrt(max(2 * self.gain, 0.0)))
-
-
-@dataclass
-class Naming:
-    """What the search found.
-
-    Attributes
-    ----------
-    before, after : Point
-        Fit of nuisance and trial variation alone, and with what was named.
-    named : list of str
-        In order of inclusion.
-    rounds : list of list of Candidate
-        Refitted candidates of each round, best first.
-    screened : dict of str to float
-        d′ of every effect in the first round's screen.
-    unexcited : list of str
-        Effects that these trials could not show at any strength within bounds.
-    """
-
-    before: Point
-    after: Point
-    named: list[str] = field(default_factory=list)
-    rounds: list[list[Candidate]] = field(default_factory=list)
-    screened: dict[str, float] = field(default_factory=dict)
-    unexcited: list[str] = field(default_factory=list)
-    chosen: list[Candidate] = field(default_factory=list)
 
 
 class Namer:
@@ -236,11 +192,14 @@ class Namer:
         """Best candidate that passes threshold and cross-validation."""
         dispersion = self.dispersion(here)
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
+        doubted = sum((DOUBTED * c.separation) ** 2 for c in found.chosen)
         for trial in refitted:
-            enough = 2 * trial.gain > dispersion * trial.least**2 + missed
-            if not enough or trial.score < refitted[0].score / 2:
+            beyond = 2 * trial.gain - dispersion * trial.least**2
+            if beyond <= missed or trial.score < refitted[0].score / 2:
                 break
             free = self.free([*found.named, *trial.effects])
+            if beyond <= doubted and not self._holds(trial, free):
+                continue
             gains = held_out_gains(
                 self.estimator, (here, self.free(found.named)), (trial.point, free)
             )
@@ -251,9 +210,16 @@ class Namer:
                 return trial
         return None
 
+    def _holds(self, trial: Candidate, free: Array) -> bool:
+        """Whether each strength of a candidate is the same everywhere."""
+        return all(
+            constancy(self.estimator, trial.point, free, self.of[e], EFFECTS[e].port).holds
+            for e in trial.effects
+        )
+
     @staticmethod
     def _missed(chosen: Candidate) -> float:
-        return max(NEXT.get(EFFECTS[e].port, 0.15) for e in chosen.effects)
+        return max(NEXT.get(EFFECTS[e].port, 0.1) for e in chosen.effects)
 
     def left(self, point: Point) -> float:
         """Mean squared residual, in noise floors."""
