@@ -44,8 +44,6 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     rig = laboratory(case)
     try:
         trials = TrialSet(tuple(lean_trials(rig.hide(case.hidden), case.seed)))
-        sealed = _sealed(rig.hide(case.hidden), case.seed)
-        sealed_floor = _sealed(rig, case.seed)
     except InputError as error:  # the link folds: no data set
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
@@ -72,10 +70,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             for k in found.namer.knobs if k.effect in naming.named
             for name in k.parameters if name in known
         },
-        "sealed": [
-            sealed_error(plant, sealed), sealed_error(found.improved, sealed),
-            sealed_error(plant, sealed_floor),
-        ],
+        "sealed": sealed_errors(rig, case, [plant, found.improved]) if naming.named else None,
         "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],
         "constancy": {e: [c.spread, c.chance] for e, c in found.constancy.items()},
         "separable": separable(plant, trials, case, naming.named),
@@ -110,6 +105,12 @@ def true_strength(plant: Plant, rig: Parameters, effect: str, hidden: float) -> 
     Where the plant has no such effect, what the laboratory always has (2 ms of dead time) comes in.
     """
     return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
+
+
+def sealed_errors(rig: Parameters, case: BenchCase, plants: Sequence[Plant]) -> list[float]:
+    """Errors of plants on a trial of another motion, and of the first on one with nothing hidden."""
+    hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
+    return [sealed_error(p, hidden) for p in plants] + [sealed_error(plants[0], plain)]
 
 
 def sealed_error(plant: Plant, trial: Trial) -> float:
