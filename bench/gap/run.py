@@ -107,9 +107,12 @@ def true_strength(plant: Plant, rig: Parameters, effect: str, hidden: float) -> 
     return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
 
 
-def sealed_errors(rig: Parameters, case: BenchCase, plants: Sequence[Plant]) -> list[float]:
-    """Errors of plants on a trial of another motion, and of the first on one with nothing hidden."""
-    hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
+def sealed_errors(rig: Parameters, case: BenchCase, plants: Sequence[Plant]) -> list[float] | None:
+    """Errors on another motion, and that of the first plant with nothing hidden; None if it folds."""
+    try:
+        hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
+    except InputError:
+        return None
     return [sealed_error(p, hidden) for p in plants] + [sealed_error(plants[0], plain)]
 
 

@@ -41,7 +41,7 @@ def summarise(directory: Path) -> dict[str, Any]:
     detected = [r for r in singles if r["named"]]
     clear = [r for r in singles if _own(r) >= CLEAR]
     faint = [r for r in singles if FAINT[0] <= _own(r) < FAINT[1]]
-    removed = [_removed(r) for r in detected if r["sealed"][0] > 1.1 * r["sealed"][2]]
+    sealed = [r for r in detected if r["sealed"] and r["sealed"][0] > 1.1 * r["sealed"][2]]
     return {
         "cases": len(results),
         "impossible": len(results) - len(possible),
@@ -60,7 +60,7 @@ def summarise(directory: Path) -> dict[str, Any]:
         "outside_said": share([_said(r) for r in of("outside") if r["separable"]]),
         "outside_said_all": share([_said(r) for r in of("outside")]),
         "inside_said": share([_said(r) for r in detected]),
-        "share_of_gap_removed": _quantiles(removed),
+        "share_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
         "coverage": share([c for r in detected if (c := _covered(r)) is not None]),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
