@@ -108,7 +108,7 @@ def true_strength(plant: Plant, rig: Parameters, effect: str, hidden: float) -> 
 
 
 def sealed_errors(rig: Parameters, case: BenchCase, plants: Sequence[Plant]) -> list[float] | None:
-    """Errors on another motion, and that of the first plant with nothing hidden; None if it folds."""
+    """Errors on another motion, that of the first plant with nothing hidden; None if it folds."""
     try:
         hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
     except InputError:
