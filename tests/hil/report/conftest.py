@@ -125,7 +125,8 @@ def diagnosis(before, after, trials):
         "named": [{
             "effect": "stiffness_softening", "kept": True, "look_alikes": [],
             "parameters": {"softening_share": value},
-            "evidence": {"separation": 40.0, "least": 5.0},
+            "evidence": {"separation": 40.0, "least": 5.0, "strength_spread": 0.07,
+                         "strength_holds": True},
         }],
         "rejected": [rival],
         "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
