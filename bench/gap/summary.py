@@ -127,6 +127,7 @@ def _pair_in_class(r: dict[str, Any]) -> bool:
     alike = [
         {*names, *(e for c in others for e in c)}
         for names, others in zip(r["chosen"], r["look_alikes"], strict=True)
+        if set(names) <= set(r["named"])  # what was dropped again does not count
     ]
     hidden = set(r["case"]["hidden"])
     apart = len(alike) == 1 or any(

@@ -31,7 +31,10 @@ plane stand for a whole beam [set after 16 laboratories of other draws than the 
 strengths were off by 31 to 35 %, 2 to 44 % and mostly up to 3 %]. Part of the standard errors."""
 
 REDUCED: Final = 0.75
-"""Largest share of a gap (in amplitude) that may be left once it is named."""
+"""Largest share of a gap (in amplitude) that may be left once one effect is named."""
+
+REDUCED_BY_MORE: Final = 0.5
+"""The same for several: two effects at once that leave more are no explanation."""
 
 
 @dataclass
@@ -152,8 +155,10 @@ def judge(namer: Namer, naming: Naming, constant: Mapping[str, Constancy]) -> tu
     if not naming.named:
         return ("not in the catalogue", 1.0) if namer.has_gap(naming.before) else ("no gap", 0.0)
     clearly = namer.left(naming.after) > (1 + namer.null.explained) / 2
-    unclosed = namer.has_gap(naming.before) and clearly and left > REDUCED
-    if unclosed or not all(c.holds for c in constant.values()):
+    unclosed = namer.has_gap(naming.before) and left > REDUCED
+    if len(naming.named) > 1:
+        unclosed = left > REDUCED_BY_MORE
+    if (clearly and unclosed) or not all(c.holds for c in constant.values()):
         return "not in the catalogue", left
     return ("reduced" if namer.has_gap(naming.after) else "closed"), left
 

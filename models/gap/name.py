@@ -49,6 +49,9 @@ errors were up to 0.25 of the first."""
 LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
 """Shares of its bound at which an effect is tried that shows nothing where it is absent."""
 
+AFAR: Final = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
+"""Shares of its bounds from which what was chosen is fitted again where much is left."""
+
 REFINED: Final = 5
 """Times that the ladder is made denser around its best rung."""
 
@@ -110,7 +113,8 @@ class Namer:
                 break
             found.named += list(choice.effects)
             found.chosen.append(choice)
-            found.after = self.estimator.fit(choice.point, self.free(found.named), 20)
+            found.after = self._settled(choice, here, self.free(found.named))
+            choice.gain = here.cost - found.after.cost
             self._delete(found)
         return found
 
@@ -185,6 +189,26 @@ class Namer:
         assert point.cost <= here.cost, "the cost of a nested model rose"
         self.report(" + ".join(trial.effects))
         return self._candidate(trial.effects, point, here)
+
+    def _settled(self, choice: Candidate, here: Point, free: Array) -> Point:
+        """Fit of what was chosen; where much is left, also from strengths far from the search's.
+
+        A delay and friction that make up for each other are valleys beside each other, and no step
+        leads from one into the next.
+        """
+        best = self.estimator.fit(choice.point, free, 20)
+        if not self.has_gap(best):
+            return best
+        ends = [best]
+        for effect, share in itertools.product(choice.effects, AFAR):
+            knob = int(np.flatnonzero(self.of[effect])[0])
+            values = best.values.copy()
+            values[knob] = share * (self.knobs[knob].high if share > 0 else -self.knobs[knob].low)
+            start = self.estimator.at(values)
+            if start.cost < np.inf:
+                ends.append(self.estimator.fit(self.estimator.carry(here, start), free, 3))
+        nearest = min(ends, key=lambda p: p.cost)
+        return best if nearest is best else self.estimator.fit(nearest, free, 20)
 
     def _accept(
         self, refitted: Sequence[Candidate], here: Point, found: Naming
