@@ -66,9 +66,11 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
         "scatter": {e: found.namer.null.least([e]) / found.namer.null.threshold
                     for e in case.hidden},
         "estimates": {
-            name: [known[name].value, known[name].error, plant_value(plant, name)]
-            for k in found.namer.knobs if k.effect in naming.named
-            for name in k.parameters if name in known
+            effect: [
+                [known[n].value, known[n].error, plant_value(plant, n)]
+                for k in found.namer.knobs if k.effect == effect for n in k.parameters if n in known
+            ]
+            for effect in naming.named
         },
         "sealed": sealed_errors(rig, case, [plant, found.improved]) if naming.named else None,
         "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],

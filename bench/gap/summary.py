@@ -149,7 +149,7 @@ def _change(r: dict[str, Any]) -> tuple[float, float, float] | None:
     """Estimated change of the strength, its standard error and the hidden strength."""
     if not _top(r, 1):
         return None
-    value, error, before = next(iter(r["estimates"].values()))
+    value, error, before = r["estimates"][_true(r)][0]
     return value - before, error or 0.0, r["true"][_true(r)]
 
 

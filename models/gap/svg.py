@@ -57,6 +57,9 @@ def heat_map(
     pitch, height, font = (width - left) / len(columns), 26, 11
     longest = max(map(len, columns)) * font * _LETTER
     turned = longest > pitch - 4
+    if turned:  # the last label leans out to the right
+        pitch = (width - left - 0.5 * longest) / len(columns)
+    whole = all(float(v).is_integer() for v in cells.values())
     curve = 0 if above is None else 34
     top = curve + (round(longest * 0.87) + 12 if turned else 20)
     parts = [] if above is None else [_curve(above, left, width, curve)]
@@ -83,7 +86,7 @@ def heat_map(
                 f'rx="2" fill="{_colour(share)}"><title>{html.escape(f"{row}, {column}")}: '
                 f"{value:.2g}</title></rect>",
                 _text(
-                    f"{value:.1f}" if value < 9.95 else f"{value:.0f}",
+                    f"{value:.0f}" if whole or value >= 9.95 else f"{value:.1f}",
                     f'x="{x + 0.5 * pitch:.1f}" y="{y + 17}" text-anchor="middle"', 11, ink,
                 ),
             ]  # fmt: skip
