@@ -129,11 +129,11 @@ def _pair_in_class(r: dict[str, Any]) -> bool:
         for names, others in zip(r["chosen"], r["look_alikes"], strict=True)
         if set(names) <= set(r["named"])  # what was dropped again does not count
     ]
-    hidden = set(r["case"]["hidden"])
-    apart = len(alike) == 1 or any(
-        first in alike[0] and second in alike[1] for first, second in permutations(hidden)
-    )
-    return len(r["named"]) == 2 and hidden <= set().union(*alike) and apart
+    if len(r["named"]) != 2:
+        return False
+    if len(alike) == 1:  # both in one turn
+        return set(r["case"]["hidden"]) <= alike[0]
+    return any(a in alike[0] and b in alike[1] for a, b in permutations(r["case"]["hidden"]))
 
 
 def _said(r: dict[str, Any]) -> bool:

@@ -24,7 +24,7 @@ FARTHEST: Final = 4.0
 """Standard deviations over data sets without an effect up to which a residual counts as noise."""
 LEAST: Final = 4.5
 """Least threshold. At 4.0, which Gaussian scatter of 25 effects would pass in one of 500 data sets,
-4 of 104 without an effect were given a name, at 4.25, 4.43, 4.47 and 7.5; of 66 hidden effects none
+4 of 105 without an effect were given a name, at 4.25, 4.43, 4.47 and 7.5; of 66 hidden effects none
 was named below 4.5."""
 
 

@@ -1,0 +1,23 @@
+"""Shares of the benchmark count what they say."""
+
+import pytest
+
+from bench.gap import summary
+
+
+@pytest.mark.parametrize(
+    ("chosen", "look_alikes", "right"),
+    [
+        ([["prebend"], ["creep"]], [[], []], True),
+        ([["encoder_offset"], ["creep"]], [[["prebend"]], []], True),
+        ([["encoder_offset"], ["backlash"]], [[["prebend"], ["creep"]], []], False),
+        ([["prebend", "creep"]], [[]], True),
+        ([["prebend"]], [[["creep"]]], False),
+        ([], [], False),
+    ],
+)
+def test_each_of_a_pair_needs_a_name_of_its_own(chosen, look_alikes, right):
+    named = [e for turn in chosen for e in turn]
+    hidden = {"prebend": 0.02, "creep": 0.3}
+    result = {"case": {"hidden": hidden}, "named": named, "chosen": chosen}
+    assert summary._pair_in_class(result | {"look_alikes": look_alikes}) is right
