@@ -27,6 +27,7 @@ from models.trials import TrialSet
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
 SEALED_KG = 1.0
+HANGING_RAD = 0.1
 
 
 def run(case: BenchCase, plant_path: str, directory: str) -> str:
@@ -44,7 +45,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     rig = laboratory(case)
     try:
         trials = TrialSet(tuple(lean_trials(rig.hide(case.hidden), case.seed)))
-    except InputError as error:  # the link folds: no data set
+    except InputError as error:
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
     leave_out = list(case.hidden) if case.kind == "outside" else []
@@ -137,12 +138,23 @@ def laboratory(case: BenchCase) -> Parameters:
 
 
 def lean_trials(rig: Parameters, seed: int) -> list[Trial]:
-    """Three payloads, two repetitions."""
-    return [
+    """Three payloads, two repetitions.
+
+    Raises
+    ------
+    InputError
+        If the link folds, or the arm hangs before the motion begins: nobody records that.
+    """
+    trials = [
         run_case(rig, Case(Motion(), payload, trial, seed))
         for payload in PAYLOADS_KG
         for trial in (1, 2)
     ]
+    for trial in trials:
+        off_rad = float(np.abs(trial.angle_rad[0] - trial.goal_rad[0]).max())
+        if off_rad > HANGING_RAD:
+            raise InputError(trial.name, f"starts {off_rad:.2f} rad off its goal", "use less load")
+    return trials
 
 
 def _sealed(rig: Parameters, seed: int) -> Trial:

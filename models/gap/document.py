@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
             "signals": floor,
             "dispersion": round(namer.dispersion(naming.before), 4),
         },
+        "lost_at_row": namer.estimator.problem.lost(),
         "sentence": sentence(cells),
         "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
         "map": [as_row(c) for c in cells],
@@ -140,9 +141,18 @@ def rejected(found: Diagnosis) -> list[dict[str, Any]]:
     return result
 
 
+def lost_in_words(data: Mapping[str, Any]) -> str:
+    """What of the trials was not used, and why; empty where all was."""
+    if not data["lost_at_row"]:
+        return ""
+    where = ", ".join(f"{name} from row {row}" for name, row in data["lost_at_row"].items())
+    return f"not used, because the drive gave its all and the joint fell behind: {where}"
+
+
 def in_words(data: dict[str, Any]) -> str:
     """gap.json for people."""
     lines = [f"verdict: {data['verdict']}", data["sentence"]]
+    lines += [lost for lost in [lost_in_words(data)] if lost]
     for row in data["named"]:
         values = ", ".join(
             f"{name} = {q['value']:.4g} ± {q['error'] or 0:.2g} {q['unit']}"

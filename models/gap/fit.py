@@ -55,7 +55,7 @@ class Estimator:
         self.problem, self.floor = problem, floor
         self.whiteners = [floor.whitener(g, problem.trials) for g in problem.groups]
         self.basis, self.shrinkage = self._patterns()
-        self.means = [floor.mean(g, problem.trials) for g in problem.groups]
+        self.means = [problem.as_counted(g, floor.mean(g, problem.trials)) for g in problem.groups]
         spread = np.array([k.spread for k in problem.knobs])
         self.precision = np.where(np.isfinite(spread), 1 / spread**2, 0.0)
         self.low = np.array([k.low for k in problem.knobs])
@@ -69,7 +69,10 @@ class Estimator:
         known = discrepancy_of(self.problem.plant) if self.floor.learned else None
         if known is None:
             return np.empty((0, 0)), np.empty(0)
-        rows = [known.rows(g, self.problem.trials) for g in self.problem.groups]
+        rows = [
+            self.problem.as_counted(g, known.rows(g, self.problem.trials))
+            for g in self.problem.groups
+        ]
         scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
         basis, size, _ = np.linalg.svd(_stack(scaled), full_matrices=False)
         return basis, 1 - 1 / np.sqrt(1 + size**2)

@@ -165,8 +165,11 @@ class Namer:
             values[knob] = value
             rungs.append(self.estimator.at(values))
 
-        for share in LADDER:
-            climb(share * self.knobs[knob].high)
+        problem, name = self.estimator.problem, next(iter(self.knobs[knob].parameters))
+        known = {n: q.value for n, q in problem.plant.parameters.items()}
+        met = EFFECTS[effect].met_at(known, problem.trials) - known.get(name, 0.0)
+        for value in (*(share * self.knobs[knob].high for share in LADDER), met):
+            climb(float(np.clip(value, 0.0, self.knobs[knob].high)))
         for _ in range(REFINED):
             rungs.sort(key=lambda p: p.values[knob])
             best = min(range(len(rungs)), key=lambda k: rungs[k].cost)
@@ -216,7 +219,8 @@ class Namer:
         """Best candidate that passes threshold and cross-validation."""
         dispersion = self.dispersion(here)
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
-        doubted = sum((DOUBTED * c.separation) ** 2 for c in found.chosen)
+        linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
+        doubted = max(missed, sum((DOUBTED * c.separation) ** 2 for c in linear))
         for trial in refitted:
             beyond = 2 * trial.gain - dispersion * trial.least**2
             if beyond <= missed or trial.score < refitted[0].score / 2:

@@ -11,7 +11,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from models.gap.knobs import Knob, full_plant, parameters_of
-from models.gap.spectrum import Array, kept, transform
+from models.gap.spectrum import Array, kept, restore, transform
 from models.plant.fit import measured_signals, weights
 from models.plant.plant import Plant
 from models.plant.simulate import CompiledModel, run_trial, sensitivity, trial_parameters
@@ -24,8 +24,10 @@ SUBSTEP_S: Final = 2.9e-3
 period are within 5 µm and 0.5 mA of a step of 0.25 ms; 46 µm with ten times the usual friction.
 Only for the link: the bristles of a small gear turn over faster than that."""
 
-LOST_RAD: Final = 0.6
-"""Following error from which on a joint has lost its goal: ten times that of the study's motion."""
+LOST_RAD: Final = 0.03
+GIVEN: Final = 0.95
+"""A joint loses its goal where it follows that much worse than the twin ever does, with at least
+that share of the largest current."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +108,14 @@ class Problem:
             [[k.trial is None or k.trial == i for k in knobs] for i in range(len(trials))]
         )
         self._measured = [measured_signals(t) for t in trials]
-        driven = plant.load == "link"
-        self._counted = [counted(t) if driven else np.ones(len(t)) for t in trials]
         self.groups = self._group()
         self._low = np.array([v.minimum for v in model.parameters])
         self._high = np.array([v.maximum for v in model.parameters])
+        driven = plant.load == "link"
+        self._counted = [
+            counted(t, self._follows(k)) if driven else np.ones(len(t))
+            for k, t in enumerate(trials)
+        ]
 
     def _group(self) -> list[Group]:
         found: dict[str, list[int]] = {}
@@ -149,6 +154,19 @@ class Problem:
             slopes.append(block)
         return rows, slopes
 
+    def lost(self) -> dict[str, int]:
+        """First row that no longer counts, of each trial whose joint has lost its goal."""
+        return {
+            t.name: int(rows.sum())
+            for t, rows in zip(self.trials, self._counted, strict=True) if not rows.all()
+        }  # fmt: skip
+
+    def _follows(self, k: int) -> Array:
+        """Largest following error of each joint of the twin as given, rad."""
+        y, goal = self._run(k, np.zeros(len(self.knobs))), self.trials[k].goal_rad
+        angle = [self._outputs.index(f"angle_{j}_rad") for j in range(1, goal.shape[1] + 1)]
+        return np.asarray(np.abs(goal - y[:, angle]).max(axis=0))
+
     def _parameters(self, k: int, values: Array) -> Array:
         p = self._base[k] + self._by_parameter @ (values * self._turns[k])
         return np.asarray(np.clip(p, self._low, self._high))
@@ -175,15 +193,36 @@ class Problem:
                 rows[a, b] = self._coefficients(k, signal, fill(residual))
         return rows
 
+    def as_counted(self, g: Group, spectra: Array) -> Array:
+        """Spectra (…, trials, signals, K) of what the counted rows of each trial would hold."""
+        result = spectra.copy()
+        for a, k in enumerate(g.trials):
+            rows, trial = self._counted[k], self.trials[k]
+            if not rows.all():
+                curves = restore(np.moveaxis(spectra[..., a, :, :], -1, 0), len(trial))
+                kept_rows = transform((rows * curves.T).T, trial.step_s)
+                result[..., a, :, :] = np.moveaxis(kept_rows, 0, -1)
+        return result
+
     def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
         trial = self.trials[k]
         weight = self._counted[k] * weights(trial, signal)
         return transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
 
 
-def counted(trial: Trial) -> Array:
-    """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike."""
-    lost = np.any(np.abs(trial.goal_rad - trial.angle_rad) > LOST_RAD, axis=1)
+def counted(trial: Trial, follows_rad: Array) -> Array:
+    """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike.
+
+    Parameters
+    ----------
+    trial : Trial
+        As measured.
+    follows_rad : ndarray, shape (joints,)
+        Following error that is to be expected.
+    """
+    error, current = np.abs(trial.goal_rad - trial.angle_rad), np.abs(trial.current_a)
+    behind = error > follows_rad + LOST_RAD
+    lost = np.any(behind & (current > GIVEN * current.max(axis=0)), axis=1)
     return np.asarray(np.cumsum(lost) == 0, dtype=np.float64)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -77,6 +77,24 @@ class Effect:
         if cls.per_joint:
             return tuple(scope.name(cls.per_joint[0].name, j) for j in scope.joints)
         return (scope.name(cls.shared[0].name),)
+
+    @classmethod
+    def met_at(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
+        """Strength to try first in trials of an effect that shows nothing up to a threshold.
+
+        Parameters
+        ----------
+        known : mapping of str to float
+            Values of the plant's parameters.
+        trials : sequence of Trial
+            As measured.
+
+        Returns
+        -------
+        float
+            Zero where there is no threshold, or the trials do not tell it.
+        """
+        return 0.0
 
     def apply(self, scope: Scope) -> None:
         """Change the wires of the port."""

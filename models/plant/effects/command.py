@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import casadi as ca
+import numpy as np
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
@@ -13,6 +15,9 @@ from models.plant.step import Variable
 
 SHORTEST_S: Final = 5e-3
 """Shortest delay whose states an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
+
+HELD: Final = 9
+"""Rows over which a current must be held to be taken for a limit; noise averages out."""
 
 
 class DeadTime(Effect):
@@ -53,8 +58,7 @@ class DeadTime(Effect):
 class CurrentSaturation(Effect):
     """The limit of the current lies lower than rated: |i| ≤ i_max − Δ.
 
-    Nothing changes before the limit is met, and neither do derivatives: start a fit where the cut
-    is the rated limit less the largest current seen.
+    Nothing changes before the limit is met, and neither do derivatives.
     """
 
     name = "current_saturation"
@@ -64,6 +68,14 @@ class CurrentSaturation(Effect):
                   role="effect", description="how far the limit lies below the rated one",
                   source="assumed absent"),
     )  # fmt: skip
+
+    @classmethod
+    def met_at(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
+        """Rated limit less the largest current that was held."""
+        held = np.ones(HELD) / HELD
+        currents = [np.abs(c) for t in trials for c in t.current_a.T]
+        largest_a = max(float(np.convolve(c, held, "valid").max()) for c in currents)
+        return known["current_limit_1_a"] - largest_a
 
     def apply(self, scope: Scope) -> None:
         """Lower the limit."""

@@ -127,11 +127,29 @@ def test_the_improved_plant_is_read_and_runs(late, tmp_path):
 def test_a_trial_counts_until_its_joint_has_lost_the_goal(trials_of, plant):
     """An arm that falls does so differently each time; what came before still counts."""
     trial = trials_of(plant, 3, (1.0,), 1)[0]
-    assert counted(trial).all()
-    fallen = {**trial.columns, "angle_1_rad": trial.columns["angle_1_rad"].copy()}
-    fallen["angle_1_rad"][150:170] += 2 * LOST_RAD
-    rows = counted(replace(trial, columns=fallen))
+    follows_rad = np.abs(trial.goal_rad - trial.angle_rad).max(axis=0)
+    assert counted(trial, follows_rad).all()
+    late = {name: column.copy() for name, column in trial.columns.items()}
+    late["angle_1_rad"][150:170] += 2 * (follows_rad[0] + LOST_RAD)
+    late["current_1_a"][150:170] = 0.0
+    assert counted(replace(trial, columns=late), follows_rad).all(), "it does not even try"
+    late["current_1_a"][150:170] = -np.abs(trial.current_a).max()
+    rows = counted(replace(trial, columns=late), follows_rad)
     assert rows[:150].all() and not rows[150:].any()
+
+
+def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden):
+    """Its twin follows what came before the fall, which is left out and told of."""
+    before = hidden()
+    current_a = max(np.abs(t.current_a).max() for t in before)
+    limit_a = plant.parameters["current_limit_1_a"].value
+    trials = hidden(current_saturation_1_a=limit_a - 0.7 * current_a)
+    found = diagnosed(plant, trials)
+    lost = document(found, trials)["lost_at_row"]
+    assert set(lost) == {"payload1_1", "payload1_2"}
+    assert found.naming.named[:1] == ["current_saturation"]
+    cut = found.improved.parameters["current_saturation_1_a"]
+    assert limit_a - cut.value == pytest.approx(0.7 * current_a, rel=0.03)
 
 
 def test_a_limit_of_the_current_is_named_though_it_shows_nothing_at_first(plant, hidden):
