@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from models.gap.fit import Point
+
+ALIKE: Final = 3.0
+"""Separation below which two effects cannot be told apart (FACTS §8)."""
 
 
 @dataclass

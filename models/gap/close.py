@@ -19,6 +19,7 @@ from models.gap.name import Namer, Report
 from models.gap.noise import Floor, floor_of_residual
 from models.gap.problem import Problem
 from models.gap.spectrum import Array
+from models.gap.strain import strained
 from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 from models.trials import TrialSet
@@ -148,17 +149,20 @@ def judge(namer: Namer, naming: Naming, constant: Mapping[str, Constancy]) -> tu
     """Verdict, and the share of the gap's amplitude that is left.
 
     What is named is not what is there where its strength would have to differ from one payload,
-    signal or band to the next, or where most of the gap is left.
+    signal or band to the next, where most of the gap is left, or where it has gone into what
+    differs from trial to trial.
     """
     before, after = (excess(namer, p.rows) for p in (naming.before, naming.after))
     left = float(np.sqrt(after / before)) if before > 0 else 0.0
+    hides = bool(strained(namer.knobs, naming.after))
     if not naming.named:
-        return ("not in the catalogue", 1.0) if namer.has_gap(naming.before) else ("no gap", 0.0)
+        gap = hides or namer.has_gap(naming.before)
+        return ("not in the catalogue", 1.0) if gap else ("no gap", 0.0)
     clearly = namer.left(naming.after) > (1 + namer.null.explained) / 2
     unclosed = namer.has_gap(naming.before) and left > REDUCED
     if len(naming.named) > 1:
         unclosed = left > REDUCED_BY_MORE
-    if (clearly and unclosed) or not all(c.holds for c in constant.values()):
+    if hides or (clearly and unclosed) or not all(c.holds for c in constant.values()):
         return "not in the catalogue", left
     return ("reduced" if namer.has_gap(naming.after) else "closed"), left
 

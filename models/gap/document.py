@@ -11,6 +11,7 @@ from models.gap.close import Diagnosis
 from models.gap.locate import as_row, plain, sentence
 from models.gap.separate import as_document, look_alikes, separating_motion
 from models.gap.spectrum import Array
+from models.gap.strain import strained
 from models.plant.evaluate import compare, signal_errors
 from models.trial import Trial
 from models.trials import TrialSet
@@ -39,6 +40,7 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
             "signals": floor,
             "dispersion": round(namer.dispersion(naming.before), 4),
         },
+        "strained": strained(namer.knobs, naming.after),
         "lost_at_row": namer.estimator.problem.lost(),
         "sentence": sentence(cells),
         "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
@@ -149,10 +151,18 @@ def lost_in_words(data: Mapping[str, Any]) -> str:
     return f"not used, because the drive gave its all and the joint fell behind: {where}"
 
 
+def strain_in_words(data: Mapping[str, Any]) -> str:
+    """In what all trials would have to differ alike from the usual; empty if in nothing."""
+    kinds = ", ".join(
+        f"{kind} by {z:+.0f} standard deviations" for kind, z in data["strained"].items()
+    )
+    return kinds and f"every trial would have to differ from the usual in the same way: {kinds}"
+
+
 def in_words(data: dict[str, Any]) -> str:
     """gap.json for people."""
     lines = [f"verdict: {data['verdict']}", data["sentence"]]
-    lines += [lost for lost in [lost_in_words(data)] if lost]
+    lines += [text for text in (lost_in_words(data), strain_in_words(data)) if text]
     for row in data["named"]:
         values = ", ".join(
             f"{name} = {q['value']:.4g} ± {q['error'] or 0:.2g} {q['unit']}"

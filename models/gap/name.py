@@ -27,10 +27,8 @@ from models.gap.crossvalidate import held_out_gains
 from models.gap.fit import Estimator, Point
 from models.gap.null import null_of
 from models.gap.spectrum import Array
+from models.gap.threshold import ladder, unexcited
 from models.plant.effects import EFFECTS
-
-ALIKE: Final = 3.0
-"""Separation below which two effects cannot be told apart (FACTS §8)."""
 
 ROUNDS: Final = 2
 REFITTED: Final = 5
@@ -46,14 +44,8 @@ DOUBTED: Final = 0.35
 stand-in for an equation's error does (`models.gap.constancy`): on single hidden effects such
 errors were up to 0.25 of the first."""
 
-LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
-"""Shares of its bound at which an effect is tried that shows nothing where it is absent."""
-
 AFAR: Final = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
 """Shares of its bounds from which what was chosen is fitted again where much is left."""
-
-REFINED: Final = 5
-"""Times that the ladder is made denser around its best rung."""
 
 Report = Callable[[str], None]
 
@@ -96,7 +88,7 @@ class Namer:
         self.estimator.linearise(before)
         self.report("nuisance fitted")
         found = Naming(before, before)
-        found.unexcited = self.absent + self._unexcited(before)
+        found.unexcited = self.absent + unexcited(self.estimator, before, self.base, self.of)
         while len(found.named) < MOST:
             here = found.after
             screen = self._screen(here, [zero] if not found.named else [], found)
@@ -149,34 +141,11 @@ class Namer:
                 if start.cost - promised < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
             if effect in found.unexcited and effect not in self.absent:
-                tried += self._ladder(here, effect)
+                tried += ladder(self.estimator, here, effect, self.of[effect])
             point = min(tried, key=lambda p: p.cost)
             result[effect,] = self._candidate((effect,), point, here, most)
         self.report(f"{len(result)} effects screened")
         return result
-
-    def _ladder(self, here: Point, effect: str) -> list[Point]:
-        """Points along an effect that shows nothing where it is absent, denser around the best."""
-        knob = int(np.flatnonzero(self.of[effect])[0])
-        rungs = [here]
-
-        def climb(value: float) -> None:
-            values = here.values.copy()
-            values[knob] = value
-            rungs.append(self.estimator.at(values))
-
-        problem, name = self.estimator.problem, next(iter(self.knobs[knob].parameters))
-        known = {n: q.value for n, q in problem.plant.parameters.items()}
-        met = EFFECTS[effect].met_at(known, problem.trials) - known.get(name, 0.0)
-        for value in (*(share * self.knobs[knob].high for share in LADDER), met):
-            climb(float(np.clip(value, 0.0, self.knobs[knob].high)))
-        for _ in range(REFINED):
-            rungs.sort(key=lambda p: p.values[knob])
-            best = min(range(len(rungs)), key=lambda k: rungs[k].cost)
-            around = [p.values[knob] for p in rungs[max(best - 1, 0) : best + 2]]
-            for low, high in itertools.pairwise(around):
-                climb((low + high) / 2)
-        return [self.estimator.carry(here, p) for p in rungs if p is not here]
 
     def _refit(self, trial: Candidate, here: Point, named: Sequence[str]) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""
@@ -296,20 +265,3 @@ class Namer:
             without = self.estimator.fit(self.estimator.at(values), self.free(rest), 5)
             if 2 * (without.cost - found.after.cost) < self.null.least([effect]) ** 2:
                 found.named, found.after = rest, without
-
-    def _unexcited(self, point: Point) -> list[str]:
-        """Effects whose whole range changes these trials by less than can be told apart."""
-        result = []
-        normal = self.estimator.linearise(point).normal
-        base = np.flatnonzero(self.base)
-        inner = normal[np.ix_(base, base)]
-        for effect, own in self.of.items():
-            k = int(np.flatnonzero(own)[0])
-            across = normal[base, k]
-            left = normal[k, k] - across @ np.linalg.solve(
-                inner + 1e-12 * np.eye(len(base)) * np.trace(inner), across
-            )
-            reach = max(abs(self.knobs[k].low), abs(self.knobs[k].high))
-            if np.sqrt(max(left, 0.0)) * reach < ALIKE:
-                result.append(effect)
-        return result

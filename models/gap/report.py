@@ -16,7 +16,7 @@ import numpy as np
 
 from models.catalogue import CATALOGUE
 from models.gap import svg
-from models.gap.document import lost_in_words
+from models.gap.document import lost_in_words, strain_in_words
 from models.gap.locate import spoken
 from models.gap.spectrum import Array
 from models.page import SHOWN, Section, page_of, panels_of, readable, table_of
@@ -62,8 +62,8 @@ def write_report(
 def lead(data: Mapping[str, Any]) -> str:
     """Verdict, where the gap is in one sentence, and what became of the tip."""
     said = html.escape(data["sentence"])
-    if data["lost_at_row"]:
-        said += f" ({html.escape(lost_in_words(data))})"
+    for more in (lost_in_words(data), strain_in_words(data)):
+        said += f" {html.escape(more[0].upper() + more[1:])}." if more else ""
     off = [_tip_m(data[when]) for when in ("before", "after")]
     if data["named"] and off[0]:
         said += (

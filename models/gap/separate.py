@@ -17,9 +17,9 @@ import numpy as np
 
 from firmware_py.motion import Kind, Motion
 from firmware_py.signals import PERIOD_S
-from models.gap.candidate import Candidate, Naming
+from models.gap.candidate import ALIKE, Candidate, Naming
 from models.gap.fit import Estimator
-from models.gap.name import ALIKE, Namer
+from models.gap.name import Namer
 from models.gap.noise import FORMULATION
 from models.gap.problem import Problem
 from models.gap.spectrum import Array

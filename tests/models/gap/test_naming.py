@@ -159,3 +159,13 @@ def test_a_limit_of_the_current_is_named_though_it_shows_nothing_at_first(plant,
     assert found.naming.named[:1] == ["current_saturation"]
     cut = found.improved.parameters["current_saturation_1_a"]
     assert limit_a - cut.value == pytest.approx(0.9 * current_a, rel=0.05)
+
+
+def test_what_hides_in_the_variation_of_the_trials_is_missed(plant, hidden):
+    """An offset of the payload that may not be named looks like eccentricity in every trial."""
+    trials = hidden(payload_offset_share=0.06)
+    found = diagnosed(plant, trials)
+    assert found.verdict == "not in the catalogue"
+    data = document(found, trials)
+    assert abs(data["strained"]["eccentricity_m"]) > 8
+    assert "eccentricity_m" in in_words(data)
