@@ -27,6 +27,7 @@ from models.gap.crossvalidate import held_out_gains
 from models.gap.fit import Estimator, Point
 from models.gap.null import null_of
 from models.gap.spectrum import Array
+from models.gap.strain import strained
 from models.gap.threshold import ladder, unexcited
 from models.plant.effects import EFFECTS
 
@@ -185,17 +186,23 @@ class Namer:
     def _accept(
         self, refitted: Sequence[Candidate], here: Point, found: Naming
     ) -> Candidate | None:
-        """Best candidate that passes threshold and cross-validation."""
+        """Best candidate that passes threshold and cross-validation.
+
+        What the equations of those before may miss does not make every trial be set up off in one
+        way: a candidate that eases such a strain need not stand out beside it.
+        """
         dispersion = self.dispersion(here)
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
         doubted = max(missed, sum((DOUBTED * c.separation) ** 2 for c in linear))
-        for trial in refitted:
+        hides = strained(self.knobs, here)
+        for trial in (t for t in refitted if t.score >= refitted[0].score / 2):
             beyond = 2 * trial.gain - dispersion * trial.least**2
-            if beyond <= missed or trial.score < refitted[0].score / 2:
-                break
+            eases = hides and not strained(self.knobs, trial.point)
             free = self.free([*found.named, *trial.effects])
-            if beyond <= doubted and not self._holds(trial, free):
+            if beyond <= (0.0 if eases else missed):
+                continue
+            if beyond <= doubted and not eases and not self._holds(trial, free):
                 continue
             gains = held_out_gains(
                 self.estimator, (here, self.free(found.named)), (trial.point, free)

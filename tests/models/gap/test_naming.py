@@ -9,6 +9,7 @@ import pytest
 from models.gap.close import diagnose
 from models.gap.document import document, in_words
 from models.gap.knobs import candidates
+from models.gap.name import NEXT
 from models.gap.problem import LOST_RAD, counted
 from models.gap.report import write_report
 from models.plant.plant import read_plant
@@ -169,3 +170,12 @@ def test_what_hides_in_the_variation_of_the_trials_is_missed(plant, hidden):
     data = document(found, trials)
     assert abs(data["strained"]["eccentricity_m"]) > 8
     assert "eccentricity_m" in in_words(data)
+
+
+def test_what_eases_such_a_strain_need_not_stand_out_beside_the_first(plant, hidden):
+    trials = hidden(hardening_share=1.0, payload_offset_share=0.03)
+    others = [e for e in candidates(plant) if e not in ("stiffness_hardening", "payload_offset")]
+    naming = diagnose(plant, trials, leave_out=others).naming
+    assert naming.named == ["stiffness_hardening", "payload_offset"]
+    first, second = naming.chosen
+    assert second.separation < NEXT["stiffness"] * first.separation
