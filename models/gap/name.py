@@ -188,16 +188,17 @@ class Namer:
     ) -> Candidate | None:
         """Best candidate that passes threshold and cross-validation.
 
+        The threshold grows with what is left beside a candidate, as in an F-test.
+
         What the equations of those before may miss does not make every trial be set up off in one
         way: a candidate that eases such a strain need not stand out beside it.
         """
-        dispersion = self.dispersion(here)
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
         doubted = max(missed, sum((DOUBTED * c.separation) ** 2 for c in linear))
         hides = strained(self.knobs, here)
         for trial in (t for t in refitted if t.score >= refitted[0].score / 2):
-            beyond = 2 * trial.gain - dispersion * trial.least**2
+            beyond = 2 * trial.gain - max(self.left(trial.point), 1.0) * trial.least**2
             eases = hides and not strained(self.knobs, trial.point)
             free = self.free([*found.named, *trial.effects])
             if beyond <= (0.0 if eases else missed):
