@@ -145,7 +145,7 @@ def rejected(found: Diagnosis) -> list[dict[str, Any]]:
 
 def lost_in_words(data: Mapping[str, Any]) -> str:
     """What of the trials was not used, and why; empty where all was."""
-    if not data["lost_at_row"]:
+    if not data.get("lost_at_row"):
         return ""
     where = ", ".join(f"{name} from row {row}" for name, row in data["lost_at_row"].items())
     return f"not used, because the drive gave its all and the joint fell behind: {where}"
@@ -154,7 +154,7 @@ def lost_in_words(data: Mapping[str, Any]) -> str:
 def strain_in_words(data: Mapping[str, Any]) -> str:
     """In what all trials would have to differ alike from the usual; empty if in nothing."""
     kinds = ", ".join(
-        f"{kind} by {z:+.0f} standard deviations" for kind, z in data["strained"].items()
+        f"{kind} by {z:+.0f} standard deviations" for kind, z in data.get("strained", {}).items()
     )
     return kinds and f"every trial would have to differ from the usual in the same way: {kinds}"
 
