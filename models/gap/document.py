@@ -25,10 +25,11 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
     namer, naming = found.namer, found.naming
     cells, left = found.located, found.remaining
     floor = floor_rms(found)
+    lost = namer.estimator.problem.lost()
     fit, held_out = trials.split()
     parts = {"fitted": fit, "held_out": held_out} if len(held_out) else {"fitted": fit}
     before, after = (
-        {part: errors(plant, own, floor) for part, own in parts.items()}
+        {part: errors(plant, own, floor, lost) for part, own in parts.items()}
         for plant in (found.plant, found.improved)
     )
     return {
@@ -41,7 +42,7 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
             "dispersion": round(namer.dispersion(naming.before), 4),
         },
         "strained": strained(namer.knobs, naming.after),
-        "lost_at_row": namer.estimator.problem.lost(),
+        "lost_at_row": lost,
         "sentence": sentence(cells),
         "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
         "map": [as_row(c) for c in cells],
@@ -70,10 +71,20 @@ def _rms(variance: Array) -> float:
     return float(np.sqrt(np.mean(variance)))
 
 
-def errors(plant: Any, trials: Sequence[Trial], floor: Any) -> dict[str, dict[str, float]]:
-    """Root mean square of each signal's error, and the same in noise floors."""
+def errors(
+    plant: Any, trials: Sequence[Trial], floor: Any, lost: Mapping[str, int]
+) -> dict[str, dict[str, float]]:
+    """Root mean square of each signal's error, and the same in noise floors.
+
+    Rows after a joint has lost its goal (`Problem.lost`) do not count.
+    """
+    compared = []
+    for c in compare(plant, trials):
+        end = lost.get(c.trial.name, len(c.trial))
+        unused = np.where(np.arange(len(c.trial)) < end, 0.0, np.nan)
+        compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))
     result = {}
-    for signal, row in signal_errors(plant, compare(plant, trials)).items():
+    for signal, row in signal_errors(plant, compared).items():
         size = floor.get(signal, {}).get("rms", np.nan)
         result[signal] = {"rms": row["rms"], "unit": row["unit"], "floors": row["rms"] / size}
     return result

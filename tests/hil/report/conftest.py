@@ -130,7 +130,7 @@ def diagnosis(before, after, trials):
         }],
         "rejected": [rival],
         "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
-        **{when: {part: errors(plant, own, floor)
+        **{when: {part: errors(plant, own, floor, {})
                   for part, own in (("fitted", fit), ("held_out", held_out))}
            for when, plant in (("before", before), ("after", after))},
     }  # fmt: skip
