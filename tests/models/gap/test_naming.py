@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.gap.close import diagnose
-from models.gap.document import document, in_words
+from models.gap.document import document, errors, in_words
 from models.gap.knobs import candidates
 from models.gap.name import NEXT
 from models.gap.problem import LOST_RAD, counted
@@ -147,9 +147,15 @@ def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden):
     trials = hidden(current_saturation_1_a=limit_a - 0.7 * current_a)
     found = diagnosed(plant, trials)
     data = document(found, trials)
-    off = [data[when]["held_out"]["angle_1_rad"]["floors"] for when in ("before", "after")]
-    assert off[1] < 0.5 * off[0], "the fall itself, where no simulation follows, is left out"
     lost = data["lost_at_row"]
+    trial = next(t for t in trials if t.name in lost)
+    other = {name: column.copy() for name, column in trial.columns.items()}
+    other["angle_1_rad"][lost[trial.name] :] += 1.0
+    rms = [
+        errors(plant, [t], {}, lost)["angle_1_rad"]["rms"]
+        for t in (trial, replace(trial, columns=other))
+    ]
+    assert rms[0] == rms[1], "the fall itself, where no simulation follows, is left out"
     assert set(lost) == {"payload1_1", "payload1_2"}
     assert found.naming.named[:1] == ["current_saturation"]
     cut = found.improved.parameters["current_saturation_1_a"]
