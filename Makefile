@@ -226,11 +226,11 @@ faults: build/twin_2dof.fmu
 	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out build/faults)
 
 mutate: $(READY)
-	$(BIN)/python tests/firmware_py/mutation.py
+	$(BIN)/python tests/firmware_py/safety/mutation.py
 
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
-	$(BIN)/python -m bench.loop --bundle build/bundle_2dof --fmu $<
+	$(BIN)/python -m bench.sdk_loop --bundle build/bundle_2dof --fmu $<
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)

@@ -28,11 +28,11 @@ import numpy as np
 from bench.real_page import write_page
 from firmware_py.console import DONE, NEGATIVE, Progress
 from models.__main__ import main as models
-from models.plant.evaluate import compare
-from models.plant.identify import identify
+from models.plant.identification.evaluation import compare
+from models.plant.identification.identification import identify
 from models.plant.plant import Plant, read_plant
-from models.trial import TrialSet
-from models.trials import read_trials
+from models.trials.trial import TrialSet
+from models.trials.trial_files import read_trials
 
 EXAMPLES: Final = Path(__file__).parents[1] / "models/plant/examples"
 BASELINE: Final = "viscous + Coulomb"
@@ -42,7 +42,7 @@ ROUNDS: Final = 4
 
 
 @dataclass(frozen=True)
-class Rig:
+class MeasuredSystem:
     """One source of data.
 
     Attributes
@@ -75,18 +75,18 @@ class Rig:
 
 
 RIGS: Final = (
-    Rig(
+    MeasuredSystem(
         "xl330_pendulum", "bam_xl330", "*.json", "angle_1_rad", "mrad", 1e3, "mae",
         {BASELINE: ("coulomb_friction",)}, "duty_gain_1",
     ),
-    Rig(
+    MeasuredSystem(
         "emps", "emps", "*.mat", "position_1_m", "mm", 1e3, "rms",
         {"viscous": (), BASELINE: ("coulomb_friction",), "viscous + offset": ("load_offset",)},
     ),
 )  # fmt: skip
 
 
-def import_all(rig: Rig, data: Path, out: Path) -> TrialSet:
+def import_all(rig: MeasuredSystem, data: Path, out: Path) -> TrialSet:
     """Trials of every recording of a rig."""
     nominal = read_plant(EXAMPLES / f"{rig.name}.toml")
     for file in sorted((data / rig.folder).glob(rig.pattern)):
@@ -96,7 +96,7 @@ def import_all(rig: Rig, data: Path, out: Path) -> TrialSet:
     return read_trials(out, nominal.signals)
 
 
-def name_and_identify(rig: Rig, trials: Path, out: Path) -> tuple[Path, list[list[str]]]:
+def name_and_identify(rig: MeasuredSystem, trials: Path, out: Path) -> tuple[Path, list[list[str]]]:
     """Plant with all that the program names, and what it named in each round."""
     plant, rounds = out / "identified_0.json", []
     _identify(trials, EXAMPLES / f"{rig.name}.toml", plant)
@@ -147,7 +147,7 @@ def errors(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, f
 
 
 def judge_fit(
-    rig: Rig, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
+    rig: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
     """Errors of one structure: of a fit to all trials, and with each condition left out."""
     full = fitted(plant, trials, out / "all.json", step)
@@ -169,7 +169,7 @@ def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
     return float(np.mean([e[measure] for e in by_trial.values()]))
 
 
-def run(rig: Rig, data: Path, out: Path, step: Callable[[str], None]) -> dict[str, Any]:
+def run(rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]) -> dict[str, Any]:
     """Everything about one rig."""
     trials = import_all(rig, data, out / "trials")
     found, rounds = name_and_identify(rig, out / "trials", out)

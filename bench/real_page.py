@@ -7,10 +7,10 @@ import io
 from pathlib import Path
 from typing import Any, Final
 
-from models.page import Section, page_of, table_of
-from models.plant.evaluate import Comparison, compare
+from models.plant.identification.evaluation import Comparison, compare
 from models.plant.plant import read_plant
-from models.trials import read_trials
+from models.shared.html_page import Section, page_of, table_of
+from models.trials.trial_files import read_trials
 
 COLUMNS: Final = 3
 SHOWN_ROWS: Final = 400

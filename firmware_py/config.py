@@ -11,17 +11,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py import bus_plan
-from firmware_py.clock import RealTimeOptions
-from firmware_py.dynamixel import ServoSetup
+from firmware_py.bus import bus_plan
+from firmware_py.bus.dynamixel import ServoSetup
+from firmware_py.bus.registers import RETURN_DELAY_UNIT_S, Register
+from firmware_py.bus.servo_models import model_named
+from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
-from firmware_py.limits import Limits
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
-from firmware_py.registers import RETURN_DELAY_UNIT_S, Register
-from firmware_py.safety import check_motion
-from firmware_py.servo_models import model_named
+from firmware_py.realtime.clock import RealTimeOptions
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
-from firmware_py.wire import BAUD_RATES
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
@@ -147,7 +147,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
 
     def bus_plans(self) -> list[bus_plan.Plan]:
-        """Ways to spend it, fastest first; see `firmware_py.bus_plan`."""
+        """Ways to spend it, fastest first; see `firmware_py.bus.bus_plan`."""
         delay_s = self.bus.return_delay_s
         return bus_plan.plans(
             self.setups()[0].model.table, self.dof, self.bus.baud,

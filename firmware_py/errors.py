@@ -7,7 +7,7 @@
     ├── UnitRefusal                 an FMI unit refused a call; it stands where it stood
     └── SafetyTrip                  the supervisor stopped the robot; holds the last ticks (exit 1)
 
-Inside the loop a fault is a value (`firmware_py.bus.BusStatus`), never an exception.
+Inside the loop a fault is a value (`firmware_py.bus.servo_bus.BusStatus`), never an exception.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class InputError(DropstitchError):
         return type(self), (self.where, self.what, self.remedy)
 
 
-class UnitRefusal(DropstitchError):
+class FmuRefusal(DropstitchError):
     """An FMI unit refused a call; the message is the sentence that it logged."""
 
 

@@ -8,7 +8,7 @@ bus and the clock that it is given differ.
   skip the slots that have begun: phase is kept, and no two ticks run in one slot.
 - The tick's remaining budget bounds every wait for the bus.
 - Nothing is allocated for good in a tick, nothing touches a disk, the garbage collector stays out
-  (`firmware_py.clock.real_time`).
+  (`firmware_py.realtime.clock.real_time`).
 - However `run` ends, the torque goes off. A port that has gone may come back meanwhile: then, where
   that is wanted, the robot starts anew from where it stands, with every check.
 """
@@ -27,20 +27,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.bus import BusStatus, ServoBus
-from firmware_py.bus_plan import RESERVE_NS
-from firmware_py.clock import Clock
+from firmware_py.bus.bus_plan import RESERVE_NS
+from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.errors import InputError
-from firmware_py.estimator import DeformationEstimator
-from firmware_py.predictor import Predictor
-from firmware_py.records import TickRing
-from firmware_py.safety import SafetySupervisor
-from firmware_py.service import NoService, Service
+from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.predictor import Predictor
+from firmware_py.log.telemetry import NoTelemetry, Telemetry
+from firmware_py.log.tick_ring import TickRing
+from firmware_py.realtime.clock import Clock
+from firmware_py.realtime.service import NoService, Service
+from firmware_py.realtime.timing import Counters, NoCounters, Timing, cause_of_miss
+from firmware_py.safety.states import SafetyState
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
-from firmware_py.states import State
 from firmware_py.summary import Ended, RunSummary
-from firmware_py.telemetry import NoTelemetry, Telemetry
-from firmware_py.timing import Counters, NoCounters, Timing, cause_of_miss
 
 Array = NDArray[np.float64]
 
@@ -207,7 +207,7 @@ class ControlLoop:
         start_ns = self._start_ns
         slot = -((start_ns - clock.now_ns()) // period_ns)
         self._previous_slot = slot - 1
-        while self._supervisor.state is not State.OFF:
+        while self._supervisor.state is not SafetyState.OFF:
             deadline_ns = start_ns + slot * period_ns
             if deadline_ns - clock.now_ns() > 2 * period_ns:
                 self._supervisor.trip("the clock was set back")
@@ -296,7 +296,7 @@ class ControlLoop:
             self._end(Ended.FINISHED, "the motion is over")
 
     def _end(self, ended: Ended, reason: str) -> None:
-        if self._supervisor.state < State.STOPPING:
+        if self._supervisor.state < SafetyState.STOPPING:
             self._ended = ended
             self._supervisor.request_stop(reason)
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import msgspec
 
 from firmware_py import __version__
-from firmware_py.bundle import MANIFEST, ModelBundle, sha256_of
-from firmware_py.clock import Clock
+from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig
-from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
-from firmware_py.wire import Wire, open_wire
+from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
+from firmware_py.realtime.clock import Clock
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
@@ -41,8 +41,8 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
     """Open the bus that a configuration describes; torque off and closed at the end."""
 
-    def opener() -> Wire:
-        return open_wire(config.bus.port, config.bus.baud, clock)
+    def opener() -> Transport:
+        return open_transport(config.bus.port, config.bus.baud, clock)
 
     bus = DynamixelBus(
         opener(), config.setups(), clock, period_s=config.period_s,

@@ -111,8 +111,12 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         *_PREDICTED,
         *_HALF_WIDTH,
         IN_RANGE,
-        Signal("state", "1", "state of the safety supervisor (firmware_py.states.State)"),
-        Signal("bus_status", "1", "result of the bus transfer (firmware_py.bus.BusStatus)"),
+        Signal(
+            "state", "1", "state of the safety supervisor (firmware_py.safety.states.SafetyState)"
+        ),
+        Signal(
+            "bus_status", "1", "result of the bus transfer (firmware_py.bus.servo_bus.BusStatus)"
+        ),
         Signal("stale_ticks", "1", "age of the measured data in ticks, 0 is fresh"),
         Signal(
             "alert", "1", "hardware error bits of the servos, or-ed; 256 torque lost, 512 watchdog"

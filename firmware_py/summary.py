@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.timing import Timing
+from firmware_py.realtime.timing import Timing
 
 
 class Ended(Enum):

@@ -14,7 +14,7 @@ from typing import Literal
 import casadi as ca
 
 from firmware_py import signals
-from models.plant.step import StepModel, Variable
+from models.plant.step_model import StepModel, Variable
 
 Causality = Literal["independent", "input", "parameter", "output"]
 
@@ -35,7 +35,7 @@ class FmiVariable:
     type : str
         "Float64" or "Boolean" (FMI 3.0 names).
     name, unit, start, minimum, maximum, nominal, description
-        As in `models.plant.step.Variable`, of which this is the outside.
+        As in `models.plant.step_model.Variable`, of which this is the outside.
     """
 
     reference: int

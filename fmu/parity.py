@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.predictor import OnnxPredictor
+from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.signals import IN_RANGE, PERIOD_S, feature_names, tip_names
-from fmu.stepper import Archive, Instance
-from fmu.units import Parts
-from models.plant.step import StepModel, names
+from fmu.fmpy_instance import Archive, Instance
+from fmu.fmu_models import Parts
+from models.plant.step_model import StepModel, names
 
 Array = NDArray[np.float64]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from firmware_py.servo_models import MODELS
+from firmware_py.bus.servo_models import MODELS
 from hil.faults import KINDS
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what describes the emulated line; `hil.emulator.Specification` takes the values."""
+    """Declare what describes the emulated line (`hil.emulator.emulator.Specification`)."""
     models = ", ".join(model.name for model in MODELS.values())
     parser.add_argument(
         "--model", default="H54-200-S500-R", help=f"servo (default: %(default)s): {models}"

@@ -25,29 +25,29 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.bundle import ModelBundle
-from firmware_py.bus import ServoBus
-from firmware_py.bus_plan import Plan
-from firmware_py.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
+from firmware_py.bus.bus_plan import Plan
+from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
-from firmware_py.dynamixel import DynamixelBus
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.log.recorder import recording
+from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
-from firmware_py.recorder import recording
+from firmware_py.realtime.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
+from firmware_py.realtime.timing import Counters, KernelCounters, NoCounters
 from firmware_py.robot import log_metadata, open_bus
-from firmware_py.safety import SafetySupervisor
-from firmware_py.servo_models import Model
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import RunSummary
-from firmware_py.telemetry import NoTelemetry, SocketTelemetry, Telemetry
-from firmware_py.timing import Counters, KernelCounters, NoCounters
-from firmware_py.unit import FmiUnit
-from hil.emulator import Emulator, Outcome, Specification, assemble
-from hil.host import Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
-from hil.line import VirtualWire
-from hil.physics import Reality
-from hil.probe import Probe
-from hil.reference import cyclictest
-from hil.twin import build_twin
+from hil.emulator.emulator import Emulator, EmulatorOutcome, Specification, assemble
+from hil.emulator.line import VirtualTransport
+from hil.emulator.physics import RigSource
+from hil.emulator.twin_fmu import build_twin
+from hil.timing.cyclictest import cyclictest
+from hil.timing.host import Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
+from hil.timing.probe import Probe
 
 LineKind = Literal["pty", "socket", "virtual"]
 LOG_NAME: Final = "ticks.mcap"
@@ -57,7 +57,7 @@ _GEOMETRY: Final = ("base_offset_m", "link_length_m", "link_width_m")
 
 
 @dataclass(frozen=True)
-class Options:
+class SilOptions:
     """What to run.
 
     Attributes
@@ -70,10 +70,10 @@ class Options:
         Directory of the log.
     unit : Path, optional
         Twin to put behind the servos; by default it is built from the bundle's plant.
-    reality : Reality, optional
+    reality : RigSource, optional
         Laboratory to put there instead of a twin, on the virtual line.
     line : {"pty", "socket", "virtual"}
-        See `hil.line`.
+        See `hil.emulator.line`.
     seconds : float
         Duration of the motion, which repeats.
     baud : int
@@ -96,7 +96,7 @@ class Options:
     model: Model
     out: Path
     unit: Path | None = None
-    reality: Reality | None = None
+    reality: RigSource | None = None
     line: LineKind = "socket"
     seconds: float = 10.0
     baud: int = 1_000_000
@@ -118,14 +118,14 @@ class Options:
         return self.bundle.manifest.period_s
 
 
-class Result(NamedTuple):
+class SilResult(NamedTuple):
     """A run and everything that was seen beside it.
 
     Attributes
     ----------
     summary : RunSummary
         The loop's own account.
-    outcome : Outcome
+    outcome : EmulatorOutcome
         The emulator's.
     loop_cpu, line_cpu : Watch
         The probes'.
@@ -142,7 +142,7 @@ class Result(NamedTuple):
     """
 
     summary: RunSummary
-    outcome: Outcome
+    outcome: EmulatorOutcome
     loop_cpu: Watch
     line_cpu: Watch
     wall_s: float
@@ -157,7 +157,7 @@ class Result(NamedTuple):
         return self.summary.records
 
 
-def run(options: Options) -> Result:
+def run(options: SilOptions) -> SilResult:
     """Run the loop against the emulated servos.
 
     Raises
@@ -200,30 +200,30 @@ def _make(directory: Path) -> None:
         ) from None
 
 
-def _ids(options: Options) -> tuple[int, ...]:
+def _ids(options: SilOptions) -> tuple[int, ...]:
     return tuple(range(1, options.dof + 1))
 
 
-def _plant(options: Options) -> Path:
+def _plant(options: SilOptions) -> Path:
     path = options.bundle.directory / "plant.json"
     if not path.is_file():
         raise InputError(path, "is missing", "copy the whole bundle, or name a twin with --fmu")
     return path
 
 
-def _geometry(source: Path | Reality) -> dict[str, float]:
-    if isinstance(source, Reality):
-        from hil.laboratory import geometry  # loads MuJoCo
+def _geometry(source: Path | RigSource) -> dict[str, float]:
+    if isinstance(source, RigSource):
+        from hil.emulator.rig_physics import geometry  # loads MuJoCo
 
         return geometry()
-    with FmiUnit(source) as opened:
+    with FmuInstance(source) as opened:
         known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
         return dict(
             zip(known, opened.get([f"parameters.{n}" for n in known]).tolist(), strict=True)
         )
 
 
-def robot_config(options: Options, port: str, cpu: int | None = None) -> RobotConfig:
+def robot_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
     """The configuration that the robot would have."""
     return RobotConfig(
         bundle=str(options.bundle.directory),
@@ -235,12 +235,12 @@ def robot_config(options: Options, port: str, cpu: int | None = None) -> RobotCo
     )
 
 
-def _run_virtual(options: Options, specification: Specification) -> Result:
+def _run_virtual(options: SilOptions, specification: Specification) -> SilResult:
     clock = SimClock()
     line, truth = assemble(specification)
     config = robot_config(options, "virtual")
     bus = DynamixelBus(
-        VirtualWire(line, clock), config.setups(), clock,
+        VirtualTransport(line, clock), config.setups(), clock,
         period_s=config.period_s, name=config.bus.port, baud=config.bus.baud,
     )  # fmt: skip
     loop = _loop(options, config, bus, clock, NoTelemetry(), NoCounters())
@@ -250,7 +250,7 @@ def _run_virtual(options: Options, specification: Specification) -> Result:
     with _recording(options, config) as telemetry:  # afterwards: the recorder runs in real time
         for record in summary.records:
             _put(telemetry, record.tobytes())
-    outcome = Outcome(truth.truth(), Releases(), dict(line.faults.injected))
+    outcome = EmulatorOutcome(truth.truth(), Releases(), dict(line.faults.injected))
     digest = hashlib.sha256(summary.records.tobytes() + outcome.truth.tip_m.tobytes())
     facts = {
         "scheduler": "none: simulated time",
@@ -258,7 +258,7 @@ def _run_virtual(options: Options, specification: Specification) -> Result:
         "speed_up_by_processor_time": clock.now_ns() * 1e-9 / busy_s,
         "records_sha256": digest.hexdigest(),
     }
-    return Result(
+    return SilResult(
         summary, outcome, Watch(), Watch(), wall_s, environment() | _line_facts(options) | facts,
         bus.plan,
     )  # fmt: skip
@@ -275,11 +275,11 @@ def _put(telemetry: SocketTelemetry, record: bytes) -> None:
 
 
 def _run_in_real_time(
-    options: Options,
+    options: SilOptions,
     kind: Literal["pty", "socket"],
     specification: Specification,
     scratch: Path,
-) -> Result:
+) -> SilResult:
     loop_cpu, other_cpus = processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
@@ -314,11 +314,13 @@ def _run_in_real_time(
             "load_is": "declared host load, normal priority, on the emulator's processor",
         }
         facts = environment() | _line_facts(options) | facts
-        return Result(summary, emulator.stop(), *watches, wall_s, facts, bus.plan, reference.stop())
+        return SilResult(
+            summary, emulator.stop(), *watches, wall_s, facts, bus.plan, reference.stop()
+        )
 
 
 def _loop(
-    options: Options,
+    options: SilOptions,
     config: RobotConfig,
     bus: ServoBus,
     clock: Clock,
@@ -336,7 +338,7 @@ def _loop(
 
 
 @contextlib.contextmanager
-def _recording(options: Options, config: RobotConfig) -> Iterator[SocketTelemetry]:
+def _recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
     # The observer is not told the payload, but whoever imports the log may know it.
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg)
@@ -346,7 +348,7 @@ def _recording(options: Options, config: RobotConfig) -> Iterator[SocketTelemetr
         yield telemetry
 
 
-def _line_facts(options: Options) -> dict[str, Any]:
+def _line_facts(options: SilOptions) -> dict[str, Any]:
     return {
         "line": options.line,
         "baud": options.baud,

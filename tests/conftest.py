@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from models.kinematics import base_rotation
-from models.plant.step import StepModel, Variable
-from models.trial import Trial, TrialMeta, TrialSet
+from models.plant.step_model import StepModel, Variable
+from models.shared.kinematics import base_rotation
+from models.trials.trial import Trial, TrialMeta, TrialSet
 
 STEP_S, PERIOD_S, REST = 0.017, 4.352, 20
 OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15
@@ -154,7 +154,7 @@ def toy_observer():
 def toy_study(toy_trials, toy_observer):
     """A study of the 1DOF toy, trial 2 and the 20 degree motion held out."""
     from models.commands.train import name_tests
-    from models.study import run_study
+    from models.study.study import run_study
 
     training, held_out = toy_trials(1).split()
     return run_study(training, name_tests(training, tuple(held_out)), toy_observer(1))
@@ -163,8 +163,8 @@ def toy_study(toy_trials, toy_observer):
 @pytest.fixture(scope="session")
 def toy_bundle(toy_study, tmp_path_factory):
     """The bundle of that study; copy it before changing it."""
-    from models.export import write_bundle
     from models.plant.plant import read_plant
+    from models.study.bundle_export import write_bundle
 
     directory = tmp_path_factory.mktemp("toy") / "bundle"
     write_bundle(directory, toy_study, read_plant())

@@ -15,9 +15,9 @@ from collections.abc import Iterable
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
+from bench.gap.case_run import run
 from bench.gap.cases import BenchCase, draw
-from bench.gap.run import run
-from bench.gap.summary import confusion, summarise
+from bench.gap.score_summary import confusion, summarise
 from firmware_py.console import Progress
 
 

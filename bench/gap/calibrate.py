@@ -3,8 +3,10 @@
     python -m bench.gap.calibrate --plant build/plant.json --out build/calibrate
 
 Two sets of laboratories without a hidden effect, their nuisance drawn anew: from the first come the
-patterns of the plant's own error (`models/gap/discrepancy.npz`), from the second how far every
-effect seems to help there (`models/gap/null.json`). Resumable: one file per laboratory.
+patterns of the plant's own error (`models/gap/estimation/model_discrepancy.npz`), from the second
+how far every
+effect seems to help there (`models/gap/search/null_distribution.json`). Resumable: one file per
+laboratory.
 """
 
 from __future__ import annotations
@@ -20,25 +22,25 @@ from typing import Final
 
 import numpy as np
 
+from bench.gap.case_run import laboratory, lean_trials
 from bench.gap.cases import BenchCase, draw
-from bench.gap.run import laboratory, lean_trials
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from models.gap.close import diagnose
-from models.gap.discrepancy import PATH as PATTERNS
-from models.gap.discrepancy import Discrepancy, patterns_of
-from models.gap.fit import Estimator
-from models.gap.knobs import nuisance_knobs, trial_knobs
-from models.gap.learn import floor_of
-from models.gap.noise import group_hz
-from models.gap.null import PATH as PRICES
-from models.gap.null import calibrate
-from models.gap.problem import Problem
+from models.gap.diagnosis import diagnose
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.model_discrepancy import PATH as PATTERNS
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
+from models.gap.estimation.noise_floor import group_hz
+from models.gap.estimation.noise_floor_fit import floor_of
+from models.gap.residuals.fit_parameters import nuisance_knobs, trial_knobs
+from models.gap.residuals.residuals import Residuals
+from models.gap.search.null_distribution import PATH as PRICES
+from models.gap.search.null_distribution import calibrate
 from models.plant.plant import read_plant
-from models.rig.case import Case
-from models.rig.protocol import run_case
-from models.trials import TrialSet
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 SEEDS: Final = {"patterns": 9000, "prices": 9001}
@@ -49,15 +51,15 @@ def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
     """Save what the nuisance fit leaves on one laboratory: spectra by payload."""
     rig = laboratory(case)
     try:
-        trials = [run_case(rig, Case(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
+        trials = [run_case(rig, TrialCase(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
     except InputError:  # its link folds
         np.savez(path)
         return
     plant = read_plant(plant_path)
-    problem = Problem(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
+    problem = Residuals(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
     floor = floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
-    estimator = Estimator(problem, floor)
+    estimator = GaussNewton(problem, floor)
     start = estimator.at(np.zeros(len(problem.knobs)))
     point = estimator.fit(start, np.ones(len(problem.knobs), bool), 20)
     (group,) = problem.groups
@@ -86,14 +88,14 @@ def price_case(case: BenchCase, plant_path: str, path: str) -> None:
     Path(path).write_text(json.dumps(row))
 
 
-def learn_patterns(files: list[Path]) -> Discrepancy:
+def learn_patterns(files: list[Path]) -> ModelDiscrepancy:
     """Patterns from the files of `pattern_case`."""
     loaded = [dict(np.load(f)) for f in files]
     loaded = [d for d in loaded if "rows" in d]
     rows = np.array([d["rows"] for d in loaded])
     table = patterns_of(rows, loaded[0]["noise"])
     print(f"{len(table)} patterns from {len(rows)} laboratories")
-    return Discrepancy(
+    return ModelDiscrepancy(
         str(loaded[0]["key"]), np.array(PAYLOADS_KG), tuple(loaded[0]["signals"].tolist()), table
     )
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from models.gap.spectrum import Array
-from models.trial import Trial
+from models.gap.residuals.spectrum import Array
+from models.trials.trial import Trial
 
 CREEP_S: Final = 3.0
 PLAY_NM: Final = 0.5

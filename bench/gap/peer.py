@@ -30,22 +30,27 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.gap.case_run import laboratory, lean_trials
 from bench.gap.cases import BenchCase
 from bench.gap.library import Equation, equations
-from bench.gap.run import laboratory, lean_trials
-from bench.gap.summary import beside
+from bench.gap.score_summary import beside
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
-from models.gap.fit import Estimator
-from models.gap.knobs import Knob, full_plant, nuisance_knobs, trial_knobs
-from models.gap.learn import floor_of
-from models.gap.problem import SUBSTEP_S, Problem
-from models.gap.spectrum import Array, restore
-from models.plant.fit import weights
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.noise_floor_fit import floor_of
+from models.gap.residuals.fit_parameters import (
+    FitParameter,
+    full_plant,
+    nuisance_knobs,
+    trial_knobs,
+)
+from models.gap.residuals.residuals import SUBSTEP_S, Residuals
+from models.gap.residuals.spectrum import Array, restore
+from models.plant.identification.simulation_fit import weights
 from models.plant.plant import Plant, Unit, read_plant
-from models.plant.simulate import CompiledModel, run_trial, trial_parameters
-from models.plant.step import names
-from models.trial import Trial
+from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.step_model import names
+from models.trials.trial import Trial
 
 THRESHOLD: Final = 1.75
 """Least contribution that a term may have, in noise floors."""
@@ -56,10 +61,10 @@ RIDGE: Final = 0.1
 
 def refitted(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
     """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
-    problem = Problem(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
+    problem = Residuals(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
     floor = floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
-    estimator = Estimator(problem, floor)
+    estimator = GaussNewton(problem, floor)
     start = estimator.at(np.zeros(len(problem.knobs)))
     values = estimator.fit(start, np.ones(len(problem.knobs), bool)).values
     (group,), (means,) = problem.groups, estimator.means
@@ -85,7 +90,7 @@ def refitted(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]
 
 
 def simulated(
-    unit: CompiledModel, trial: Trial, turned: Sequence[tuple[Knob, float]]
+    unit: CompiledModel, trial: Trial, turned: Sequence[tuple[FitParameter, float]]
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Outputs by name, and the parameters, with knobs turned."""
     p = dict(zip(names(unit.model.parameters), trial_parameters(unit.model, trial), strict=True))
@@ -152,7 +157,7 @@ def pysindy() -> Any:
 
 
 def run(case: BenchCase, plant: Plant, path: Path) -> None:
-    """Write the result of one case, in the form that `bench.gap.summary` reads."""
+    """Write the result of one case, in the form that `bench.gap.score_summary` reads."""
     trials = lean_trials(laboratory(case).hide(case.hidden), case.seed)
     found = contributions(refitted(plant, trials), [t.meta.payload_kg for t in trials])
     result = {

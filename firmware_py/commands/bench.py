@@ -13,20 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_py.bundle import ModelBundle
-from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.loopback import LoopbackTransport
+from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.dynamixel import DynamixelBus, ServoSetup
-from firmware_py.estimator import DeformationEstimator, NoEstimator
-from firmware_py.limits import Limits
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.estimator import DeformationEstimator, NoEstimator
+from firmware_py.inference.predictor import Prediction, Predictor
 from firmware_py.loop import ControlLoop
-from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
-from firmware_py.predictor import Prediction, Predictor
-from firmware_py.safety import SafetySupervisor
-from firmware_py.servo_models import model_named
+from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.realtime.timing import KernelCounters
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S, STAGES
-from firmware_py.timing import KernelCounters
 
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     clock, limits = DeadlineClock(), Limits()
     models = {j: model_named(_MODEL) for j in range(1, dof + 1)}
     setups = [ServoSetup(id_, model, *limits.angle_rad) for id_, model in models.items()]
-    bus = DynamixelBus(LoopbackWire(models), setups, clock, period_s=PERIOD_S, name="memory")
+    bus = DynamixelBus(LoopbackTransport(models), setups, clock, period_s=PERIOD_S, name="memory")
     with (
         contextlib.closing(KernelCounters()) as counters,
         real_time(RealTimeOptions()) as refused,

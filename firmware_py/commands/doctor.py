@@ -1,8 +1,8 @@
 """Say what on this PC would spoil the loop's timing, and how to mend it.
 
 With --bus: what a tick of the configured robot costs on the wire by every plan that its servos
-might answer, fastest first (`firmware_py.bus_plan`). A configuration that cannot meet its period
-is refused with the numbers.
+might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
+period is refused with the numbers.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.bus_plan import Plan
+from firmware_py.bus.bus_plan import Plan
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
-from firmware_py.machine import Verdict, examine
+from firmware_py.realtime.doctor_checks import Verdict, examine
 
 EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 

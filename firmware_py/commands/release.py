@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.bus import BusStatus
-from firmware_py.clock import DeadlineClock
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import read_config
 from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.realtime.clock import DeadlineClock
 from firmware_py.robot import open_bus
 
 EXAMPLE = "dropstitch release --config robot.toml"

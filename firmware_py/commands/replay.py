@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from firmware_py.bundle import ModelBundle
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
-from firmware_py.golden import TOLERANCE
-from firmware_py.recording import Recording, read_recording
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.golden import TOLERANCE
+from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import DI, PAYLOAD, tip_names
 
 EXAMPLE = "dropstitch replay logs/20261121T093000Z_sinusoid.mcap --bundle build/bundle_1dof"

@@ -15,20 +15,20 @@ from typing import Any
 
 import msgspec
 
-from firmware_py.bundle import ModelBundle
-from firmware_py.clock import DeadlineClock, real_time
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.log.recorder import recording
+from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.motion import KINDS
-from firmware_py.recorder import recording
+from firmware_py.realtime.clock import DeadlineClock, real_time
+from firmware_py.realtime.service import SystemdService
+from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import load_bundle, log_metadata, open_bus
-from firmware_py.safety import SafetySupervisor
-from firmware_py.service import SystemdService
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended, RunSummary
-from firmware_py.telemetry import NoTelemetry, Telemetry
-from firmware_py.timing import KernelCounters
 
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 

@@ -1,4 +1,4 @@
-/* FMI 3.0 for Co-Simulation on top of unit.c.
+/* FMI 3.0 for Co-Simulation on top of fmu_core.c.
  *
  * Each call names the states in which it is legal (FMI 3.0, section 4.2). What this unit does not
  * offer is exported all the same, because importers look every function up: see the end.
@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "unit.h"
+#include "fmu_core.h"
 
 typedef struct {
     Unit unit; /* first, so that a pointer to one is a pointer to the other */

@@ -15,7 +15,7 @@ from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 
 if TYPE_CHECKING:
-    from fmu.units import Kind
+    from fmu.fmu_models import Kind
 
 EXAMPLE = "python -m fmu build build/bundle_1dof --plant build/plant.json --out build/twin_1dof.fmu"
 _OBSERVER = "observer.fmu"
@@ -33,10 +33,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build the unit."""
-    from firmware_py.bundle import read_manifest
-    from fmu.build import build_unit
-    from fmu.observer import add_observer
-    from fmu.units import parts_of
+    from firmware_py.inference.bundle import read_manifest
+    from fmu.bundle_observer import add_observer
+    from fmu.fmu_builder import build_unit
+    from fmu.fmu_models import parts_of
 
     kind: Kind = args.unit
     output = _output(args)

@@ -25,9 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check; exit 1 where the unit is not sound."""
-    from fmu.check import check_unit
-    from fmu.stepper import Archive
-    from fmu.units import parts_inside
+    from fmu.fmpy_instance import Archive
+    from fmu.fmu_checker import check_unit
+    from fmu.fmu_models import parts_inside
 
     with Archive(args.file) as archive:
         parts = parts_inside(archive.directory / "resources")

@@ -40,10 +40,10 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write, plot."""
     if not (math.isfinite(args.step) and 0 < args.step <= 1):
         raise InputError(f"--step {args.step}", "is no step", "choose up to 1 s")
-    from fmu.result import draw, write_csv
-    from fmu.run import simulate
-    from fmu.stepper import Archive
-    from models.trials import read_trial
+    from fmu.fmpy_instance import Archive
+    from fmu.fmpy_run import simulate
+    from fmu.run_files import draw, write_csv
+    from models.trials.trial_files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
     motion = Motion(

@@ -12,13 +12,13 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
+from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
-from firmware_py.servo_models import model_named
 from hil.arguments import add_line_arguments
-from hil.emulator import Specification, serve_forever
+from hil.emulator.emulator import Specification, serve_forever
+from hil.emulator.twin_fmu import build_twin
 from hil.faults import parse_rates
-from hil.twin import build_twin
 
 EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from firmware_py.bundle import ModelBundle
 from firmware_py.console import emit
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
-    from hil.faults.verdict import Judged
+    from hil.faults.fault_verdict import Judged
 
 EXAMPLE = "python -m hil faults --bundle build/bundle_2dof --out build/faults"
 LINES = ("virtual", "socket", "process")
@@ -43,12 +43,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the campaign, judge, write."""
-    from hil.faults import verdict
+    from hil.emulator.twin_fmu import build_twin
+    from hil.faults import fault_verdict
     from hil.faults.campaign import cases_of, facts, run_campaign
-    from hil.faults.robot import Rig
-    from hil.faults.table import ROWS
+    from hil.faults.case_robot import CaseRobot
+    from hil.faults.fault_table import ROWS
     from hil.report import write_fault_report
-    from hil.twin import build_twin
 
     if args.seeds < 1:
         raise InputError("--seeds", f"is {args.seeds}", "give at least 1")
@@ -67,14 +67,14 @@ def run(args: argparse.Namespace) -> int:
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"
         unit = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
-        rig = Rig(bundle, unit)
+        rig = CaseRobot(bundle, unit)
         judged = run_campaign(rig, cases)
-    document = verdict.report(judged, facts(rig, cases))
+    document = fault_verdict.report(judged, facts(rig, cases))
     (args.out / "faults.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    (args.out / "faults.xml").write_bytes(verdict.junit_xml(judged))
+    (args.out / "faults.xml").write_bytes(fault_verdict.junit_xml(judged))
     write_fault_report(document, args.out / "report.html")
     emit(args, document, describe(judged, document, args.out))
-    return verdict.exit_code(document)
+    return fault_verdict.exit_code(document)
 
 
 def describe(judged: list[Judged], document: dict[str, Any], out: Path) -> str:

@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from firmware_py.console import DONE, emit
-from models.catalogue import parse_strengths
+from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
     "python -m hil gap build/gap_demo/dead_time_0.03 --plant build/plant.json --hide dead_time=0.03"

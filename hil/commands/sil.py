@@ -17,21 +17,22 @@ import math
 from pathlib import Path
 from typing import Any, get_args
 
-from firmware_py.bundle import ModelBundle
+from firmware_py.bus.servo_models import model_named
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.servo_models import model_named
 from firmware_py.summary import Ended
-from hil import budget, outcome, sil, verify
+from hil import sil, sil_artifacts
 from hil.arguments import add_line_arguments
+from hil.emulator.physics import RigSource
 from hil.faults import parse_rates
-from hil.histogram import write_hgrm
-from hil.physics import Reality
-from hil.timeline import write_timeline
-from models.catalogue import parse_strengths
-from models.trials import write_trial
+from hil.timing import tick_budget, timing_verdict
+from hil.timing.hdr_histogram import write_hgrm
+from hil.timing.timeline import write_timeline
+from models.shared.catalogue import parse_strengths
+from models.trials.trial_files import write_trial
 
 EXAMPLE = (
     "python -m hil sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
@@ -71,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, judge, write."""
-    options = sil.Options(
+    options = sil.SilOptions(
         bundle=ModelBundle.load(args.bundle),
         model=model_named(args.model),
         out=args.out,
@@ -95,20 +96,20 @@ def run(args: argparse.Namespace) -> int:
     result = sil.run(options)
     timing = write_results(result, options)
     emit(args, timing, describe(timing, args.out))
-    return verify.exit_code(timing)
+    return timing_verdict.exit_code(timing)
 
 
-def _reality(args: argparse.Namespace) -> Reality | None:
+def _reality(args: argparse.Namespace) -> RigSource | None:
     hidden = parse_strengths(args.hide)
     if hidden and not args.rig:
         raise InputError("--hide", "needs the laboratory, not a twin", "add --rig")
-    return Reality(hidden, args.seed) if args.rig else None
+    return RigSource(hidden, args.seed) if args.rig else None
 
 
-def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
+def write_results(result: sil.SilResult, options: sil.SilOptions) -> dict[str, Any]:
     """Judge a run and write everything but the log, which the recorder wrote; return timing."""
     summary, out = result.summary, options.out
-    timing = verify.judge(
+    timing = timing_verdict.judge(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
         result.outcome.releases, result.environment,
         summary.reason if summary.ended is Ended.TRIPPED else "",
@@ -125,25 +126,25 @@ def write_results(result: sil.Result, options: sil.Options) -> dict[str, Any]:
         timing["probe_jitter"], timing["reference_jitter"] = (
             timing["reference_jitter"], result.reference
         )  # fmt: skip
-    timing["bus_plan"] = budget.wire_facts(result.plan)
-    timing["account"] = budget.account(
+    timing["bus_plan"] = tick_budget.wire_facts(result.plan)
+    timing["account"] = tick_budget.account(
         result.records, options.period_s, timing["bus_plan"], timing["reference_jitter"]
     )
-    programme = outcome.programme_s(options)
+    programme = sil_artifacts.programme_s(options)
     timing["run"]["programme_s"] = programme
-    timing["prediction_error"] = outcome.prediction_error(
+    timing["prediction_error"] = sil_artifacts.prediction_error(
         result.records, result.outcome.truth, programme
     )
     (out / "timing.json").write_text(json.dumps(timing, indent=1), encoding="utf-8")
-    (out / "timing.xml").write_bytes(verify.junit_xml(timing))
+    (out / "timing.xml").write_bytes(timing_verdict.junit_xml(timing))
     if result.geometry and timing["prediction_error"]["n"]:
-        write_trial(outcome.as_trial(result, options), out / "trial")
-    outcome.draw(result, timing, out / "summary.svg")
+        write_trial(sil_artifacts.as_trial(result, options), out / "trial")
+    sil_artifacts.draw(result, timing, out / "summary.svg")
     _write_evidence(result, timing["budget"]["period_ns"], out)
     return timing
 
 
-def _write_evidence(result: sil.Result, period_ns: int, out: Path) -> None:
+def _write_evidence(result: sil.SilResult, period_ns: int, out: Path) -> None:
     records = result.records
     for name, durations_ns in {
         "tick": records["lateness_ns"] + records["busy_ns"],
@@ -169,7 +170,7 @@ def describe(timing: dict[str, Any], out: Path) -> str:
             f"{environment['speed_up_by_processor_time']:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *budget.describe(timing["account"])]
+        lines += [*_timing_lines(timing), *tick_budget.describe(timing["account"])]
         lines += environment["refused"]
     if error["n"]:
         lines.append(
@@ -201,8 +202,8 @@ def _timing_lines(timing: dict[str, Any]) -> list[str]:
             f"{name:9} " + ", ".join(f"{label} {row[key] / 1e3:.0f} µs" for label, key in shares)
             for name, row in rows.items()
         ),
-        f"target for the own cost, p50 {verify.OWN_COST_P50_NS / 1e3:.0f} µs, "
-        f"p99 {verify.OWN_COST_P99_NS / 1e3:.0f} µs: {met}",
+        f"target for the own cost, p50 {timing_verdict.OWN_COST_P50_NS / 1e3:.0f} µs, "
+        f"p99 {timing_verdict.OWN_COST_P99_NS / 1e3:.0f} µs: {met}",
         f"misses {timing['misses']} ({causes}); with 95 % confidence ours are fewer than 1 in "
         f"{1 / timing['own_miss_rate_upper_bound_95']:.0f}",
     ]

@@ -6,6 +6,6 @@ them, `witness` is what the servos saw, `virtual`, `live` and `process` run a ca
 `observe` puts record and witness together, `verdict` judges, `campaign` runs everything.
 """
 
-from hil.faults.rates import KINDS, LATE_NS, FaultPlan, parse_rates
+from hil.emulator.line_faults import KINDS, LATE_NS, FaultPlan, parse_rates
 
 __all__ = ["KINDS", "LATE_NS", "FaultPlan", "parse_rates"]

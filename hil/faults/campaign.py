@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
+from firmware_py.bus.dynamixel import watchdog_units
+from firmware_py.bus.registers import WATCHDOG_UNIT_S
+from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import Progress
-from firmware_py.dynamixel import watchdog_units
-from firmware_py.registers import WATCHDOG_UNIT_S
-from firmware_py.servo_models import MODELS
-from hil.faults.live import run_live
-from hil.faults.observe import Observation
-from hil.faults.process import run_process
-from hil.faults.robot import Rig
-from hil.faults.table import ROWS, Row
-from hil.faults.verdict import Case, Judged, judge
-from hil.faults.virtual import run_virtual
-from hil.host import environment
+from hil.faults.case_robot import CaseRobot
+from hil.faults.fault_table import ROWS, Row
+from hil.faults.fault_verdict import FaultCase, Judged, judge
+from hil.faults.observation import CaseObservation
+from hil.faults.process_case import run_process
+from hil.faults.real_time_case import run_live
+from hil.faults.virtual_case import run_virtual
+from hil.timing.host import environment
 
-RUNNERS: Final[dict[str, Callable[[Rig, Row, int, int], Observation]]] = {
+RUNNERS: Final[dict[str, Callable[[CaseRobot, Row, int, int], CaseObservation]]] = {
     "virtual": run_virtual,
     "socket": run_live,
     "process": run_process,
@@ -28,7 +28,7 @@ RUNNERS: Final[dict[str, Callable[[Rig, Row, int, int], Observation]]] = {
 
 def cases_of(
     dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[Row] = ROWS
-) -> list[Case]:
+) -> list[FaultCase]:
     """What there is to run, in the order of the table, the virtual line first.
 
     In real time a row runs once, on its first model: the bits are the virtual line's to try.
@@ -42,11 +42,11 @@ def cases_of(
                 continue
             many = line == "virtual"
             for number in row.models if many else row.models[:1]:
-                cases += [Case(row, line, number, s) for s in (seeds if many else seeds[:1])]
+                cases += [FaultCase(row, line, number, s) for s in (seeds if many else seeds[:1])]
     return cases
 
 
-def run_campaign(rig: Rig, cases: Sequence[Case]) -> list[Judged]:
+def run_campaign(rig: CaseRobot, cases: Sequence[FaultCase]) -> list[Judged]:
     """Run and judge every case."""
     progress = Progress("faults", len(cases))
     judged = []
@@ -57,7 +57,7 @@ def run_campaign(rig: Rig, cases: Sequence[Case]) -> list[Judged]:
     return judged
 
 
-def facts(rig: Rig, cases: Sequence[Case]) -> dict[str, Any]:
+def facts(rig: CaseRobot, cases: Sequence[FaultCase]) -> dict[str, Any]:
     """What a report says about the campaign as a whole."""
     period_s = rig.bundle.manifest.period_s
     rows = {case.row for case in cases}

@@ -17,20 +17,20 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_py.clock import RealTimeOptions, real_time
-from hil.emulator import PRIORITY
-from hil.faults.plan import Script
-from hil.faults.robot import servos_of
-from hil.faults.table import Row
-from hil.faults.witness import Testimony, WatchedChain, WatchedServo
-from hil.line import Line, pty_endpoint, serve, socket_endpoint
-from hil.physics import UnitPhysics
+from firmware_py.realtime.clock import RealTimeOptions, real_time
+from hil.emulator.emulator import PRIORITY
+from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
+from hil.emulator.physics import FmuPhysics
+from hil.faults.case_robot import servos_of
+from hil.faults.fault_table import Row
+from hil.faults.injection import Script
+from hil.faults.servo_log import LoggedBus, LoggedServo, ServoLog
 
 _SPAWN: Final = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
-class Task:
+class StationTask:
     """What to be.
 
     Attributes
@@ -62,7 +62,7 @@ class Task:
 
 
 @contextlib.contextmanager
-def _plugged(task: Task, port: Path, stop_fd: int) -> Iterator[Callable[[], int | None]]:
+def _plugged(task: StationTask, port: Path, stop_fd: int) -> Iterator[Callable[[], int | None]]:
     """The port under a name, for as long as it is plugged in."""
     if task.kind == "socket":
         with socket_endpoint(port, stop_fd) as (_, connect):
@@ -81,18 +81,18 @@ class _CountedScript(Script):
 
     counter: Any
 
-    def begin_exchange(self, servos: Sequence[WatchedServo], now_ns: int) -> None:
+    def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
         """See `Script.begin_exchange`."""
         super().begin_exchange(servos, now_ns)
         self.counter.value = self.exchange
 
 
-def _run(pipe: Connection, counter: Any, task: Task) -> None:
+def _run(pipe: Connection, counter: Any, task: StationTask) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     script = _CountedScript(task.row.injections, task.seed)
     script.counter = counter
     servos = servos_of(task.dof, task.row, task.number)
-    chain = WatchedChain(servos, UnitPhysics(task.unit, task.dof), script)
+    chain = LoggedBus(servos, FmuPhysics(task.unit, task.dof), script)
     line = Line(chain, dict(task.row.setup).get("latency_s", 1e-3), script)
     chain.resume(time.monotonic_ns())
     port: Path | None = task.port
@@ -116,7 +116,7 @@ def _run(pipe: Connection, counter: Any, task: Task) -> None:
 class Station:
     """The process; see the module's text."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: StationTask) -> None:
         self._ours, theirs = _SPAWN.Pipe()
         self._counter: Any = _SPAWN.RawValue("q", 0)
         self._process = _SPAWN.Process(target=_run, args=(theirs, self._counter, task), daemon=True)
@@ -141,10 +141,10 @@ class Station:
         """Bring it back under a name."""
         self._ours.send(port)
 
-    def testify(self) -> Testimony:
+    def testify(self) -> ServoLog:
         """End it and return what the servos saw."""
         self._ours.send(None)
-        testimony: Testimony = self._receive()
+        testimony: ServoLog = self._receive()
         return testimony
 
     def close(self) -> None:

@@ -2,10 +2,11 @@
 
 `inputs` reads a build directory; `motion_figures`, `error_figures`, `estimator_figures` and
 `loop_figures` draw (`svg` gives them one look); `tables` sets figures against targets; `page` puts
-it all together with `page.html` in the look of `models.page`. `fault_tables` shows a campaign of
+it all together with `page.html` in the look of `models.shared.html_page`. `fault_tables` shows a
+campaign of
 faults, in the page and by itself. A gap that was closed has a page of its own: `gap_inputs`
 reads what was built around the diagnosis, `gap_figures` sets numbers against each other, `gap_page`
-shows them around the sections of `models.gap.report`.
+shows them around the sections of `models.gap.report.gap_page`.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.report.gap_figures import in_words, summary
-from hil.report.gap_inputs import read_gap
-from hil.report.gap_page import render_gap
-from hil.report.inputs import Json, read_inputs
-from hil.report.page import render, render_faults
+from hil.report.build_inputs import Json, read_inputs
+from hil.report.gap.before_after_page import render_gap
+from hil.report.gap.gap_figures import in_words, summary
+from hil.report.gap.gap_inputs import read_gap
+from hil.report.report_page import render, render_faults
 
 __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
@@ -47,7 +48,7 @@ def write_gap_report(
     Parameters
     ----------
     directory : Path
-        What was built around the diagnosis (see `hil.report.gap_inputs`).
+        What was built around the diagnosis (see `hil.report.gap.gap_inputs`).
     plant : Path
         Plant that the diagnosis began with.
     hidden : mapping of str to float

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any, Final
 
-from hil.report.inputs import Json
-from hil.report.tables import NO_VALUE, Cell, Table
+from hil.report.build_inputs import Json
+from hil.report.report_tables import NO_VALUE, Table, TableCell
 
 _HEADER: Final = [
     "fault", "must", "seen after, ticks", "supervisor", "servos were told",
@@ -80,22 +80,22 @@ def _key(case: Json) -> tuple[str, str]:
     return case["fault"], case["how"]
 
 
-def _row(cases: list[Json]) -> list[Cell]:
+def _row(cases: list[Json]) -> list[TableCell]:
     first = cases[0]
     passed = sum(case["verdict"] == "pass" for case in cases)
     failed = any(case["verdict"] == "fail" for case in cases)
     complaints = _each(words for case in cases for words in case["complaints"])
     return [
-        Cell(f"{first['fault']}, {first['how']}"),
-        Cell(first["must"]),
-        Cell(_worst(case["detected_ticks"] for case in cases)),
-        Cell(_each(case["state"].lower() for case in cases)),
-        Cell(_each(case["told"] for case in cases)),
-        Cell(_worst(case["recovered_ticks"] for case in cases)),
-        Cell(_worst(case["lost_ticks"] for case in cases)),
-        Cell(_worst(case["unlogged_ticks"] for case in cases)),
-        Cell(f"{max(case['unheard_ns'] for case in cases) / 1e6:.0f}"),
-        Cell(
+        TableCell(f"{first['fault']}, {first['how']}"),
+        TableCell(first["must"]),
+        TableCell(_worst(case["detected_ticks"] for case in cases)),
+        TableCell(_each(case["state"].lower() for case in cases)),
+        TableCell(_each(case["told"] for case in cases)),
+        TableCell(_worst(case["recovered_ticks"] for case in cases)),
+        TableCell(_worst(case["lost_ticks"] for case in cases)),
+        TableCell(_worst(case["unlogged_ticks"] for case in cases)),
+        TableCell(f"{max(case['unheard_ns'] for case in cases) / 1e6:.0f}"),
+        TableCell(
             f"{passed} of {len(cases)} {complaints}".strip(),
             None if passed < len(cases) and not failed else not failed,
         ),

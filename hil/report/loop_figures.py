@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.signals import tip_names
-from hil.report.inputs import Loop
-from hil.report.svg import ALARM, INK, Drawing, Figure, Panel
+from hil.report.build_inputs import LoopRun
+from hil.report.svg_figures import ALARM, INK, Drawing, Figure, Panel
 
 Array = NDArray[np.float64]
 Ticks = dict[str, Array]
@@ -25,7 +25,7 @@ OWN: Final = "#b4532a"
 BETWEEN: Final = "#d5dbe1"
 
 
-def loop_figures(loop: Loop) -> list[Figure]:
+def loop_figures(loop: LoopRun) -> list[Figure]:
     """Timing, where it is real, and prediction; a run that kept no ticks has neither."""
     if loop.ticks is None:
         return []
@@ -36,7 +36,7 @@ def loop_figures(loop: Loop) -> list[Figure]:
     return figures
 
 
-def _timing(loop: Loop, ticks: Ticks) -> Figure:
+def _timing(loop: LoopRun, ticks: Ticks) -> Figure:
     period_ms = loop.timing["budget"]["period_ns"] * MS
     whole_ms = (ticks["lateness_ns"] + ticks["busy_ns"]) * MS
     own_ms = (ticks["busy_ns"] - ticks["bus_wait_ns"]) * MS
@@ -156,7 +156,7 @@ def _distance(
 
 
 def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
-    """Spans of the run in which it glides to zero or rests; see `hil.outcome.programme_s`."""
+    """Spans of the run in which it glides to zero or rests; see `hil.sil_artifacts.programme_s`."""
     if not programme:
         return []
     rest_s, motion_s, _ = programme.values()
@@ -169,7 +169,7 @@ def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple
     ]
 
 
-def stages(loop: Loop) -> list[tuple[str, list[str]]]:
+def stages(loop: LoopRun) -> list[tuple[str, list[str]]]:
     """Rows of the stage table: name, then n, p50, p99, p99.9 and maximum in ms."""
     timing = loop.timing
     rows = {f"stage: {name}": summary for name, summary in timing["stages"].items()}

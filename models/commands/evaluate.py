@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from firmware_py.console import DONE, emit
-from models.plant.evaluate import evaluation
+from models.plant.identification.evaluation import evaluation
 from models.plant.plant import read_plant
-from models.trials import read_trials
+from models.trials.trial_files import read_trials
 
 EXAMPLE = "python -m models evaluate build/unseen_20deg --plant build/plant.json"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from models.plant.plant import read_plant
-from models.trials import read_trials
+from models.trials.trial_files import read_trials
 
 EXAMPLE = "python -m models gap build/gap_trials --plant build/plant.json --out build/gap"
 
@@ -34,10 +34,12 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, write and print."""
     plant = read_plant(args.plant)
     trials = read_trials(args.trials, plant.signals)
-    from models.gap.close import diagnose  # loads CasADi and SciPy, which a typo need not wait for
-    from models.gap.document import document, in_words
-    from models.gap.report import write_report
-    from models.gap.waterfall import waterfall_steps
+    from models.gap.diagnosis import (
+        diagnose,  # loads CasADi and SciPy, which a typo need not wait for
+    )
+    from models.gap.report.gap_json import document, in_words
+    from models.gap.report.gap_page import write_report
+    from models.gap.report.waterfall import waterfall_steps
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import as_text
-from models.gap.learn import with_floor
-from models.plant.identify import identify
-from models.plant.picture import draw
+from models.gap.estimation.noise_floor_fit import with_floor
+from models.plant.identification.fit_picture import draw
+from models.plant.identification.identification import identify
 from models.plant.plant import read_plant
-from models.trials import read_trials
+from models.trials.trial_files import read_trials
 
 EXAMPLE = "python -m models identify build/trials --plant nominal.toml --out build/plant.json"
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from firmware_py.console import DONE, emit
-from firmware_py.recording import read_recording
-from models.importers import KINDS, read_series
-from models.importers.assemble import align, assemble
-from models.importers.mapping import read_mapping
-from models.importers.recording import with_conditions
-from models.importers.synchronise import shift, synchronise
-from models.importers.table import read_facts
-from models.trials import read_trial, write_trial
+from firmware_py.log.recording import read_recording
+from models.trials.importers import KINDS, read_series
+from models.trials.importers.assembly import align, assemble
+from models.trials.importers.mapping import read_mapping
+from models.trials.importers.robot_log import with_conditions
+from models.trials.importers.synchronisation import shift, synchronise
+from models.trials.importers.table_file import read_facts
+from models.trials.trial_files import read_trial, write_trial
 
 EXAMPLE = (
     "python -m models import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
@@ -39,7 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--map", type=Path, metavar="MAP.toml",
-        help="names, units, frame and conditions (form: models/importers/mapping.py)",
+        help="names, units, frame and conditions (form: models/trials/importers/mapping.py)",
     )  # fmt: skip
     parser.add_argument("--name", help="name of the trial (default: that of FILE)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where trials go")

@@ -16,9 +16,9 @@ from pathlib import Path
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
-from models.catalogue import CATALOGUE, parse_strengths
-from models.rig.case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, Case
-from models.rig.parameters import RIG_TOML, Parameters, read_parameters
+from models.rig.rig_parameters import RIG_TOML, RigParameters, read_parameters
+from models.rig.trial_case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, TrialCase
+from models.shared.catalogue import CATALOGUE, parse_strengths
 
 EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 
@@ -67,18 +67,18 @@ def run(args: argparse.Namespace) -> int:
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
-    from models.rig import runner  # loads MuJoCo, which a mistyped option need not wait for
-    from models.rig.overview import draw_overview
+    from models.rig import trial_runner  # loads MuJoCo, which a mistyped option need not wait for
+    from models.rig.trial_overview import draw_overview
 
     conditions = {
         "seed": args.seed,
         "hidden": hidden,
         "laboratory_sha256": parameters.sha256(),
     }
-    runner.check_names(cases, conditions, args.out)
-    runner.record_conditions(cases, conditions, args.out)
+    trial_runner.check_names(cases, conditions, args.out)
+    trial_runner.record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
-    paths = runner.run_cases(cases, parameters, args.out, args.workers, progress.step)
+    paths = trial_runner.run_cases(cases, parameters, args.out, args.workers, progress.step)
     overview = draw_overview(args.out)
     emit(
         args,
@@ -88,10 +88,10 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _cases(args: argparse.Namespace, parameters: Parameters) -> list[Case]:
+def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
     _check(args, parameters)
     return [
-        Case(
+        TrialCase(
             motion=Motion(
                 kind=args.motion,
                 amplitude_rad=math.radians(args.amplitude_deg),
@@ -111,7 +111,7 @@ def _cases(args: argparse.Namespace, parameters: Parameters) -> list[Case]:
     ]
 
 
-def _check(args: argparse.Namespace, parameters: Parameters) -> None:
+def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
     pressure = parameters.entries["stiffness.pressure_pa"]
     ranges: list[tuple[str, float, float, float]] = [
         ("--trials", args.trials, 1, _LARGEST_TRIALS),

@@ -20,7 +20,7 @@ import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
-from models.trials import STEP_TOLERANCE, Trial, TrialSet, read_trials
+from models.trials.trial_files import STEP_TOLERANCE, Trial, TrialSet, read_trials
 
 EXAMPLE = (
     "python -m models train build/trials --dof 1 --plant build/plant.json "
@@ -59,9 +59,9 @@ def run(args: argparse.Namespace) -> int:
     tests = name_tests(training, (*held_out, *unseen))
     refuse_mixed_steps((*training, *held_out, *unseen))
 
-    from models.export import ParityError, write_bundle  # loads scikit-learn
     from models.plant.plant import read_plant
-    from models.study import run_study
+    from models.study.bundle_export import ParityError, write_bundle  # loads scikit-learn
+    from models.study.study import run_study
 
     plant = read_plant(args.plant)
     refuse_fitted(plant.provenance, args.plant, tests)

@@ -4,7 +4,7 @@ People write TOML, `identify` writes JSON of the same form::
 
     schema = 1
     name = "drop-stitch link"
-    drive = { kind = "cascade" }        # models.plant.servo.DRIVES
+    drive = { kind = "cascade" }        # models.plant.components.drives.DRIVES
     load = { kind = "link" }            # models.plant.plant.LOADS
     effects = [{ name = "coulomb_friction" }, …]
     [signals.angle_1_rad]               # only where they are not those of the link
@@ -32,17 +32,17 @@ import msgspec
 import tomli_w
 
 from firmware_py.errors import InputError
-from models.plant.chain import Link
-from models.plant.compose import compose_twin
-from models.plant.driven import FOLLOW_RATE, compose_driven
+from models.plant.components.drives import DRIVES
+from models.plant.components.link import Link
+from models.plant.components.rigid_loads import Mass, Pendulum
+from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
+from models.plant.composition.observer import compose_observer, observer_parameters
+from models.plant.composition.twin import compose_twin
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
-from models.plant.loads import Mass, Pendulum
-from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, Role, check_values
 from models.plant.scope import Scope
-from models.plant.servo import DRIVES
-from models.plant.step import StepModel
-from models.trial import SignalRole
+from models.plant.step_model import StepModel
+from models.trials.trial import SignalRole
 
 Unit = Literal["twin", "observer", "driven"]
 SCHEMA: Final = 1

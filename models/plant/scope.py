@@ -1,7 +1,7 @@
 """What the parts of a plant see while they are put together: parameters, states and wires.
 
 Drive, load and effects know nothing of each other. Each reads and writes wires, symbolic
-expressions by joint or by hinge, in the order of the ports (`models.plant.compose`)::
+expressions by joint or by hinge, in the order of the ports (`models.plant.composition.twin`)::
 
     sensor → command → stiffness → mass → bend_torque → joint_torque → servo_torque → motion
 """
@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 
 from models.plant.parameter import Parameter
-from models.plant.step import Variable
+from models.plant.step_model import Variable
 
 Expr = Any
 """A CasADi SX expression."""
@@ -29,7 +29,7 @@ LINEAR = {"angle": "m", "torque": "n"}
 
 
 @dataclass
-class State:
+class StateVariable:
     """A state while it is composed: its symbol, how it starts, flows and jumps."""
 
     variable: Variable
@@ -80,7 +80,7 @@ class Scope:
     joints: tuple[int, ...]
     suffix: dict[str, str] = field(default_factory=lambda: dict(ROTARY))
     step_s: Expr = field(default_factory=lambda: ca.SX.sym("step_s"))
-    states: dict[str, State] = field(default_factory=dict)
+    states: dict[str, StateVariable] = field(default_factory=dict)
     inputs: dict[str, tuple[Variable, Expr]] = field(default_factory=dict)
     parameters: dict[str, tuple[Variable, Expr]] = field(default_factory=dict)
     goal: dict[int, Expr] = field(default_factory=dict)
@@ -162,7 +162,7 @@ class Scope:
     def state(self, variable: Variable, initial: Expr = 0.0) -> Expr:
         """Add a state that holds its value until a rate or an update is given."""
         symbol = ca.SX.sym(variable.name)
-        self.states[variable.name] = State(variable, symbol, initial)
+        self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
 
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.kinematics import Array
-from models.rig.parameters import Parameters
+from models.rig.rig_parameters import RigParameters
+from models.shared.kinematics import Array
 
 
 class MarkerLog(NamedTuple):
@@ -27,13 +27,13 @@ class MarkerLog(NamedTuple):
         )
 
 
-def read_encoder(parameters: Parameters, encoder_rad: Array) -> Array:
+def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
     """Angle in whole pulses, as the servo reports it."""
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
 
 
-def read_current(parameters: Parameters, current_a: Array, rng: np.random.Generator) -> Array:
+def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Generator) -> Array:
     """Current with its scale, bias and noise, in whole counts as the servo reports it."""
     p = parameters
     read = current_a * (1.0 + p["sensor.current_scale_share"]) + p["sensor.current_bias_a"]
@@ -42,7 +42,11 @@ def read_current(parameters: Parameters, current_a: Array, rng: np.random.Genera
 
 
 def read_markers(
-    parameters: Parameters, log: MarkerLog, time_s: Array, shift_m: Array, rng: np.random.Generator
+    parameters: RigParameters,
+    log: MarkerLog,
+    time_s: Array,
+    shift_m: Array,
+    rng: np.random.Generator,
 ) -> Array:
     """Markers at `time_s` as the mocap gives them after resampling.
 
@@ -51,7 +55,7 @@ def read_markers(
 
     Parameters
     ----------
-    parameters : Parameters
+    parameters : RigParameters
         Of the laboratory, with the delay of this trial.
     log : MarkerLog
         What was true.

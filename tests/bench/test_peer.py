@@ -10,14 +10,14 @@ import pytest
 
 from bench.gap import peer
 from bench.gap.library import Equation, equations
-from bench.gap.summary import beside
+from bench.gap.score_summary import beside
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
-from models.gap.knobs import Knob
+from models.gap.residuals.fit_parameters import FitParameter
 from models.plant.plant import read_plant
-from models.plant.simulate import CompiledModel
-from models.trial import Trial, TrialMeta
+from models.plant.simulation.compiled_model import CompiledModel
+from models.trials.trial import Trial, TrialMeta
 
 REST_ROWS = 60
 HIDDEN = {
@@ -47,7 +47,7 @@ def trial():
 @pytest.mark.parametrize("effect", HIDDEN)
 def test_an_equation_misses_what_was_hidden_in_it(units, trial, effect):
     name, parameter, strength = HIDDEN[effect]
-    hidden = [(Knob(effect, "effect", {parameter: 1.0}), strength)]
+    hidden = [(FitParameter(effect, "effect", {parameter: 1.0}), strength)]
     measured, p = peer.simulated(units["twin"], trial, hidden)
     seen = replace(trial, columns={**trial.columns, **measured})
     loop, _ = peer.simulated(units["twin"], seen, [])

@@ -7,15 +7,15 @@ import pytest
 
 from bench.gap.__main__ import run_all
 from bench.gap.cases import draw
-from bench.gap.summary import summarise
+from bench.gap.score_summary import summarise
 from firmware_py.motion import Motion
-from models.gap.learn import with_floor
-from models.plant.identify import identify
+from models.gap.estimation.noise_floor_fit import with_floor
+from models.plant.identification.identification import identify
 from models.plant.plant import read_plant
-from models.rig.case import Case
-from models.rig.parameters import read_parameters
-from models.rig.protocol import run_case
-from models.trials import TrialSet
+from models.rig.rig_parameters import read_parameters
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
 SINGLES, NULLS = 2, 1
@@ -26,7 +26,7 @@ def results(tmp_path_factory):
     """Directory of results: two effects, and a data set without any."""
     directory = tmp_path_factory.mktemp("slice")
     rig = read_parameters()
-    own = [run_case(rig, Case(Motion(), p, n, 1)) for p in PAYLOADS_KG for n in (1, 2)]
+    own = [run_case(rig, TrialCase(Motion(), p, n, 1)) for p in PAYLOADS_KG for n in (1, 2)]
     trials = TrialSet(tuple(own))
     plant = with_floor(identify(read_plant(), trials).plant, trials.trials)
     plant.write(directory / "plant.json")

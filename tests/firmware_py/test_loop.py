@@ -9,23 +9,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.bus import BusStatus
-from firmware_py.clock import SimClock
-from firmware_py.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.loopback import LoopbackTransport
+from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
-from firmware_py.estimator import Estimate, NoEstimator
-from firmware_py.limits import Limits
+from firmware_py.inference.estimator import Estimate, NoEstimator
+from firmware_py.inference.predictor import Prediction
 from firmware_py.loop import ControlLoop
-from firmware_py.loopback import LoopbackWire
 from firmware_py.motion import Motion
-from firmware_py.predictor import Prediction
-from firmware_py.registers import Register
-from firmware_py.safety import SafetySupervisor
-from firmware_py.servo_models import MODELS
+from firmware_py.realtime.clock import SimClock
+from firmware_py.realtime.timing import Cause
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.states import SafetyState
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import STAGES, tick_dtype
-from firmware_py.states import State
 from firmware_py.summary import Ended
-from firmware_py.timing import Cause
 
 PERIOD_NS = 17_000_000
 GOALS = Motion().table_rad()
@@ -113,7 +113,7 @@ def make(goals=GOALS, *, slots=None, bus=None, estimator=None, keep=4096, **opti
 def test_every_slot_runs_at_its_time_and_the_goals_are_those_of_the_motion():
     loop, bus, _, supervisor, _ = make()
     summary = loop.run()
-    assert (summary.ended, supervisor.state) == (Ended.FINISHED, State.OFF)
+    assert (summary.ended, supervisor.state) == (Ended.FINISHED, SafetyState.OFF)
     running = summary.records[: len(GOALS)]
     assert running["tick"].tolist() == list(range(len(GOALS)))
     assert np.all(np.diff(running["deadline_ns"]) == PERIOD_NS)
@@ -133,8 +133,8 @@ def test_the_motion_repeats_for_as_long_as_asked():
     loop, *_ = make(slots=1000)
     rows = loop.run().records
     assert rows["goal_1_rad"][512:1000].tolist() == GOALS[:488, 0].tolist()
-    assert rows["state"][:1000].tolist() == [State.RUNNING] * 1000
-    assert rows["state"][1000] == State.STOPPING
+    assert rows["state"][:1000].tolist() == [SafetyState.RUNNING] * 1000
+    assert rows["state"][1000] == SafetyState.STOPPING
 
 
 @pytest.mark.parametrize(
@@ -195,11 +195,16 @@ def test_stale_data_degrades_and_three_in_a_row_stop_the_robot():
     summary = loop.run()
     rows = summary.records
     assert rows["state"][49:54].tolist() == [
-        State.RUNNING, State.DEGRADED, State.DEGRADED, State.RUNNING, State.RUNNING,
+        SafetyState.RUNNING, SafetyState.DEGRADED, SafetyState.DEGRADED, SafetyState.RUNNING,
+        SafetyState.RUNNING,
     ]  # fmt: skip
     assert rows["stale_ticks"][50:53].tolist() == [1, 2, 0]
     assert rows["angle_1_rad"][50] == rows["angle_1_rad"][49], "the last good value, not zero"
-    assert rows["state"][101:104].tolist() == [State.DEGRADED, State.STOPPING, State.STOPPING]
+    assert rows["state"][101:104].tolist() == [
+        SafetyState.DEGRADED,
+        SafetyState.STOPPING,
+        SafetyState.STOPPING,
+    ]
     assert summary.ended is Ended.TRIPPED
     assert "no fresh data for 3 ticks" in summary.reason
     assert summary.bus_faults == {"timeout": 4, "corrupt": 1}
@@ -212,7 +217,7 @@ def test_data_of_a_second_read_is_fresh_and_counted():
     summary = loop.run()
     rows = summary.records
     assert summary.ended is Ended.FINISHED
-    assert np.all(rows["state"][50:60] == State.RUNNING)
+    assert np.all(rows["state"][50:60] == SafetyState.RUNNING)
     assert np.all(rows["stale_ticks"] == 0)
     assert summary.bus_faults == {"retried": 10}
 
@@ -334,7 +339,7 @@ def test_a_signal_brings_a_controlled_stop(number):
     loop, bus, *_ = make(bus=SignallingBus)
     summary = loop.run()
     assert (summary.ended, summary.reason) == (Ended.SIGNALLED, number.name)
-    assert summary.records["state"][100] == State.STOPPING
+    assert summary.records["state"][100] == SafetyState.STOPPING
     assert summary.ticks > 100 + Limits().hold_s / 0.017
     assert not bus.driven
     assert signal.getsignal(number) is before
@@ -414,7 +419,7 @@ def test_the_same_run_twice_is_the_same_to_the_bit():
 def test_a_tick_leaves_no_memory_behind():
     clock = SimClock()
     models = {1: MODELS[54024], 2: MODELS[54024]}
-    wire = LoopbackWire(models)
+    wire = LoopbackTransport(models)
     setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
     bus = DynamixelBus(wire, setups, clock, period_s=0.017)
     sizes = []
@@ -524,7 +529,11 @@ def test_a_port_that_comes_back_lets_the_robot_go_on_from_where_it_stands():
     loop, bus, _, supervisor, _ = make(slots=600, bus=PluggedBus, replug_s=2.0)
     bus.away, bus.script = 5, dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
     summary = loop.run()
-    assert (summary.ended, summary.replugs, supervisor.state) == (Ended.FINISHED, 1, State.OFF)
+    assert (summary.ended, summary.replugs, supervisor.state) == (
+        Ended.FINISHED,
+        1,
+        SafetyState.OFF,
+    )
     assert bus.calls == ["connect", "torque on", "connect", "torque on", "torque off"]
     goals = np.array([goal[0] for _, goal in bus.sent])
     assert np.abs(np.diff(goals)).max() < 0.02

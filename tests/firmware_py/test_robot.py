@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bundle import ModelBundle
 from firmware_py.commands.replay import compare
 from firmware_py.config import read_config
 from firmware_py.errors import InputError
-from firmware_py.recording import Recording
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.log.recording import Recording
 from firmware_py.robot import load_bundle
 from firmware_py.signals import PERIOD_S, tip_names
-from firmware_py.unit import FmiUnit
 from fmu.__main__ import main as fmu
 
 CONFIG = """
@@ -66,7 +66,7 @@ def answers(estimator):
 def test_a_known_payload_is_the_observers(load, directory):
     answered = answers(load(2.0)[1].estimator)
     assert (answered[:, 1] == 2.0).all()
-    with FmiUnit(directory / "bundle/observer.fmu") as unit:
+    with FmuInstance(directory / "bundle/observer.fmu") as unit:
         unit.set(["parameters.payload_known_kg"], [2.0])
         for (q, i), (di, _) in zip(zip(*motion(), strict=True), answered, strict=True):
             unit.set(["angle_1_rad", "current_1_a"], [q[0], i[0]])

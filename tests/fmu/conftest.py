@@ -7,15 +7,15 @@ import onnx
 import pytest
 from sklearn.model_selection import KFold
 
-from firmware_py.bundle import Manifest, Quantity, write_manifest
-from firmware_py.golden import Golden, write_golden
+from firmware_py.inference.bundle import Manifest, Quantity, write_manifest
+from firmware_py.inference.golden import Golden, write_golden
 from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
-from fmu.build import build_unit
-from models.onnx_power import to_onnx
+from fmu.fmu_builder import build_unit
+from models.learning.onnx_power import to_onnx
+from models.learning.predictors import GuardedPredictor
 from models.plant.plant import read_plant
-from models.plant.simulate import CompiledModel
-from models.plant.step import names
-from models.predictors import GuardedPredictor
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.step_model import names
 from tests.fmu.toy import pendulum
 
 GOAL_AMPLITUDE_RAD = math.radians(30.0)

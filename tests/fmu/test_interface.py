@@ -1,5 +1,5 @@
 from fmu.interface import interface_of
-from models.plant.step import names
+from models.plant.step_model import names
 
 
 def test_value_references_number_time_inputs_parameters_outputs(toy):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from models.plant.step import StepModel, Variable
+from models.plant.step_model import StepModel, Variable
 
 
 def pendulum(name: str = "pendulum") -> StepModel:

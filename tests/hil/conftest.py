@@ -8,9 +8,9 @@ import dynamixel_sdk as sdk
 import numpy as np
 import pytest
 
-from firmware_py.servo_models import MODELS
-from hil.chain import Chain
-from hil.servo import EmulatedServo
+from firmware_py.bus.servo_models import MODELS
+from hil.emulator.emulated_bus import EmulatedBus
+from hil.emulator.emulated_servo import EmulatedServo
 
 
 class LagPlant:
@@ -36,9 +36,9 @@ class LagPlant:
 def chain_of():
     """Build a chain of servos of one model over a lag plant."""
 
-    def build(number: int = 54025, ids=(1,), **options) -> Chain:
+    def build(number: int = 54025, ids=(1,), **options) -> EmulatedBus:
         servos = [EmulatedServo(MODELS[number], servo_id, **options) for servo_id in ids]
-        return Chain(servos, LagPlant(len(ids)))
+        return EmulatedBus(servos, LagPlant(len(ids)))
 
     return build
 

@@ -11,24 +11,24 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from firmware_py.bundle import Manifest, ModelBundle, write_manifest
-from firmware_py.bus import BusStatus
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
 from firmware_py.config import MotionConfig
 from firmware_py.errors import InputError
-from firmware_py.estimator import NoEstimator
-from firmware_py.predictor import Prediction
-from firmware_py.recording import read_recording
-from firmware_py.servo_models import MODELS
+from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.predictor import Prediction
+from firmware_py.log.recording import read_recording
+from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
-from firmware_py.states import State
 from firmware_py.summary import Ended
-from fmu.build import build_unit
-from hil import outcome, sil
+from fmu.fmu_builder import build_unit
+from hil import sil, sil_artifacts
 from hil.commands.sil import describe, write_results
-from hil.emulator import Truth
-from hil.twin import build_twin
+from hil.emulator.emulator import Truth
+from hil.emulator.twin_fmu import build_twin
 from models.plant.plant import NOMINAL, read_plant
-from models.trials import read_trial
+from models.trials.trial_files import read_trial
 
 BASE_M, LENGTH_M = 0.06, 0.95
 
@@ -72,9 +72,9 @@ def bundles(tmp_path_factory):
 
 @pytest.fixture
 def options(twins, bundles, tmp_path):
-    def build(dof: int = 1, **changes) -> sil.Options:
+    def build(dof: int = 1, **changes) -> sil.SilOptions:
         given = {"model": MODELS[54024], "line": "virtual", "seconds": 3.0} | changes
-        return sil.Options(bundle=bundles[dof], out=tmp_path, unit=twins[dof], **given)
+        return sil.SilOptions(bundle=bundles[dof], out=tmp_path, unit=twins[dof], **given)
 
     return build
 
@@ -101,7 +101,7 @@ def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
     lag = records["goal_1_rad"] - records["angle_1_rad"]
     assert np.max(np.abs(lag)) < 0.76 * 0.2
     assert np.max(np.abs(records["angle_1_rad"])) == pytest.approx(math.radians(30), abs=0.03)
-    truth = outcome.true_tip_m(records, result.outcome.truth)
+    truth = sil_artifacts.true_tip_m(records, result.outcome.truth)
     assert np.isfinite(truth).all()
     lean = np.argmax(records["angle_1_rad"])
     assert truth[lean, 0] > records["predicted_tip_x_m"][lean] + 5e-3, "gravity bends it outwards"
@@ -180,7 +180,7 @@ def test_a_run_in_real_time_comes_to_a_verdict(options, line):
     assert timing["environment"]["line"] == line
     assert timing["reference_jitter"]["n"] > 0
     assert len(result.outcome.releases.due_ns) >= len(result.records) - 10
-    assert np.isfinite(outcome.true_tip_m(result.records, result.outcome.truth)).mean() > 0.9
+    assert np.isfinite(sil_artifacts.true_tip_m(result.records, result.outcome.truth)).mean() > 0.9
     assert result.summary.telemetry_drops == 0
     assert len(read_recording(chosen.out / sil.LOG_NAME).columns["tick"]) == len(result.records)
 
@@ -194,12 +194,12 @@ def test_prediction_error_takes_fresh_ticks_only():
     truth = Truth(
         np.array([10, 110, 210]), np.array([[1.1, 0.0, 0.0], [1.2, 0.0, 0.0], [9.0, 0.0, 0.0]])
     )
-    error = outcome.prediction_error(records, truth)
+    error = sil_artifacts.prediction_error(records, truth)
     assert error["n"] == 2, "tick 2 is stale, tick 3 got no answer"
     assert error["mean_euclidean_distance_m"] == pytest.approx(0.15)
     assert error["max_m"] == pytest.approx(0.2)
     assert error["interval_coverage"] == pytest.approx(5 / 6)
-    assert outcome.prediction_error(records[3:], truth)["rms_m"] is None
+    assert sil_artifacts.prediction_error(records[3:], truth)["rms_m"] is None
 
 
 def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
@@ -207,13 +207,13 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
     records["time_s"] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     records["deadline_ns"], records["busy_ns"] = np.arange(6) * 100, 50
     records["in_range"] = (1, 1, 1, 0, 1, 1)
-    records["state"][5] = State.STOPPING
+    records["state"][5] = SafetyState.STOPPING
     true_m = np.zeros((6, 3))
     true_m[:, 1] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     truth = Truth(np.arange(6) * 100 + 10, true_m)
-    parts = outcome.prediction_error(records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0})[
-        "parts"
-    ]
+    parts = sil_artifacts.prediction_error(
+        records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0}
+    )["parts"]
     expected = {"in_range": 0.34, "out_of_range": 0.4, "rest": 0.3, "motion": 0.25,
                 "glide": 0.4, "stop": 0.6}  # fmt: skip
     assert {k: v["mean_euclidean_distance_m"] for k, v in parts.items()} == pytest.approx(expected)

@@ -17,16 +17,16 @@ import dynamixel_sdk as sdk
 import numpy as np
 import pytest
 
-from firmware_py.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
-from firmware_py.estimator import NoEstimator
-from firmware_py.limits import Limits
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.predictor import Prediction
 from firmware_py.loop import ControlLoop
-from firmware_py.predictor import Prediction
-from firmware_py.registers import Register
+from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.robot import open_bus
-from firmware_py.safety import SafetySupervisor
-from firmware_py.servo_models import model_named
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 
 REACH_RAD = math.radians(5.0)

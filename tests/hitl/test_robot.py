@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.states import State
+from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
 from tests.hitl.conftest import AMPLITUDE_RAD, RATE_RAD_S, REACH_RAD
 
@@ -70,5 +70,5 @@ def test_a_limit_stops_the_arm_and_releases_it(rig):
     assert summary.ended is Ended.TRIPPED
     assert "the predicted tip has z" in summary.reason
     assert summary.released
-    running = summary.records["state"] <= State.DEGRADED
+    running = summary.records["state"] <= SafetyState.DEGRADED
     assert running.sum() <= low_ceiling.persistence_ticks

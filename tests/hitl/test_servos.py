@@ -1,13 +1,13 @@
-"""The bus on real servos: what tests/firmware_py/test_bus.py asserts in memory."""
+"""The bus on real servos: what tests/firmware_py/bus/test_dynamixel.py asserts in memory."""
 
 import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bus import BusStatus
+from firmware_py.bus.registers import POSITION_MODE, Register
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import model_named
 from firmware_py.errors import InputError
-from firmware_py.registers import POSITION_MODE, Register
-from firmware_py.servo_models import model_named
 
 pytestmark = pytest.mark.hitl
 

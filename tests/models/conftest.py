@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from models.kinematics import base_rotation
-from models.trials import Trial, TrialMeta
+from models.shared.kinematics import base_rotation
+from models.trials.trial_files import Trial, TrialMeta
 
 BASE_OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15
 

@@ -17,9 +17,9 @@ from typing import Any, ClassVar, Final, Literal
 import msgspec
 
 from firmware_py.errors import InputError
-from models.catalogue import CATALOGUE, Port
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
+from models.shared.catalogue import CATALOGUE, Port
 
 PORTS: Final[tuple[Port, ...]] = (
     "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",

@@ -11,7 +11,7 @@ import numpy as np
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
-from models.plant.step import Variable
+from models.plant.step_model import Variable
 
 SHORTEST_S: Final = 5e-3
 """Shortest delay whose states an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""

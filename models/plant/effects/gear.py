@@ -9,7 +9,7 @@ import casadi as ca
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
-from models.plant.step import Variable
+from models.plant.step_model import Variable
 
 SETTLING_S: Final = 2e-3
 """Time in which a gear without play or give follows; two integration steps."""

@@ -9,24 +9,24 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from firmware_py.bundle import ModelBundle
-from firmware_py.servo_models import MODELS
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.inference.bundle import ModelBundle
 from fmu.__main__ import main as fmu_main
-from fmu.check import check_unit
-from fmu.stepper import Archive
-from fmu.units import parts_inside
+from fmu.fmpy_instance import Archive
+from fmu.fmu_checker import check_unit
+from fmu.fmu_models import parts_inside
 from hil import sil
 from hil.commands.sil import write_results
+from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
-from hil.twin import build_twin
 from models.commands.train import name_tests
-from models.gap.document import errors
-from models.plant.evaluate import evaluation
+from models.gap.report.gap_json import errors
+from models.plant.identification.evaluation import evaluation
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.simulate import CompiledModel, run_trial
-from models.plant.step import names
-from models.study import run_study
-from models.trials import TrialSet, write_trial
+from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.step_model import names
+from models.study.study import run_study
+from models.trials.trial_files import TrialSet, write_trial
 
 COMMANDS = [
     "python -m models simulate --out build/trials --dof 1 2 --seed 1",
@@ -72,7 +72,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     with Archive(unit) as archive:
         report = check_unit(archive, parts_inside(archive.directory / "resources"))
     (directory / "check_twin_1dof.json").write_text(json.dumps(report.data()))
-    options = sil.Options(
+    options = sil.SilOptions(
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",
         unit=unit, line="virtual", seconds=3.0,
     )  # fmt: skip

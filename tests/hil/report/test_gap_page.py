@@ -10,8 +10,8 @@ import pytest
 from firmware_py.errors import InputError
 from hil.__main__ import main
 from hil.report import write_gap_report
-from hil.report.gap_figures import share_removed, summary
-from hil.report.gap_inputs import read_gap
+from hil.report.gap.gap_figures import share_removed, summary
+from hil.report.gap.gap_inputs import read_gap
 
 HIDDEN = {"stiffness_softening": 0.2}
 

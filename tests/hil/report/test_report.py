@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hil.__main__ import main
-from hil.report.inputs import Loop, read_inputs
+from hil.report.build_inputs import LoopRun, read_inputs
 from hil.report.loop_figures import loop_figures
-from hil.report.motion_figures import motion_figures
-from hil.report.page import render
-from hil.report.tables import at_a_glance, prediction, verdict
-from hil.verify import judge
+from hil.report.report_page import render
+from hil.report.report_tables import at_a_glance, prediction, verdict
+from hil.report.study.motion_figures import motion_figures
+from hil.timing.timing_verdict import judge
 
 
 class Page(HTMLParser):
@@ -269,7 +269,7 @@ def slow_run(build):
     for name, column in ticks.items():
         records[name] = column
     timing = judge(records, 0.017, environment={"line": "socket"})
-    return Loop("sil", timing, ticks, loop.true_tip_m)
+    return LoopRun("sil", timing, ticks, loop.true_tip_m)
 
 
 def test_one_slow_tick_among_many_is_seen(slow_run):

@@ -7,11 +7,11 @@ import pytest
 
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
-from models.gap.learn import with_floor
+from models.gap.estimation.noise_floor_fit import with_floor
 from models.plant.plant import read_plant
-from models.plant.simulate import CompiledModel, run_trial
-from models.plant.step import names
-from models.trial import Trial, TrialMeta, TrialSet
+from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.step_model import names
+from models.trials.trial import Trial, TrialMeta, TrialSet
 
 NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
 REST_ROWS = 60

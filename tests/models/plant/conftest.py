@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from models.kinematics import base_corners_m, base_rotation
 from models.plant.plant import read_plant
-from models.plant.simulate import CompiledModel
-from models.plant.step import names
-from models.trial import Trial, TrialMeta
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.step_model import names
+from models.shared.kinematics import base_corners_m, base_rotation
+from models.trials.trial import Trial, TrialMeta
 
 STEP_S = 0.017
 

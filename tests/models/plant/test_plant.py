@@ -7,7 +7,7 @@ import pytest
 from firmware_py.errors import InputError
 from firmware_py.signals import unit_of
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.step import names
+from models.plant.step_model import names
 
 
 @pytest.mark.parametrize("suffix", [".json", ".toml"])

@@ -3,9 +3,9 @@ import math
 import pytest
 
 from firmware_py.motion import Motion
-from models.rig.case import Case
-from models.rig.parameters import read_parameters
-from models.rig.protocol import run_case
+from models.rig.rig_parameters import read_parameters
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +23,7 @@ def short(parameters):
 def short_case():
     def make(dof=2, payload_kg=1.0, trial=1, seed=0, **motion):
         motion = {"amplitude_rad": math.radians(8.0), "period_s": 0.8} | motion
-        return Case(Motion(dof=dof, **motion), payload_kg, trial, seed)
+        return TrialCase(Motion(dof=dof, **motion), payload_kg, trial, seed)
 
     return make
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.catalogue import CATALOGUE
-from models.kinematics import rigid_tip_m
-from models.rig.parameters import RIG_TOML, read_parameters
-from models.rig.protocol import run_case
+from models.rig.rig_parameters import RIG_TOML, read_parameters
+from models.rig.study_protocol import run_case
+from models.shared.catalogue import CATALOGUE
+from models.shared.kinematics import rigid_tip_m
 
 STRENGTH = {
     "coulomb_friction": 3.0, "viscous_friction": 5.0, "stribeck_friction": 4.0,

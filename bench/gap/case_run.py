@@ -1,0 +1,163 @@
+"""Run one case: hide, simulate, diagnose, test on a sealed trial of another motion."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.gap.cases import BenchCase
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from models.gap.diagnosis import diagnose
+from models.gap.estimation.noise_floor_fit import floor_of
+from models.gap.search.look_alikes import look_alikes
+from models.plant.identification.evaluation import compare
+from models.plant.plant import Plant, read_plant
+from models.rig.rig_parameters import RigParameters, read_parameters
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.trial import Trial
+from models.trials.trial_files import TrialSet
+
+PAYLOADS_KG = (0.0, 1.0, 2.0)
+SEALED_KG = 1.0
+HANGING_RAD = 0.1
+
+
+def run(case: BenchCase, plant_path: str, directory: str) -> str:
+    """Run a case unless its result stands; returns the path of the result."""
+    path = Path(directory) / f"{case.key}.json"
+    if not path.exists():
+        result = {"case": asdict(case), **_result(case, read_plant(plant_path))}
+        fresh = path.with_suffix(".part")
+        fresh.write_text(json.dumps(result, indent=1), encoding="utf-8")
+        fresh.replace(path)
+    return str(path)
+
+
+def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
+    rig = laboratory(case)
+    try:
+        trials = TrialSet(tuple(lean_trials(rig.hide(case.hidden), case.seed)))
+    except InputError as error:
+        return {"impossible": str(error)}
+    start_s, cpu_s = time.perf_counter(), time.process_time()
+    leave_out = list(case.hidden) if case.kind == "outside" else []
+    found = diagnose(plant, trials, leave_out=leave_out)
+    wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - cpu_s
+    naming = found.naming
+    known = found.improved.parameters
+    return {
+        "verdict": found.verdict,
+        "named": list(naming.named),
+        "chosen": [list(c.effects) for c in naming.chosen],
+        "separation": [c.separation for c in naming.chosen],
+        "look_alikes": [
+            [list(c.effects) for c in look_alikes(naming, k)] for k in range(len(naming.chosen))
+        ],
+        "largest": max(naming.screened.values(), default=0.0),
+        "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
+        "own": {e: naming.screened.get(e) for e in case.hidden},
+        "scatter": {e: found.namer.null.least([e]) / found.namer.null.threshold
+                    for e in case.hidden},
+        "estimates": {
+            effect: [
+                [known[n].value, known[n].error, plant_value(plant, n)]
+                for k in found.namer.knobs if k.effect == effect for n in k.parameters if n in known
+            ]
+            for effect in naming.named
+        },
+        "sealed": sealed_errors(rig, case, [plant, found.improved]) if naming.named else None,
+        "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],
+        "constancy": {e: [c.spread, c.chance] for e, c in found.constancy.items()},
+        "separable": separable(plant, trials, case, naming.named),
+        "wall_s": wall_s,
+        "cpu_s": cpu_s,
+    }  # fmt: skip
+
+
+def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequence[str]) -> bool:
+    """Whether the whole catalogue tells a denied effect from what was named in its place.
+
+    It does where it names the effect, and no stand-in is among the declared look-alikes.
+    """
+    if case.kind != "outside":
+        return True
+    naming = diagnose(plant, trials).naming
+    alike = {
+        e for turn, chosen in enumerate(naming.chosen) if set(chosen.effects) & set(case.hidden)
+        for c in look_alikes(naming, turn) for e in c.effects
+    }  # fmt: skip
+    return set(case.hidden) <= set(naming.named) and not alike & set(stand_ins)
+
+
+def plant_value(plant: Plant, name: str) -> float:
+    """Value before the diagnosis; zero where the plant did not hold the effect."""
+    return plant.parameters[name].value if name in plant.parameters else 0.0
+
+
+def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) -> float:
+    """Change that is to be found.
+
+    Where the plant has no such effect, what the laboratory always has (2 ms of dead time) comes in.
+    """
+    return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
+
+
+def sealed_errors(
+    rig: RigParameters, case: BenchCase, plants: Sequence[Plant]
+) -> list[float] | None:
+    """Errors on another motion, that of the first plant with nothing hidden; None if it folds."""
+    try:
+        hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
+    except InputError:
+        return None
+    return [sealed_error(p, hidden) for p in plants] + [sealed_error(plants[0], plain)]
+
+
+def sealed_error(plant: Plant, trial: Trial) -> float:
+    """Error on a trial: root mean square over signals, each in its own noise floor."""
+    floor = floor_of(plant, 1)
+    assert floor is not None, "identify the plant on repeated trials first"
+    comparison = compare(plant, [trial])[0]
+    squares = [
+        np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
+        for s in comparison.simulated if s in floor.noise
+    ]  # fmt: skip
+    return float(np.sqrt(np.mean(squares)))
+
+
+def laboratory(case: BenchCase) -> RigParameters:
+    """Laboratory of a case, without what is hidden in it."""
+    rig = read_parameters()
+    return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
+
+
+def lean_trials(rig: RigParameters, seed: int) -> list[Trial]:
+    """Three payloads, two repetitions.
+
+    Raises
+    ------
+    InputError
+        If the link folds, or the arm hangs before the motion begins: nobody records that.
+    """
+    trials = [
+        run_case(rig, TrialCase(Motion(), payload, trial, seed))
+        for payload in PAYLOADS_KG
+        for trial in (1, 2)
+    ]
+    for trial in trials:
+        off_rad = float(np.abs(trial.angle_rad[0] - trial.goal_rad[0]).max())
+        if off_rad > HANGING_RAD:
+            raise InputError(trial.name, f"starts {off_rad:.2f} rad off its goal", "use less load")
+    return trials
+
+
+def _sealed(rig: RigParameters, seed: int) -> Trial:
+    return run_case(rig, TrialCase(Motion("multisine"), SEALED_KG, 3, seed))

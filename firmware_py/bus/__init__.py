@@ -1,0 +1,1 @@
+"""The servo bus: registers, packets, deadlines and the official SDK behind one interface."""

@@ -1,0 +1,191 @@
+"""What a tick costs on the wire, and the cheapest way to spend it: the bus plan.
+
+A tick moves three packets: the instruction to read, the answers, the goals. Protocol 2.0 frames
+(ROBOTIS e-Manual), bytes for n servos and a block of b bytes of feedback:
+
+========================= ============================ =====================================
+packet                    bytes                        why
+========================= ============================ =====================================
+sync read instruction     14 + n                       header 4, id 1, length 2, instruction
+                                                       1, address 2, size 2, CRC 2; ids
+answers to a sync read    n (11 + b)                   every servo frames its own packet
+answer to a fast one      8 + n (4 + b)                one packet; each servo appends error,
+                                                       id, data, CRC
+sync write of the goals   14 + n (1 + 4)               nobody answers
+========================= ============================ =====================================
+
+A byte takes ten bits. Every servo pauses for its return delay before it answers a sync read; a
+fast one costs a single pause, since the servos behind the first join its packet. The USB latency
+timer comes on top and is the adapter's affair (`dropstitch doctor`).
+
+What there is to choose:
+
+sync read or fast sync read
+    The fast one saves 7 n - 8 bytes and n - 1 return delays, hence nothing for a single servo.
+    It is all or nothing: one silent servo spoils the packet.
+direct or indirect block
+    Position and current have the velocity between them (10 bytes, 12 on a legacy PRO). Indirect
+    addresses gather them into 6, and two more, torque enable and bus watchdog, tell in every tick
+    whether the servo still drives (7 in all on a legacy PRO, which has no watchdog). Only where
+    they lie in EEPROM: those of the X series are lost in a reboot, and from then on the block
+    would hold zeros that look like data.
+goals and the next read in one burst
+    Not offered. Protocol 2.0 has no instruction that writes and reads, so the burst has as many
+    bytes as its two packets, and it would make every goal one period older.
+
+The fastest plan that the servos answer is used: `DynamixelBus.connect` tries them in order.
+
+A read that fails is repeated in the same tick (`firmware_py.bus.feedback`): with 2 % of the
+answers of
+two servos lost or damaged, three ticks in a row without data come every 15,000 ticks, and stop the
+robot; with a second read every 10^9. The first read waits until the second one, which usually
+takes as long as was measured at the start, would no longer fit; where two never fit, it has all of
+the time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from firmware_py.bus.registers import Block, ControlTable
+from firmware_py.errors import InputError
+
+BITS_PER_BYTE: Final = 10
+"""Eight data bits between start and stop bit."""
+STATUS_OVERHEAD: Final = 11
+"""Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
+FACTORY_RETURN_DELAY_S: Final = 500e-6
+RESERVE_NS: Final = 2_000_000
+"""Part of a slot that the wait for the servos leaves to the rest of the tick."""
+RETRY_MARGIN_NS: Final = 2_000_000
+"""What a second read is left beyond the time that one usually takes: a tick of the adapter's
+latency timer, 1 ms, and as much again for the host."""
+SERVO_BAUD_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+"""Rates that the servos offer, from the PRO's factory setting on."""
+
+_INSTRUCTION_OVERHEAD: Final = 14
+_GOAL_BYTES: Final = 1 + 4
+_FAST_OVERHEAD, _FAST_BLOCK_OVERHEAD = 8, 4
+
+
+class Plan(NamedTuple):
+    """One way to read the servos and to send their goals.
+
+    Attributes
+    ----------
+    fast : bool
+        Fast sync read instead of sync read.
+    indirect : bool
+        The block is gathered by indirect addresses.
+    block : Block
+        What is read of every servo.
+    servos, baud : int
+        How many of them; bits per second.
+    return_delay_s : float
+        Pause of a servo before it answers.
+    """
+
+    fast: bool
+    indirect: bool
+    block: Block
+    servos: int
+    baud: int
+    return_delay_s: float
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return ("fast " if self.fast else "") + "sync read" + (", indirect" * self.indirect)
+
+    @property
+    def answer_bytes(self) -> int:
+        """Of all servos together."""
+        if self.fast:
+            return _FAST_OVERHEAD + self.servos * (_FAST_BLOCK_OVERHEAD + self.block.size)
+        return self.servos * (STATUS_OVERHEAD + self.block.size)
+
+    @property
+    def read_s(self) -> float:
+        """From the first bit of the instruction to the last one of the answers."""
+        sent = _INSTRUCTION_OVERHEAD + self.servos + self.answer_bytes
+        return sent * BITS_PER_BYTE / self.baud + self.pause_s
+
+    @property
+    def read_twice_s(self) -> float:
+        """What a tick needs in order to ask again for an answer that was lost."""
+        return 2 * self.read_s + RETRY_MARGIN_NS * 1e-9
+
+    @property
+    def pause_s(self) -> float:
+        """Return delays within `read_s`."""
+        return self.return_delay_s * (1 if self.fast else self.servos)
+
+    @property
+    def write_s(self) -> float:
+        """Of the goals."""
+        return (_INSTRUCTION_OVERHEAD + self.servos * _GOAL_BYTES) * BITS_PER_BYTE / self.baud
+
+    @property
+    def total_s(self) -> float:
+        """Time of one tick on the wire."""
+        return self.read_s + self.write_s
+
+
+def plans(
+    table: ControlTable, servos: int, baud: int, return_delay_s: float = FACTORY_RETURN_DELAY_S
+) -> list[Plan]:
+    """Every plan for servos of one table, fastest first; of equals the plainest first.
+
+    The plain sync read of the direct block, which every servo answers, is always among them.
+    """
+    blocks = {False: table.feedback}
+    if table.indirect.address < table.ram_start:
+        blocks[True] = table.gathered
+    found = [
+        Plan(fast, indirect, block, servos, baud, return_delay_s)
+        for fast in ((False, True) if table.fast_sync_read else (False,))
+        for indirect, block in blocks.items()
+    ]
+    return sorted(found, key=lambda plan: (plan.total_s, plan.fast, plan.indirect))
+
+
+def plain(candidates: list[Plan]) -> Plan:
+    """The plan among them that every servo answers."""
+    return next(plan for plan in candidates if not plan.fast and not plan.indirect)
+
+
+def available_s(period_s: float, reply_timeout_s: float) -> float:
+    """What a tick can give to the wire."""
+    return min(reply_timeout_s, period_s - RESERVE_NS * 1e-9)
+
+
+def require_any(candidates: list[Plan], budget_s: float, where: Path | str) -> None:
+    """Refuse where not even the fastest plan fits, with the numbers of the plain one."""
+    if candidates[0].total_s > budget_s:
+        require_time(plain(candidates), budget_s, where)
+
+
+def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
+    """Refuse a plan that takes longer on the wire than there is time.
+
+    Raises
+    ------
+    InputError
+        With what is needed, what there is, and the baud rate from which on it fits.
+    """
+    if plan.total_s <= budget_s:
+        return
+    enough = (b for b in SERVO_BAUD_RATES if plan._replace(baud=b).total_s <= budget_s)
+    baud = next(enough, None)
+    raise InputError(
+        where,
+        f"{plan.servos} servos at {plan.baud:,} baud need {plan.total_s * 1e3:.1f} ms on the wire "
+        f"in every tick, bus.reply_timeout_s and period_s leave {budget_s * 1e3:.1f} ms",
+        f"use ≥ {_readable(baud)}, here and in the servos" if baud else
+        "use fewer servos on the bus, a shorter return delay or a longer period",
+    )  # fmt: skip
+
+
+def _readable(baud: int) -> str:
+    return f"{baud / 1e6:g} Mbaud" if baud >= 1_000_000 else f"{baud:,} baud"

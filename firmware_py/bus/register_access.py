@@ -1,0 +1,82 @@
+"""Single registers of single servos, with patience: what happens around the loop, not in it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dynamixel_sdk.robotis_def import COMM_SUCCESS
+
+from firmware_py.bus.bus_plan import STATUS_OVERHEAD
+from firmware_py.bus.feedback import DATA, ERROR, ERROR_NUMBER, ID
+from firmware_py.bus.port import DeadlinePort, PacketHandler
+from firmware_py.bus.registers import RegisterField
+from firmware_py.realtime.clock import Clock
+
+SETUP_TIMEOUT_NS: Final = 50_000_000
+"""How long one reply may take outside the loop."""
+SETUP_ATTEMPTS: Final = 3
+
+
+class RegisterAccess:
+    """Reads and writes registers through the SDK.
+
+    Parameters
+    ----------
+    port : DeadlinePort
+        Whose deadline bounds every wait.
+    packets : PacketHandler
+        The SDK's Protocol 2.0.
+    clock : Clock
+        What deadlines are measured by.
+    """
+
+    def __init__(self, port: DeadlinePort, packets: PacketHandler, clock: Clock) -> None:
+        self._port, self._packets, self._clock = port, packets, clock
+
+    def ask(self, id_: int, cell: RegisterField) -> int | None:
+        """Read once; None where no good answer came before the port's deadline.
+
+        The SDK's own `readTxRx` takes a late answer to an earlier write for this one: its CRC
+        then passes for data. An answer of another length is therefore somebody else's.
+
+        Raises
+        ------
+        OSError
+            If the port is gone.
+        """
+        result = self._packets.readTx(self._port, id_, cell.address, cell.size)
+        while result == COMM_SUCCESS:
+            packet, result = self._packets.rxPacket(self._port, False)
+            if result != COMM_SUCCESS or packet[ID] != id_:
+                continue
+            if len(packet) == STATUS_OVERHEAD + cell.size:
+                return cell.decode(packet, DATA)
+            if packet[ERROR] & ERROR_NUMBER:
+                return None
+        return None
+
+    def get(self, id_: int, cell: RegisterField) -> int | None:
+        """Read, several times if need be; None where it was all in vain or the port is gone."""
+        for _ in range(SETUP_ATTEMPTS):
+            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
+            try:
+                if (raw := self.ask(id_, cell)) is not None:
+                    return raw
+            except OSError:
+                self._port.is_using = False
+                return None
+        return None
+
+    def put(self, id_: int, cell: RegisterField, raw: int) -> bool:
+        """Write, several times if need be; False where no servo confirmed it."""
+        data = list(cell.encode(raw))
+        for _ in range(SETUP_ATTEMPTS):
+            self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
+            try:
+                result, error = self._packets.writeTxRx(self._port, id_, *cell[:2], data)
+            except OSError:
+                self._port.is_using = False
+                return False
+            if result == COMM_SUCCESS and not error & ERROR_NUMBER:
+                return True
+        return False

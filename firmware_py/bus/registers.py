@@ -1,0 +1,322 @@
+"""Control tables as data: which family of servos has which register where.
+
+The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and
+P models. A servo is therefore told apart by its model number (`firmware_py.bus.servo_models`),
+never
+by its name. Addresses are those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS'
+own dynamixel-workbench repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+
+class Register(Enum):
+    """Registers that this project reads or writes; the value is the e-Manual's name."""
+
+    MODEL_NUMBER = "Model Number"
+    FIRMWARE_VERSION = "Firmware Version"
+    ID = "ID"
+    BAUD_RATE = "Baud Rate"
+    RETURN_DELAY = "Return Delay Time"
+    OPERATING_MODE = "Operating Mode"
+    HOMING_OFFSET = "Homing Offset"
+    CURRENT_LIMIT = "Current Limit"
+    VELOCITY_LIMIT = "Velocity Limit"
+    MAX_POSITION_LIMIT = "Max Position Limit"
+    MIN_POSITION_LIMIT = "Min Position Limit"
+    SHUTDOWN = "Shutdown"
+    TORQUE_ENABLE = "Torque Enable"
+    STATUS_RETURN_LEVEL = "Status Return Level"
+    HARDWARE_ERROR = "Hardware Error Status"
+    VELOCITY_I_GAIN = "Velocity I Gain"
+    VELOCITY_P_GAIN = "Velocity P Gain"
+    POSITION_D_GAIN = "Position D Gain"
+    POSITION_I_GAIN = "Position I Gain"
+    POSITION_P_GAIN = "Position P Gain"
+    BUS_WATCHDOG = "Bus Watchdog"
+    GOAL_CURRENT = "Goal Current"
+    GOAL_VELOCITY = "Goal Velocity"
+    PROFILE_ACCELERATION = "Profile Acceleration"
+    PROFILE_VELOCITY = "Profile Velocity"
+    GOAL_POSITION = "Goal Position"
+    MOVING = "Moving"
+    PRESENT_CURRENT = "Present Current"
+    PRESENT_VELOCITY = "Present Velocity"
+    PRESENT_POSITION = "Present Position"
+    PRESENT_INPUT_VOLTAGE = "Present Input Voltage"
+    PRESENT_TEMPERATURE = "Present Temperature"
+
+
+class RegisterField(NamedTuple):
+    """Where a register lies and how its bytes are read (little endian, two's complement)."""
+
+    address: int
+    size: int
+    signed: bool = False
+    writable: bool = True
+
+    def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
+        """Return the raw value that starts at `offset` of `data`."""
+        return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
+
+    def encode(self, raw: int) -> bytes:
+        """Return the bytes of a raw value.
+
+        Raises
+        ------
+        ValueError
+            If the value does not fit the register.
+        """
+        try:
+            return raw.to_bytes(self.size, "little", signed=self.signed)
+        except OverflowError:
+            raise ValueError(f"{raw} does not fit a register of {self.size} bytes") from None
+
+
+@dataclass(frozen=True)
+class Block:
+    """One contiguous span of registers that a single read fetches.
+
+    Attributes
+    ----------
+    address, size : int
+        Where it begins, how many bytes it has.
+    offsets : mapping of Register to int
+        What of it is looked at, and where in it that stands.
+    """
+
+    address: int
+    size: int
+    offsets: Mapping[Register, int]
+
+
+class Indirect(NamedTuple):
+    """Where a table lets registers be gathered: byte k of the data stands for an address of choice.
+
+    Attributes
+    ----------
+    address : int
+        Of the first entry, two bytes each.
+    data : int
+        Address of the first byte that stands for another.
+    entries : int
+        How many there are.
+    """
+
+    address: int
+    data: int
+    entries: int
+
+    def entry_of(self, address: int) -> int | None:
+        """Where the entry lies that an address of the data goes by; None outside the data."""
+        k = address - self.data
+        return self.address + 2 * k if 0 <= k < self.entries else None
+
+
+@dataclass(frozen=True)
+class ControlTable:
+    """Registers of one family of servos.
+
+    Attributes
+    ----------
+    name : str
+        Family, as the e-Manual groups it.
+    cells : mapping of Register to RegisterField
+        What the family has; a register that is not in it does not exist there.
+    ram_start : int
+        First address of the RAM area; everything below is EEPROM, locked while torque is on.
+    indirect : Indirect
+        Its indirect addresses.
+    fast_sync_read : bool
+        Whether there is firmware that answers a fast sync read. Which version began with it is
+        published for some models only, so the servos are asked (`firmware_py.bus.bus_plan`).
+    """
+
+    name: str
+    cells: Mapping[Register, RegisterField]
+    ram_start: int
+    indirect: Indirect
+    fast_sync_read: bool
+
+    def __getitem__(self, register: Register) -> RegisterField:
+        return self.cells[register]
+
+    def __contains__(self, register: Register) -> bool:
+        return register in self.cells
+
+    @property
+    def feedback(self) -> Block:
+        """The span that holds present position and present current."""
+        cells = {register: self[register] for register in _MEASURED}
+        start = min(cell.address for cell in cells.values())
+        end = max(cell.address + cell.size for cell in cells.values())
+        offsets = {register: cell.address - start for register, cell in cells.items()}
+        return Block(start, end - start, offsets)
+
+    @property
+    def gathered(self) -> Block:
+        """The same two, and what tells a servo that drives from one that does not.
+
+        Side by side, behind the first indirect addresses.
+        """
+        offsets, size = {}, 0
+        for register in self._gathered:
+            offsets[register] = size
+            size += self[register].size
+        return Block(self.indirect.data, size, offsets)
+
+    @property
+    def gathered_addresses(self) -> tuple[int, ...]:
+        """What the indirect addresses have to hold for `gathered`, byte by byte."""
+        cells = [self[register] for register in self._gathered]
+        return tuple(cell.address + k for cell in cells for k in range(cell.size))
+
+    @property
+    def _gathered(self) -> tuple[Register, ...]:
+        return tuple(r for r in (*_MEASURED, *_WATCHED) if r in self)
+
+
+_MEASURED: Final = (Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
+_WATCHED: Final = (Register.TORQUE_ENABLE, Register.BUS_WATCHDOG)
+
+
+def _table(
+    name: str,
+    ram_start: int,
+    indirect: Indirect,
+    rows: Mapping[Register, RegisterField | tuple[int, int]],
+    *,
+    fast_sync_read: bool = True,
+) -> ControlTable:
+    cells = {register: RegisterField(*cell) for register, cell in rows.items()}
+    return ControlTable(name, cells, ram_start, indirect, fast_sync_read)
+
+
+def _with_ram_at(
+    ram_start: int, table: ControlTable, name: str, indirect: Indirect
+) -> ControlTable:
+    """A family with the registers of another, the RAM area shifted as one."""
+    shift = ram_start - table.ram_start
+    cells = {
+        register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
+        for register, cell in table.cells.items()
+    }
+    return ControlTable(name, cells, ram_start, indirect, table.fast_sync_read)
+
+
+_SIGNED, _READ_ONLY = True, False
+
+LEGACY_PRO: Final = _table(
+    "legacy PRO",
+    562,
+    Indirect(49, 634, 256),
+    {
+        Register.MODEL_NUMBER: RegisterField(0, 2, False, _READ_ONLY),
+        Register.FIRMWARE_VERSION: RegisterField(6, 1, False, _READ_ONLY),
+        Register.ID: (7, 1),
+        Register.BAUD_RATE: (8, 1),
+        Register.RETURN_DELAY: (9, 1),
+        Register.OPERATING_MODE: (11, 1),
+        Register.HOMING_OFFSET: RegisterField(13, 4, _SIGNED),
+        Register.CURRENT_LIMIT: (30, 2),
+        Register.VELOCITY_LIMIT: (32, 4),
+        Register.MAX_POSITION_LIMIT: RegisterField(36, 4, _SIGNED),
+        Register.MIN_POSITION_LIMIT: RegisterField(40, 4, _SIGNED),
+        Register.SHUTDOWN: (48, 1),
+        Register.TORQUE_ENABLE: (562, 1),
+        Register.VELOCITY_I_GAIN: (586, 2),
+        Register.VELOCITY_P_GAIN: (588, 2),
+        Register.POSITION_P_GAIN: (594, 2),
+        Register.GOAL_POSITION: RegisterField(596, 4, _SIGNED),
+        Register.GOAL_VELOCITY: RegisterField(600, 4, _SIGNED),
+        Register.GOAL_CURRENT: RegisterField(604, 2, _SIGNED),
+        Register.PROFILE_VELOCITY: RegisterField(
+            600, 4, _SIGNED
+        ),  # the goal velocity limits the profile
+        Register.PROFILE_ACCELERATION: (606, 4),  # called goal acceleration there
+        Register.MOVING: RegisterField(610, 1, False, _READ_ONLY),
+        Register.PRESENT_POSITION: RegisterField(611, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_VELOCITY: RegisterField(615, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_CURRENT: RegisterField(621, 2, _SIGNED, _READ_ONLY),
+        Register.PRESENT_INPUT_VOLTAGE: RegisterField(623, 2, False, _READ_ONLY),
+        Register.PRESENT_TEMPERATURE: RegisterField(625, 1, False, _READ_ONLY),
+        Register.STATUS_RETURN_LEVEL: (891, 1),
+        Register.HARDWARE_ERROR: RegisterField(892, 1, False, _READ_ONLY),
+    },
+    fast_sync_read=False,  # no firmware of it is known to answer one [recalled]
+)
+"""H54 and H42 `-R`. It has no bus watchdog and only a proportional position gain."""
+
+PRO_P: Final = _table(
+    "PRO(A) and P",
+    512,
+    Indirect(168, 634, 128),
+    {
+        Register.MODEL_NUMBER: RegisterField(0, 2, False, _READ_ONLY),
+        Register.FIRMWARE_VERSION: RegisterField(6, 1, False, _READ_ONLY),
+        Register.ID: (7, 1),
+        Register.BAUD_RATE: (8, 1),
+        Register.RETURN_DELAY: (9, 1),
+        Register.OPERATING_MODE: (11, 1),
+        Register.HOMING_OFFSET: RegisterField(20, 4, _SIGNED),
+        Register.CURRENT_LIMIT: (38, 2),
+        Register.VELOCITY_LIMIT: (44, 4),
+        Register.MAX_POSITION_LIMIT: RegisterField(48, 4, _SIGNED),
+        Register.MIN_POSITION_LIMIT: RegisterField(52, 4, _SIGNED),
+        Register.SHUTDOWN: (63, 1),
+        Register.TORQUE_ENABLE: (512, 1),
+        Register.STATUS_RETURN_LEVEL: (516, 1),
+        Register.HARDWARE_ERROR: RegisterField(518, 1, False, _READ_ONLY),
+        Register.VELOCITY_I_GAIN: (524, 2),
+        Register.VELOCITY_P_GAIN: (526, 2),
+        Register.POSITION_D_GAIN: (528, 2),
+        Register.POSITION_I_GAIN: (530, 2),
+        Register.POSITION_P_GAIN: (532, 2),
+        Register.BUS_WATCHDOG: RegisterField(546, 1, _SIGNED),
+        Register.GOAL_CURRENT: RegisterField(550, 2, _SIGNED),
+        Register.GOAL_VELOCITY: RegisterField(552, 4, _SIGNED),
+        Register.PROFILE_ACCELERATION: (556, 4),
+        Register.PROFILE_VELOCITY: (560, 4),
+        Register.GOAL_POSITION: RegisterField(564, 4, _SIGNED),
+        Register.MOVING: RegisterField(570, 1, False, _READ_ONLY),
+        Register.PRESENT_CURRENT: RegisterField(574, 2, _SIGNED, _READ_ONLY),
+        Register.PRESENT_VELOCITY: RegisterField(576, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_POSITION: RegisterField(580, 4, _SIGNED, _READ_ONLY),
+        Register.PRESENT_INPUT_VOLTAGE: RegisterField(592, 2, False, _READ_ONLY),
+        Register.PRESENT_TEMPERATURE: RegisterField(594, 1, False, _READ_ONLY),
+    },
+)
+"""H54 and H42 `-R(A)`, PH54 and PH42."""
+
+X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
+"""XM430 and its relatives: the table of the P with its RAM area 448 bytes further down."""
+
+POSITION_MODE: Final = 3
+"""Value of the operating mode register in which the goal is an angle."""
+
+WATCHDOG_UNIT_S: Final = 0.020
+RETURN_DELAY_UNIT_S: Final = 2e-6
+
+WATCHDOG_TRIPPED: Final = -1
+"""What the bus watchdog register then holds."""
+
+HARDWARE_ERRORS: Final = (
+    "input voltage", "motor hall sensor", "overheating", "motor encoder", "electrical shock",
+    "overload",
+)  # fmt: skip
+"""Meaning of the bits of the hardware error register, from bit 0 on."""
+TORQUE_LOST, STOPPED_BY_WATCHDOG = 1 << 8, 1 << 9
+"""Alerts of ours beside those bits: a servo that should drive does not."""
+_OURS: Final = {TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it"}
+
+
+def describe_alert(bits: int) -> str:
+    """Name the hardware errors and other alerts that are set, or "none"."""
+    names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
+    names += [name for bit, name in _OURS.items() if bits & bit]
+    return ", ".join(names) or "none"

@@ -1,0 +1,199 @@
+"""A stream of bytes to the servos: a serial device, a UNIX socket, or what a test passes in."""
+
+from __future__ import annotations
+
+import array
+import fcntl
+import glob
+import os
+import select
+import socket
+import termios
+from pathlib import Path
+from typing import Final, Protocol
+
+import serial
+
+from firmware_py.errors import InputError
+from firmware_py.realtime.clock import Clock
+
+BAUD_RATES: Final = (
+    9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
+    2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
+)  # fmt: skip
+"""Rates that the SDK offers."""
+
+_READ_SIZE: Final = 4096
+_LONGEST_WAIT_NS: Final = 1_000_000_000
+"""A clock that was set back must not make anybody wait for an hour."""
+_HUNG_UP: Final = "the other side has closed the line"
+_TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
+
+
+class Transport(Protocol):
+    """A stream of bytes to and from the servos. A wire that is gone raises OSError."""
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """Return up to `size` bytes as soon as there are any, or none once the deadline passed."""
+        ...
+
+    def write(self, data: bytes) -> int:
+        """Send bytes; return how many were accepted."""
+        ...
+
+    def discard_input(self) -> None:
+        """Drop whatever has been received and not yet read."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device."""
+        ...
+
+
+class SerialTransport:
+    """A serial device or pseudo-terminal.
+
+    Parameters
+    ----------
+    path : str
+        Device, like `/dev/ttyUSB0`.
+    baud : int
+        Bits per second, one of `BAUD_RATES`.
+    clock : Clock
+        What deadlines are measured by.
+
+    Raises
+    ------
+    InputError
+        If the device cannot be opened.
+    """
+
+    def __init__(self, path: str, baud: int, clock: Clock) -> None:
+        try:
+            self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise InputError(path, f"cannot be opened ({error})", _port_remedy(path)) from None
+        self._clock = clock
+        self._fd: int = self._serial.fileno()
+        self.low_latency = self._request_low_latency()
+
+    def _request_low_latency(self) -> bool:
+        """Ask the USB adapter to hand over bytes at once; a pseudo-terminal has no such flag."""
+        settings = array.array("i", [0] * 32)
+        try:
+            fcntl.ioctl(self._fd, _TIOCGSERIAL, settings)
+            settings[4] |= _ASYNC_LOW_LATENCY
+            fcntl.ioctl(self._fd, _TIOCSSERIAL, settings)
+        except OSError:  # ENOTTY on a pseudo-terminal, EPERM without the right
+            return False
+        return True
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """See `Transport.read`."""
+        if not _readable(self._fd, deadline_ns, self._clock):
+            return b""
+        if data := os.read(self._fd, size):
+            return data
+        raise ConnectionResetError(_HUNG_UP)  # readable, and yet nothing to read
+
+    def write(self, data: bytes) -> int:
+        """See `Transport.write`."""
+        try:
+            return os.write(self._fd, data)
+        except BlockingIOError:
+            return 0
+
+    def discard_input(self) -> None:
+        """See `Transport.discard_input`."""
+        try:
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+        except termios.error as error:  # which is no OSError
+            raise ConnectionResetError(_HUNG_UP) from error
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._serial.close()
+
+
+class SocketTransport:
+    """A UNIX stream socket, as the emulator offers one: less jitter than a pseudo-terminal."""
+
+    def __init__(self, path: str, clock: Clock) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.connect(path)
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"unix:{path}", f"cannot be connected to ({error.strerror})",
+                "start the emulator with 'python -m hil emulate --line socket'",
+            ) from None  # fmt: skip
+        self._socket.setblocking(False)
+        self._clock = clock
+        self._fd = self._socket.fileno()
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """See `Transport.read`."""
+        return self._received(size) if _readable(self._fd, deadline_ns, self._clock) else b""
+
+    def _received(self, size: int) -> bytes:
+        data = self._socket.recv(size)
+        if not data:
+            raise ConnectionResetError(_HUNG_UP)
+        return data
+
+    def write(self, data: bytes) -> int:
+        """See `Transport.write`."""
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+
+    def discard_input(self) -> None:
+        """See `Transport.discard_input`."""
+        while _readable(self._fd, 0, self._clock):
+            self._received(_READ_SIZE)
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._socket.close()
+
+
+def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
+    """Wait until there is something to read; what is there already counts after the deadline too.
+
+    Asking first is cheaper than reading in vain, for in the loop the first answer is never there.
+    """
+    remaining_ns = max(0, min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS))
+    return bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
+
+
+def open_transport(name: str, baud: int, clock: Clock) -> Transport:
+    """Open the wire that a port name stands for: `unix:/path` a socket, else a serial device.
+
+    A name with wildcards stands for the first that can be opened, in the order of the alphabet: an
+    adapter that was unplugged may come back as another one.
+
+    Raises
+    ------
+    InputError
+        If none can be opened.
+    """
+    scheme = "unix:" if name.startswith("unix:") else ""
+    pattern = name.removeprefix(scheme)
+    refusal: InputError | None = None
+    for path in sorted(glob.glob(pattern)) or [pattern]:
+        try:
+            return SocketTransport(path, clock) if scheme else SerialTransport(path, baud, clock)
+        except InputError as error:
+            refusal = refusal or error
+    assert refusal is not None
+    raise refusal
+
+
+def _port_remedy(path: str) -> str:
+    if not Path(path).exists():
+        return "plug in the adapter and name its device (ls /dev/serial/by-id)"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return "add yourself to the group dialout, or run 'dropstitch install-service'"
+    return "close the program that holds it, and use a baud rate that the adapter offers"

@@ -1,0 +1,182 @@
+"""The bundle: one directory that holds all that the robot needs to predict.
+
+::
+
+    manifest.json     what this is, with units, ranges, hashes of every other file
+    predictor.onnx    features -> tip_m, in_range, half_width_m
+    lagged.onnx       lagged regressor of DI (the fallback estimator)
+    observer.fmu      plant observer of DI (added by `python -m fmu build --unit observer`)
+    plant.json        the plant that the observer was built from
+    study.json        the paper's tables on these trials
+    golden.npz        ticks that the robot replays before it moves
+    MODEL_CARD.md     for people
+
+`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads it and refuses what
+does not match.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.inference.estimator import DeformationEstimator, ObserverEstimator, load_estimator
+from firmware_py.inference.golden import GOLDEN, read_golden, verify
+from firmware_py.inference.predictor import OnnxPredictor
+
+SCHEMA: Final = 1
+MANIFEST: Final = "manifest.json"
+
+
+class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A feature or output of the predictor: name, unit and the range seen in training."""
+
+    name: str
+    unit: str
+    minimum: float
+    maximum: float
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`manifest.json`; see `read_manifest`.
+
+    Attributes
+    ----------
+    features, outputs : tuple of Quantity
+        In the order of the graph's input columns and output rows.
+    estimator : str
+        Where DI comes from on the robot: "observer", "lagged" or "none".
+    degree : int
+        Of the polynomial, chosen by cross-validation on the training trials.
+    metrics : dict
+        Held-out figures by name, SI units in the names.
+    coefficients : dict
+        Monomial (like "angle_1_rad^2 di") to its coefficient per output: readable, not used.
+    files : dict
+        File name to SHA-256.
+    """
+
+    schema: int = SCHEMA
+    dof: int
+    period_s: float
+    degree: int
+    estimator: str
+    features: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    lag_ticks: tuple[int, ...]
+    training_data_sha256: str
+    plant_sha256: str
+    libraries: dict[str, str]
+    metrics: dict[str, float]
+    coefficients: dict[str, tuple[float, ...]]
+    files: dict[str, str]
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read_manifest(directory: Path | str) -> Manifest:
+    """Read `manifest.json` and verify the hash of every file that it names.
+
+    Raises
+    ------
+    InputError
+        If the directory or a file is missing, damaged, of another schema or does not match.
+    """
+    directory = Path(directory)
+    path = directory / MANIFEST
+    try:
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+    except FileNotFoundError:
+        raise InputError(
+            path, "is missing", "make a bundle with 'python -m models train'"
+        ) from None
+    except msgspec.DecodeError as error:  # also what is valid JSON of another form
+        raise InputError(path, str(error), "train the bundle again with this version") from None
+    if manifest.schema != SCHEMA:
+        raise InputError(
+            path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
+        )
+    for name, expected in manifest.files.items():
+        file = directory / name
+        if not file.is_file():
+            raise InputError(file, "is missing", "copy the whole bundle directory")
+        if sha256_of(file) != expected:
+            raise InputError(
+                file, "does not match the hash in manifest.json", "copy or train the bundle again"
+            )
+    return manifest
+
+
+def write_manifest(directory: Path, manifest: Manifest) -> None:
+    """Replace `manifest.json` atomically, hashing every other file of the directory anew."""
+    files = {
+        p.name: sha256_of(p)
+        for p in sorted(directory.iterdir())
+        if p.is_file() and p.name != MANIFEST and not p.name.startswith(".")
+    }
+    manifest = msgspec.structs.replace(manifest, files=files)
+    scratch = directory / f".{MANIFEST}"
+    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
+    scratch.replace(directory / MANIFEST)
+
+
+@dataclass(frozen=True)
+class ModelBundle:
+    """A bundle that was verified and is ready to predict.
+
+    Attributes
+    ----------
+    directory : Path
+        Where it was loaded from.
+    manifest : Manifest
+        What it is.
+    estimator : DeformationEstimator
+        The one that the manifest names, reset.
+    predictor : OnnxPredictor
+        `predictor.onnx`.
+    """
+
+    directory: Path
+    manifest: Manifest
+    estimator: DeformationEstimator
+    predictor: OnnxPredictor
+
+    def assume_payload(self, payload_kg: float | None) -> None:
+        """Tell the estimator the payload where it is known (not None) and it has a use for it.
+
+        Raises
+        ------
+        InputError
+            If it is beyond what the observer takes.
+        """
+        if isinstance(self.estimator, ObserverEstimator):
+            self.estimator.assume_payload(payload_kg)
+
+    @classmethod
+    def load(cls, directory: Path | str) -> ModelBundle:
+        """Verify every hash, load, and replay the golden ticks.
+
+        Raises
+        ------
+        InputError
+            If a file is missing or damaged, or this machine answers otherwise than the one that
+            made the bundle did.
+        """
+        directory = Path(directory)
+        manifest = read_manifest(directory)
+        for name in ("predictor.onnx", GOLDEN):
+            if name not in manifest.files:
+                raise InputError(directory / MANIFEST, f"names no {name}", "train the bundle again")
+        estimator = load_estimator(manifest.estimator, directory, manifest.dof, manifest.lag_ticks)
+        predictor = OnnxPredictor(directory / "predictor.onnx", manifest.dof)
+        golden = read_golden(directory / GOLDEN, manifest.dof)
+        verify(golden, estimator, predictor, directory / GOLDEN)
+        return cls(directory, manifest, estimator, predictor)

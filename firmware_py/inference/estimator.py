@@ -1,0 +1,217 @@
+"""The Deformation Index without motion capture: estimators behind one protocol.
+
+`ObserverEstimator` runs the identified plant (an FMI unit) on the measured angle and current,
+`LaggedEstimator` a regression on their recent past, `NoEstimator` answers zero: the paper's
+baseline without DI.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.predictor import OnnxGraph
+
+Array = NDArray[np.float64]
+
+_KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
+"""Of the observer unit; negative, as it starts, has the payload estimated."""
+
+
+class Estimate(NamedTuple):
+    """What an estimator believes after a sample.
+
+    Attributes
+    ----------
+    di : float
+        Deformation Index, dimensionless.
+    payload_kg : float
+        NaN where the estimator has no opinion.
+    """
+
+    di: float
+    payload_kg: float
+
+
+class DeformationEstimator(Protocol):
+    """Anything that estimates the Deformation Index from the servo's own signals."""
+
+    def reset(self) -> None:
+        """Forget the past: the next sample is the first of a run that starts at rest."""
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample.
+
+        Parameters
+        ----------
+        angle_rad, current_a : ndarray, shape (dof,)
+            As measured at the end of the step.
+        step_s : float
+            Time since the previous sample.
+        """
+
+
+class NoEstimator:
+    """DI = 0 whatever happens: the paper's "without DI"."""
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Answer zero."""
+        return Estimate(0.0, math.nan)
+
+
+class LaggedEstimator:
+    """Regression on angle and current now and some ticks ago (`lagged.onnx`).
+
+    It has no notion of time: it is right at the period that it was trained at. Before the first
+    sample the link is taken to have stood where that sample finds it.
+
+    Parameters
+    ----------
+    path : Path or str
+        The graph: input "lagged", for each lag angles then currents; output "di".
+    lag_ticks : sequence of int
+        Ages of the samples that it looks at, in ticks; the manifest has them.
+    dof : int
+        Number of joints.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged or of another shape.
+    """
+
+    def __init__(self, path: Path | str, lag_ticks: Sequence[int], dof: int) -> None:
+        self._graph = OnnxGraph(path, 2 * dof * len(lag_ticks), (("di", 1),))
+        self._input = self._graph.row.reshape(len(lag_ticks), 2 * dof)
+        self._history: Array = np.zeros((max(lag_ticks) + 1, 2 * dof))
+        self._lags = np.array(lag_ticks)
+        self._index = np.zeros_like(self._lags)
+        self._dof = dof
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._next, self._empty = 0, True
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample; see `DeformationEstimator.update`."""
+        history, dof = self._history, self._dof
+        row = history if self._empty else history[self._next]
+        row[..., :dof] = angle_rad
+        row[..., dof:] = current_a
+        self._empty = False
+        np.subtract(self._next, self._lags, out=self._index)
+        np.take(history, self._index, axis=0, out=self._input, mode="wrap")
+        self._next = (self._next + 1) % len(history)
+        self._graph.run()
+        return Estimate(float(self._graph.results[0][0]), math.nan)
+
+
+class ObserverEstimator:
+    """The plant observer: the identified link on the measured angle and current (`observer.fmu`).
+
+    Before the first sample the link is taken to have rested where that sample finds it.
+
+    Parameters
+    ----------
+    unit : FmuInstance
+        With the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
+    dof : int
+        Number of joints.
+
+    Raises
+    ------
+    InputError
+        If the unit has not these variables.
+    """
+
+    def __init__(self, unit: FmuInstance, dof: int) -> None:
+        joints = range(1, dof + 1)
+        names = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
+        self._unit, self._dof = unit, dof
+        self._inputs = unit.channel(names)
+        self._outputs = unit.channel(["di", "payload_kg"])
+        self._payload_kg: float | None = None
+        self.reset()
+
+    def assume_payload(self, payload_kg: float | None) -> None:
+        """Take the payload as known, or have it estimated again (None); forget the past.
+
+        Raises
+        ------
+        InputError
+            If it is beyond what the unit takes.
+        """
+        self._payload_kg = payload_kg
+        try:
+            self.reset()
+        except FmuRefusal as refusal:
+            raise InputError(
+                "payload_kg", f"is {payload_kg}: {str(refusal).rstrip('.')}",
+                "correct it, or leave it out to have it estimated",
+            ) from None  # fmt: skip
+
+    def reset(self) -> None:
+        """Forget the past; what was assumed still holds."""
+        self._unit.reset()
+        if self._payload_kg is not None:
+            self._unit.set([_KNOWN_PAYLOAD], [self._payload_kg])
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample; see `DeformationEstimator.update`.
+
+        A sample that the unit refuses (not a number) leaves it as it was and answers NaN.
+        """
+        self._inputs.values[: self._dof] = angle_rad
+        self._inputs.values[self._dof :] = current_a
+        try:
+            self._inputs.send()
+            self._unit.step(step_s)
+            self._outputs.receive()
+        except FmuRefusal:
+            return Estimate(math.nan, math.nan)
+        return Estimate(float(self._outputs.values[0]), float(self._outputs.values[1]))
+
+
+def load_estimator(
+    name: str, directory: Path, dof: int, lag_ticks: Sequence[int]
+) -> DeformationEstimator:
+    """Load the estimator of a bundle.
+
+    Parameters
+    ----------
+    name : str
+        "observer", "lagged" or "none", as the manifest says.
+    directory : Path
+        The bundle.
+    dof : int
+        Number of joints.
+    lag_ticks : sequence of int
+        As the manifest says.
+
+    Raises
+    ------
+    InputError
+        If the name is not known or the file cannot be used.
+    """
+    if name == "observer":
+        return ObserverEstimator(FmuInstance(directory / "observer.fmu"), dof)
+    if name == "lagged":
+        return LaggedEstimator(directory / "lagged.onnx", lag_ticks, dof)
+    if name == "none":
+        return NoEstimator()
+    raise InputError(
+        directory / "manifest.json",
+        f"estimator is {name!r}, not 'observer', 'lagged' or 'none'",
+        "build the bundle again with this version",
+    )

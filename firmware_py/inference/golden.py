@@ -1,0 +1,118 @@
+"""Golden ticks: what estimator and predictor answered where the bundle was made.
+
+The robot replays them before it moves: other libraries, another processor or a file swapped
+behind the manifest's back show here and not in the air.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.predictor import Predictor
+
+Array = NDArray[np.float64]
+GOLDEN: Final = "golden.npz"
+TOLERANCE: Final = 1e-9
+"""Largest difference allowed, in the unit of each quantity."""
+
+
+class Golden(NamedTuple):
+    """A run and its answers, one row a tick.
+
+    Attributes
+    ----------
+    angle_rad, current_a : ndarray, shape (n, dof)
+        As measured, from rest.
+    step_s : float
+        Period.
+    di, payload_kg : ndarray, shape (n,)
+        Answers of the estimator.
+    tip_m : ndarray, shape (n, 3)
+        Answers of the predictor on that estimate.
+    """
+
+    angle_rad: Array
+    current_a: Array
+    step_s: float
+    di: Array
+    tip_m: Array
+    payload_kg: Array
+
+
+def record_golden(
+    estimator: DeformationEstimator,
+    predictor: Predictor,
+    angle_rad: Array,
+    current_a: Array,
+    step_s: float,
+) -> Golden:
+    """Run a motion through estimator and predictor; the estimator is reset before and after."""
+    count = len(angle_rad)
+    di, payload_kg, tip_m = np.empty(count), np.empty(count), np.empty((count, 3))
+    estimator.reset()
+    for k in range(count):
+        di[k], payload_kg[k] = estimator.update(angle_rad[k], current_a[k], step_s)
+        tip_m[k] = predictor.predict(angle_rad[k], current_a[k], di[k]).tip_m
+    estimator.reset()
+    return Golden(angle_rad, current_a, step_s, di, tip_m, payload_kg)
+
+
+def write_golden(path: Path, golden: Golden) -> None:
+    """Write the ticks; the same ticks give the same bytes."""
+    np.savez(path, allow_pickle=False, **golden._asdict())
+
+
+def read_golden(path: Path, dof: int) -> Golden:
+    """Read the ticks.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged or its arrays do not fit together.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = [np.asarray(file[name], dtype=np.float64) for name in Golden._fields]
+    except FileNotFoundError:
+        raise InputError(path, "is missing", "copy the whole bundle directory") from None
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(path, f"cannot be read ({error})", "copy the bundle again") from None
+    count = len(np.atleast_1d(arrays[0]))
+    shapes = [(count, dof), (count, dof), (), (count,), (count, 3), (count,)]
+    if not count or [array.shape for array in arrays] != shapes:
+        raise InputError(path, f"does not hold ticks of {dof} joints", "train the bundle again")
+    angle_rad, current_a, step_s, di, tip_m, payload_kg = arrays
+    return Golden(angle_rad, current_a, float(step_s), di, tip_m, payload_kg)
+
+
+def verify(
+    golden: Golden, estimator: DeformationEstimator, predictor: Predictor, where: Path
+) -> None:
+    """Replay the ticks and compare.
+
+    Raises
+    ------
+    InputError
+        If an answer differs by more than `TOLERANCE`; it names the worst.
+    """
+    replayed = record_golden(
+        estimator, predictor, golden.angle_rad, golden.current_a, golden.step_s
+    )
+    for name in ("di", "payload_kg", "tip_m"):
+        expected, actual = getattr(golden, name), getattr(replayed, name)
+        agree = np.isclose(actual, expected, rtol=0.0, atol=TOLERANCE, equal_nan=True)
+        if not agree.all():
+            tick = int(np.argwhere(~agree)[0][0])
+            raise InputError(
+                where,
+                f"tick {tick}: {name} is {actual[tick]}, the bundle expects {expected[tick]}",
+                "do not move the robot: build the bundle again on this software, or install the "
+                "libraries that its manifest names",
+            )

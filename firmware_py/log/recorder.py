@@ -1,0 +1,218 @@
+"""The recorder: a process beside the loop that writes its ticks to a file and shows them live.
+
+::
+
+    loop ── SEQPACKET, one packed record a tick ──► receiving thread ── queue ──► writing thread
+                                                                    viewers ◄──┘ └──► MCAP file
+
+The kernel queues only a few packets for a socket (`net.unix.max_dgram_qlen`, often 10), so one
+thread does nothing but receive, and a slow disk fills memory here instead of dropping ticks there.
+The process ends when the loop's end of the socket closes, however the loop died, and leaves a
+complete file behind. Run as `python -m firmware_py.log.recorder`, it reads its task from stdin.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.log.recording import require_packages
+from firmware_py.log.sinks import LiveSink, McapSink, Sink, TickEncoder, require_live_package
+from firmware_py.log.telemetry import SocketTelemetry
+
+_READY: Final = b"ready"
+_ANSWER_BYTES: Final = 4096
+_START_TIMEOUT_S: Final = 20.0
+_STOP_TIMEOUT_S: Final = 10.0
+_NICENESS: Final = 5
+
+
+class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the loop's process asks of the recorder.
+
+    Attributes
+    ----------
+    fd : int
+        Descriptor of the socket, inherited.
+    path : str or None
+        File to write.
+    live : tuple of str and int, or None
+        Host and port of the live view.
+    dof : int
+        Number of joints, which fixes the record.
+    start_ns : int
+        Wall time of the run's start: `time_s` of a tick is added to it.
+    metadata : dict of str to str
+        Written into the file as it is.
+    """
+
+    fd: int
+    path: str | None
+    live: tuple[str, int] | None = None
+    dof: int
+    start_ns: int
+    metadata: dict[str, str]
+
+
+@contextlib.contextmanager
+def recording(
+    path: Path | None,
+    dof: int,
+    start_ns: int,
+    metadata: dict[str, str],
+    live: tuple[str, int] | None = None,
+) -> Iterator[SocketTelemetry]:
+    """Run a recorder for the duration of the context.
+
+    Parameters
+    ----------
+    path : Path or None
+        File to write; its directory is made.
+    dof : int
+        Number of joints.
+    start_ns : int
+        Wall time of the run's start.
+    metadata : dict of str to str
+        Written into the file, `dof` is added.
+    live : tuple of str and int, optional
+        Host and port at which to serve the ticks to Foxglove.
+
+    Yields
+    ------
+    SocketTelemetry
+        For the loop.
+
+    Raises
+    ------
+    InputError
+        If the packages are missing, the file cannot be written or the port not be listened at.
+    """
+    if path is not None:
+        require_packages()
+        _make_directory(path.parent)
+    if live is not None:
+        require_live_package()
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    task = RecorderTask(
+        fd=theirs.fileno(), path=None if path is None else str(path), live=live, dof=dof,
+        start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
+    )  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-m", "firmware_py.log.recorder"],
+        stdin=subprocess.PIPE,
+        pass_fds=(theirs.fileno(),),
+        start_new_session=True,  # a Ctrl-C in the terminal is for the loop alone
+    )
+    theirs.close()
+    try:
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(msgspec.json.encode(task))
+            process.stdin.close()
+        _await_start(ours)
+        yield SocketTelemetry(ours)
+    finally:
+        ours.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_STOP_TIMEOUT_S)
+
+
+def _make_directory(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be made ({error.strerror})", "name another directory for logs"
+        ) from None
+
+
+def _await_start(ours: socket.socket) -> None:
+    """Wait until the recorder is ready, or raise what it refuses."""
+    ours.settimeout(_START_TIMEOUT_S)
+    try:
+        answer = ours.recv(_ANSWER_BYTES)
+    except TimeoutError:
+        answer = b""
+    if not answer:
+        raise InputError("recorder", "does not start", "see its message above")
+    if answer != _READY:
+        raise InputError(*msgspec.json.decode(answer, type=tuple[str, str, str]))
+
+
+def main() -> int:
+    """Pass one run on, until the loop closes its end; 1 where a file could not be finished."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # it outlives the loop by design
+    os.nice(_NICENESS)
+    task = msgspec.json.decode(sys.stdin.buffer.read(), type=RecorderTask)
+    end = socket.socket(fileno=task.fd)
+    try:
+        sinks = list(_sinks(task))
+    except InputError as error:
+        end.send(msgspec.json.encode((error.where, error.what, error.remedy)))
+        return 1
+    packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    end.send(_READY)
+    threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
+    return _pass_on(packets, sinks, TickEncoder(task.dof, task.start_ns))
+
+
+def _sinks(task: RecorderTask) -> Iterator[Sink]:
+    """Where the ticks go; the live view first, for it never waits."""
+    if task.live is not None:
+        live = LiveSink(*task.live, task.dof)
+        print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
+        yield live
+    if task.path is not None:
+        yield McapSink(task.path, task.dof, task.metadata)
+
+
+def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
+    """Put packets into the queue; an empty one, as the closed socket gives, ends the run."""
+    record = b"-"
+    while record:
+        try:
+            record = end.recv(1 << 16)
+        except OSError:
+            record = b""
+        packets.put(record)
+
+
+def _pass_on(packets: queue.SimpleQueue[bytes], sinks: list[Sink], encode: TickEncoder) -> int:
+    """Give every tick to every sink; one that fails (a full disk) is left out from then on."""
+    code = 0
+    while (record := packets.get()) and sinks:
+        message = encode(record)
+        for sink in tuple(sinks):
+            try:
+                sink.write(*message)
+            except OSError as error:
+                code = _give_up(sinks, sink, error)
+    for sink in tuple(sinks):
+        try:
+            sink.finish()
+        except OSError as error:
+            code = _give_up(sinks, sink, error)
+    return code
+
+
+def _give_up(sinks: list[Sink], sink: Sink, error: OSError) -> int:
+    sinks.remove(sink)
+    print(f"recorder: the log ends here ({error.strerror})", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,181 @@
+"""Where the recorder's process puts a tick: an MCAP file, a live view, both as the same message.
+
+The packages are imported here, in the sidecar, when a sink is made, never by the loop's process.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+from typing import Any, Final, Protocol
+
+import msgspec
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
+from firmware_py.signals import tick_dtype
+
+_INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
+_VIEWER_BACKLOG: Final = 256
+"""Messages kept for a viewer that is behind; then the oldest go, whatever the viewer does."""
+
+
+class Sink(Protocol):
+    """Takes ticks, one after the other."""
+
+    def write(self, time_ns: int, data: bytes) -> None:
+        """Take one tick: its wall time and its JSON."""
+
+    def finish(self) -> None:
+        """Nothing more will come."""
+
+
+class TickEncoder:
+    """Packed record to JSON, to the bit: NaN becomes null, an infinity a string.
+
+    Parameters
+    ----------
+    dof : int
+        Number of joints, which fixes the record.
+    start_ns : int
+        Wall time of the run's start: `time_s` of a tick is added to it.
+    """
+
+    def __init__(self, dof: int, start_ns: int) -> None:
+        self._dtype = tick_dtype(dof)
+        self._names = self._dtype.names or ()
+        self._time_index = self._names.index("time_s")
+        self._start_ns = start_ns
+        self._encode = msgspec.json.Encoder().encode
+
+    def __call__(self, record: bytes) -> tuple[int, bytes]:
+        """Return the wall time of the tick in ns and its message."""
+        values = np.frombuffer(record, self._dtype)[0].item()
+        time_ns = self._start_ns + round(values[self._time_index] * 1e9)
+        if not _INFINITIES.keys().isdisjoint(values):  # JSON has no number for them
+            values = [_INFINITIES.get(value, value) for value in values]
+        return time_ns, self._encode(dict(zip(self._names, values, strict=True)))
+
+
+class McapSink:
+    """The MCAP file: small LZ4 chunks, each on the disk as soon as it is full.
+
+    Parameters
+    ----------
+    path : str
+        File to write.
+    dof : int
+        Number of joints.
+    metadata : dict of str to str
+        Written into the file as it is.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+
+    def __init__(self, path: str, dof: int, metadata: dict[str, str]) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        try:
+            self._stream = open(path, "wb")  # noqa: SIM115 (open as long as ticks come)
+        except OSError as error:
+            raise InputError(
+                path, f"cannot be written ({error.strerror})", "name another file for the log"
+            ) from None
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        self._writer.start(profile="", library="dropstitch")
+        self._writer.add_metadata(METADATA, metadata)
+        schema = self._writer.register_schema(SCHEMA_NAME, "jsonschema", _schema_json(dof))
+        self._channel = self._writer.register_channel(TOPIC, "json", schema)
+        self._sequence = 0
+        self._flush()
+
+    def write(self, time_ns: int, data: bytes) -> None:
+        """Add one tick."""
+        self._writer.add_message(self._channel, time_ns, data, time_ns, self._sequence)
+        self._sequence += 1
+        if self._stream.tell() != self._flushed:  # a chunk was written
+            self._flush()
+
+    def finish(self) -> None:
+        """Write the last chunk and the index."""
+        self._writer.finish()
+        self._flush()
+        self._stream.close()
+
+    def _flush(self) -> None:
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._flushed = self._stream.tell()
+
+
+class LiveSink:
+    """A WebSocket server for Foxglove, in threads of its own; a slow viewer loses old ticks.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen at.
+    port : int
+        TCP port; 0 takes any that is free.
+    dof : int
+        Number of joints.
+
+    Attributes
+    ----------
+    url : str
+        What a viewer connects to.
+
+    Raises
+    ------
+    InputError
+        If the address cannot be listened at.
+    """
+
+    def __init__(self, host: str, port: int, dof: int) -> None:
+        import foxglove
+
+        self._channel = foxglove.Channel(
+            TOPIC, message_encoding="json",
+            schema=foxglove.Schema(name=SCHEMA_NAME, encoding="jsonschema", data=_schema_json(dof)),
+        )  # fmt: skip
+        try:
+            self._server: Any = foxglove.start_server(
+                name="dropstitch", host=host, port=port, message_backlog_size=_VIEWER_BACKLOG
+            )
+        except RuntimeError as error:
+            raise InputError(
+                "live", f"{host}:{port} cannot be listened at ({error})",
+                "correct [live] in robot.toml, or end what holds the port",
+            ) from None  # fmt: skip
+        self.url = f"ws://{host}:{self._server.port}"
+
+    def write(self, time_ns: int, data: bytes) -> None:
+        """Send one tick to whoever looks."""
+        self._channel.log(data, log_time=time_ns)
+
+    def finish(self) -> None:
+        """Let the viewers go."""
+        self._server.stop()
+
+
+def require_live_package() -> None:
+    """Refuse to serve a live view where its package is not installed.
+
+    Raises
+    ------
+    InputError
+        If foxglove-sdk is missing.
+    """
+    if importlib.util.find_spec("foxglove") is None:
+        raise InputError(
+            "--live", "needs the package foxglove-sdk", "pip install 'dropstitch[live]'"
+        )
+
+
+def _schema_json(dof: int) -> bytes:
+    return msgspec.json.encode(tick_schema(dof))

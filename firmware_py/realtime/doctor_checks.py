@@ -1,0 +1,198 @@
+"""What on this PC would spoil the loop's timing, and how to mend it.
+
+Ranked by what was measured (FACTS §2, §3): the USB latency timer costs up to 16 ms of 17, the
+normal scheduler up to 43 ms under load, paging and the collector hundreds; the rest is smaller.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import resource
+import threading
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from firmware_py.errors import InputError
+from firmware_py.log.recording import require_packages
+
+_GOOD_CLOCKS: Final = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
+_LATENCY_LIMIT_MS: Final = 1
+_TEST_PRIORITY: Final = 50
+
+
+class Verdict(Enum):
+    """How a finding bears on the timing."""
+
+    GOOD = "good"
+    NOTE = "note"
+    """Not ideal, or cannot be told here; the loop will do."""
+    SPOILS = "spoils"
+    """Deadlines will be missed."""
+
+
+class Finding(NamedTuple):
+    """One thing looked at.
+
+    Attributes
+    ----------
+    name : str
+        What.
+    verdict : Verdict
+        How it bears on the timing.
+    found : str
+        What was found.
+    remedy : str
+        What to do about it; empty where all is good.
+    """
+
+    name: str
+    verdict: Verdict
+    found: str
+    remedy: str = ""
+
+
+def examine(
+    root: Path = Path("/"), may_be_real_time: Callable[[], bool] | None = None
+) -> list[Finding]:
+    """Look at everything that matters.
+
+    Parameters
+    ----------
+    root : Path
+        Where /proc and /sys are found; a test gives its own.
+    may_be_real_time : callable, optional
+        Says whether SCHED_FIFO is granted; by default it is tried.
+    """
+    return [
+        _latency_timer(root),
+        _scheduler(may_be_real_time or try_fifo),
+        _locked_memory(),
+        _swap(root),
+        _governor(root),
+        _clock_source(root),
+        _preemption(root),
+        _python(),
+        _recorder(),
+    ]
+
+
+def _read(path: Path) -> str | None:
+    with contextlib.suppress(OSError):
+        return path.read_text(encoding="utf-8").strip()
+    return None
+
+
+def _latency_timer(root: Path) -> Finding:
+    name = "USB latency timer"
+    files = sorted(root.glob("sys/bus/usb-serial/devices/*/latency_timer"))
+    slow = {
+        file.parent.name: int(text)
+        for file in files
+        if (text := _read(file)) and int(text) > _LATENCY_LIMIT_MS
+    }
+    if slow:
+        found = ", ".join(f"{device} {value} ms" for device, value in slow.items())
+        return Finding(
+            name, Verdict.SPOILS, found,
+            "run 'dropstitch install-service' for a udev rule, or at once: "
+            f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{next(iter(slow))}/latency_timer",
+        )  # fmt: skip
+    if not files:
+        return Finding(name, Verdict.NOTE, "no USB serial adapter is plugged in",
+                       "plug it in and ask again")  # fmt: skip
+    return Finding(name, Verdict.GOOD, f"at most {_LATENCY_LIMIT_MS} ms")
+
+
+def try_fifo() -> bool:
+    """Try SCHED_FIFO in a thread of its own, which ends with it."""
+    granted = []
+
+    def attempt() -> None:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_TEST_PRIORITY))
+            granted.append(True)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return bool(granted)
+
+
+def _scheduler(may_be_real_time: Callable[[], bool]) -> Finding:
+    if may_be_real_time():
+        return Finding("scheduler rights", Verdict.GOOD, "SCHED_FIFO is granted")
+    return Finding(
+        "scheduler rights", Verdict.SPOILS, "SCHED_FIFO is refused",
+        "run 'dropstitch install-service', or add '@realtime - rtprio 99' to "
+        "/etc/security/limits.conf and yourself to that group",
+    )  # fmt: skip
+
+
+def _locked_memory() -> Finding:
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if soft == resource.RLIM_INFINITY or os.geteuid() == 0:
+        return Finding("locked memory", Verdict.GOOD, "unlimited")
+    return Finding(
+        "locked memory", Verdict.NOTE, f"limited to {soft // 1024} KiB, so it will not be locked",
+        "run 'dropstitch install-service', or add '@realtime - memlock unlimited' to "
+        "/etc/security/limits.conf",
+    )  # fmt: skip
+
+
+def _swap(root: Path) -> Finding:
+    lines = (_read(root / "proc/swaps") or "").splitlines()[1:]
+    if not lines:
+        return Finding("swap", Verdict.GOOD, "off")
+    return Finding("swap", Verdict.NOTE, f"on ({lines[0].split()[0]})",
+                   "sudo swapoff -a, where memory cannot be locked")  # fmt: skip
+
+
+def _governor(root: Path) -> Finding:
+    files = root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    governors = {text for file in files if (text := _read(file))}
+    if not governors:
+        return Finding("frequency governor", Verdict.GOOD, "none: the frequency is not scaled here")
+    if governors == {"performance"}:
+        return Finding("frequency governor", Verdict.GOOD, "performance")
+    return Finding(
+        "frequency governor", Verdict.NOTE, ", ".join(sorted(governors)),
+        "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
+    )  # fmt: skip
+
+
+def _clock_source(root: Path) -> Finding:
+    folder = root / "sys/devices/system/clocksource/clocksource0"
+    current = _read(folder / "current_clocksource")
+    if current is None or current in _GOOD_CLOCKS:
+        return Finding("clock source", Verdict.GOOD, current or "not told")
+    return Finding(
+        "clock source", Verdict.SPOILS, f"{current}, slow to read and coarse",
+        f"boot with clocksource=tsc (available: {_read(folder / 'available_clocksource')})",
+    )  # fmt: skip
+
+
+def _preemption(root: Path) -> Finding:
+    version = _read(root / "proc/version") or platform.version()
+    if _read(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
+        return Finding("kernel preemption", Verdict.GOOD, "PREEMPT_RT")
+    if "PREEMPT" in version:
+        return Finding("kernel preemption", Verdict.GOOD, "preemptible, enough for 17 ms")
+    return Finding("kernel preemption", Verdict.NOTE, "none",
+                   "boot with preempt=full, or install a PREEMPT_RT kernel")  # fmt: skip
+
+
+def _python() -> Finding:
+    # From 3.11 on, which is the oldest that installs, time.sleep waits until an absolute time.
+    return Finding("Python", Verdict.GOOD, platform.python_version())
+
+
+def _recorder() -> Finding:
+    try:
+        require_packages()
+    except InputError as error:
+        return Finding("recorder", Verdict.NOTE, error.what, error.remedy)
+    return Finding("recorder", Verdict.GOOD, "mcap and lz4 are installed")

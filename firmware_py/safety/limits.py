@@ -1,0 +1,144 @@
+"""What the robot may do, and which word of complaint a sample or a goal beyond it gets.
+
+A limit is the last value allowed: at the limit all is well. What a complaint leads to is the
+supervisor's affair (`firmware_py.safety.supervisor`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+_ROUNDING: Final = 1.0 + 1e-9
+"""A goal at the limit must not trip over the rounding of a difference quotient."""
+
+
+class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the robot may do (table `[limits]` of robot.toml); the same for every joint.
+
+    Attributes
+    ----------
+    angle_rad : (float, float)
+        Range of goals, and with `following_error_rad` on either side of measured angles.
+    rate_rad_s, acceleration_rad_s2 : float
+        Of the goals. The study's motion starts at full speed: 0.76 rad/s within one period.
+    current_a : float
+        Magnitude of the motor current.
+    following_error_rad : float
+        Distance of the measured angle from the goal sent before it.
+    jump_rad : float
+        Change of the measured angle from one sample to the next; more is an encoder fault.
+    tip_min_m, tip_max_m : (float, float, float)
+        Box in the world frame that the predicted tip must stay in.
+    persistence_ticks : int
+        Samples in a row that must break a limit before the robot stops.
+    stale_ticks : int
+        Ticks in a row without fresh data, or slots missed in a row, before the robot stops.
+    missed_slots : int
+        Slots that may be missed over a time, each punctual tick making up for one, before the
+        robot stops: a loop that is too slow for its period is no loop.
+    blend_s : float
+        Least time in which the goals go from where the arm stands over into the motion.
+    stop_deceleration_rad_s2 : float
+        With which goals come to rest in a controlled stop.
+    hold_s : float
+        How long the last goal is held, torque on, before the torque goes off.
+    """
+
+    angle_rad: tuple[float, float] = (-0.6, 0.6)
+    rate_rad_s: float = 2.0
+    acceleration_rad_s2: float = 60.0
+    current_a: float = 8.0
+    following_error_rad: float = 0.2
+    jump_rad: float = 0.1
+    tip_min_m: tuple[float, float, float] = (-1.2, -1.2, 0.0)
+    tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)
+    persistence_ticks: int = 3
+    stale_ticks: int = 3
+    missed_slots: int = 12
+    blend_s: float = 1.0
+    stop_deceleration_rad_s2: float = 6.0
+    hold_s: float = 0.5
+
+    def complaint_about_sample(
+        self,
+        angle: Sequence[float],
+        current: Sequence[float],
+        tip: Sequence[float],
+        di: float,
+        *,
+        goal: Sequence[float],
+        angle_before: Sequence[float],
+    ) -> str:
+        """Name the first limit that a measurement breaks, or nothing.
+
+        Parameters
+        ----------
+        angle, current : sequence of float
+            As measured, in rad and A, one of each joint.
+        tip : sequence of three floats
+            As predicted from them, in m.
+        di : float
+            As estimated from them.
+        goal, angle_before : sequence of float
+            The goals sent before the sample, and the sample before it, in rad.
+        """
+        low, high = self.angle_rad
+        margin = self.following_error_rad
+        for joint, at in enumerate(angle):
+            who = f"joint {joint + 1}"
+            if not low - margin <= at <= high + margin:
+                return f"{who} is at {at:.3f} rad, outside its limits"
+            if not abs(current[joint]) <= self.current_a:
+                return f"{who} draws {current[joint]:.2f} A, the limit is {self.current_a:g} A"
+            if not abs(at - goal[joint]) <= margin:
+                return (
+                    f"{who} is {at - goal[joint]:.3f} rad away from its goal, "
+                    f"the limit is {margin:g} rad"
+                )
+            if not abs(at - angle_before[joint]) <= self.jump_rad:
+                return f"{who} jumped by {at - angle_before[joint]:.3f} rad, an encoder fault"
+        if not math.isfinite(di):
+            return f"the Deformation Index is {di}"
+        for k, axis in enumerate("xyz"):
+            if not self.tip_min_m[k] <= tip[k] <= self.tip_max_m[k]:
+                return f"the predicted tip has {axis} = {tip[k]:.3f} m, outside its box"
+        return ""
+
+    def complaint_about_goal(
+        self,
+        goal: Sequence[float],
+        *,
+        before: Sequence[float],
+        velocity: Sequence[float],
+        period_s: float,
+    ) -> str:
+        """Name the first limit that a goal breaks, or nothing.
+
+        Parameters
+        ----------
+        goal, before : sequence of float
+            Of each joint, in rad: the goal in question, and the one a period before it.
+        velocity : sequence of float
+            In rad/s, with which that one was reached.
+        period_s : float
+            Control period.
+        """
+        low, high = self.angle_rad
+        for joint, value in enumerate(goal):
+            who = f"the goal of joint {joint + 1}"
+            if not low <= value <= high:
+                return f"{who} is {value:.3f} rad, outside {low:g} to {high:g} rad"
+            rate = (value - before[joint]) / period_s
+            if not abs(rate) <= self.rate_rad_s * _ROUNDING:
+                return f"{who} moves at {rate:.2f} rad/s, the limit is {self.rate_rad_s:g} rad/s"
+            acceleration = (rate - velocity[joint]) / period_s
+            if not abs(acceleration) <= self.acceleration_rad_s2 * _ROUNDING:
+                return (
+                    f"{who} accelerates at {acceleration:.1f} rad/s2, "
+                    f"the limit is {self.acceleration_rad_s2:g} rad/s2"
+                )
+        return ""

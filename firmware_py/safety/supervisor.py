@@ -1,0 +1,280 @@
+"""The safety supervisor: decides in every tick whether the robot may go on, and with which goal.
+
+Its states and the steps between them stand in `firmware_py.safety.states`, what is too much in
+`firmware_py.safety.limits`. Goals are judged at once; measurements must break a limit
+`persistence_ticks`
+times in a row, since a single wild sample is the sensor's fault more often than the arm's. Goals
+never jump, they blend (`firmware_py.safety.blend`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.registers import describe_alert
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.errors import InputError
+from firmware_py.safety.blend import Blend
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.states import ALLOWED, SafetyState
+from firmware_py.signals import PERIOD_S
+
+Array = NDArray[np.float64]
+
+
+class SafetySupervisor:
+    """The state machine of `firmware_py.safety.states`.
+
+    Parameters
+    ----------
+    limits : Limits
+        What the robot may do.
+    dof : int
+        Number of joints.
+    period_s : float
+        Control period.
+
+    Attributes
+    ----------
+    state : SafetyState
+        Where it is.
+    reason : str
+        Why it left RUNNING, one sentence; empty before.
+    tripped : bool
+        Whether it was a fault, not a request, that stopped the robot.
+    stale_ticks : int
+        Age of the data in ticks, 0 is fresh.
+    goal_rad : ndarray, shape (dof,)
+        The goal admitted last.
+    """
+
+    def __init__(self, limits: Limits, dof: int, period_s: float = PERIOD_S) -> None:
+        self.state, self.reason, self.tripped = SafetyState.STARTING, "", False
+        self.stale_ticks = 0
+        self.goal_rad = np.zeros(dof)
+        self._limits, self._dof, self._period_s = limits, dof, period_s
+        self._goal = [0.0] * dof
+        self._velocity = [0.0] * dof
+        self._angle = [0.0] * dof
+        self._blend = Blend(limits, dof, period_s)
+        self._strikes = 0
+        self._missed_slots = 0
+        self._hold_ticks = 0
+
+    # Transitions -------------------------------------------------------------------------------
+
+    def _enter(self, state: SafetyState) -> None:
+        if (self.state, state) not in ALLOWED:
+            raise ValueError(f"{self.state.name} does not lead to {state.name}")
+        self.state = state
+
+    def arm(self, angle_rad: Array) -> None:
+        """Take the measured position as the goal to start from: STARTING → READY.
+
+        Raises
+        ------
+        InputError
+            If a joint stands outside the limits.
+        """
+        low, high = self._limits.angle_rad
+        for joint, angle in enumerate(angle_rad.tolist()):
+            if not low <= angle <= high:
+                raise InputError(
+                    f"joint {joint + 1}",
+                    f"stands at {angle:.3f} rad, outside {low:g} to {high:g} rad",
+                    "move it by hand into limits.angle_rad before the start",
+                )
+            self._goal[joint] = self._angle[joint] = self.goal_rad[joint] = angle
+        self._enter(SafetyState.READY)
+
+    def start(self) -> None:
+        """READY → RUNNING, once the torque is on."""
+        self._enter(SafetyState.RUNNING)
+
+    def restart(self) -> None:
+        """OFF → STARTING, for a robot whose port is back: every check is made again."""
+        self._enter(SafetyState.STARTING)
+        self.reason, self.tripped = "", False
+        self.stale_ticks = self._strikes = self._missed_slots = 0
+        for joint in range(self._dof):
+            self._velocity[joint] = 0.0
+
+    def request_stop(self, reason: str) -> None:
+        """Come to a controlled stop for a reason that is no fault (end of the run, a signal)."""
+        self._stop(reason, tripped=False)
+
+    def trip(self, reason: str) -> None:
+        """Come to a controlled stop for a fault that the loop has found."""
+        self._stop(reason)
+
+    def _stop(self, reason: str, *, tripped: bool = True) -> None:
+        if self.state < SafetyState.STOPPING:
+            self._enter(SafetyState.STOPPING)
+            self.reason, self.tripped = reason, tripped
+            self._hold_ticks = max(1, math.ceil(self._limits.hold_s / self._period_s))
+
+    # In every tick -----------------------------------------------------------------------------
+
+    def check(
+        self,
+        status: BusStatus,
+        alert: int,
+        angle_rad: Array,
+        current_a: Array,
+        tip_m: Array,
+        di: float,
+        missed: int,
+    ) -> SafetyState:
+        """Judge what this tick measured and predicted.
+
+        Parameters
+        ----------
+        status : BusStatus
+            Result of the read.
+        alert : int
+            What the servos complain of, see `firmware_py.bus.registers.describe_alert`.
+        angle_rad, current_a : ndarray, shape (dof,)
+            Latest good measurement.
+        tip_m : ndarray, shape (3,)
+            Predicted tip.
+        di : float
+            Estimated Deformation Index.
+        missed : int
+            Slots missed since the previous tick.
+        """
+        self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
+        self._missed_slots = (
+            self._missed_slots + missed if missed else max(self._missed_slots - 1, 0)
+        )
+        if self.state is SafetyState.RUNNING and self.stale_ticks:
+            self._enter(SafetyState.DEGRADED)
+        elif self.state is SafetyState.DEGRADED and not self.stale_ticks:
+            self._enter(SafetyState.RUNNING)
+        if status is BusStatus.ALERT:
+            self._stop(f"a servo raises an alert ({describe_alert(alert)})")
+        elif self.stale_ticks >= self._limits.stale_ticks:
+            self._stop(f"no fresh data for {self.stale_ticks} ticks ({status.name})")
+        elif missed >= self._limits.stale_ticks:
+            self._stop(f"{missed} slots missed in a row")
+        elif self._missed_slots > self._limits.missed_slots:
+            self._stop(f"{self._missed_slots} slots missed, the loop is too slow for its period")
+        if status.fresh:
+            self._judge(angle_rad.tolist(), current_a.tolist(), tip_m.tolist(), di)
+        return self.state
+
+    def _judge(
+        self, angle: Sequence[float], current: Sequence[float], tip: Sequence[float], di: float
+    ) -> None:
+        complaint = self._limits.complaint_about_sample(
+            angle, current, tip, di, goal=self._goal, angle_before=self._angle
+        )
+        self._angle[:] = angle
+        self._strikes = self._strikes + 1 if complaint else 0
+        if complaint and self._strikes >= self._limits.persistence_ticks:
+            self._stop(complaint)
+
+    # The way of the goals ----------------------------------------------------------------------
+
+    def approach(self, start_rad: Array) -> int:
+        """Go from where the joints stand to where the motion begins; return the ticks it takes.
+
+        Parameters
+        ----------
+        start_rad : ndarray, shape (dof,)
+            First goal of the motion, to be wished for in each of these ticks.
+        """
+        return self._blend.approach(self._goal, start_rad.tolist())
+
+    def rebase(self, wished_before_rad: Array) -> None:
+        """Absorb a jump: from here on goals follow the motion with an offset that fades away.
+
+        Parameters
+        ----------
+        wished_before_rad : ndarray, shape (dof,)
+            The motion one period before the goal to come, which the last goal is to stand for;
+            the speed of the motion is then kept without a step.
+        """
+        self._blend.absorb(self._goal, wished_before_rad.tolist())
+
+    def resume(self) -> None:
+        """Go from where the goals stand over into the motion, wherever it is."""
+        self._blend.take_up(self._goal)
+
+    def admit(self, wished_rad: Array) -> Array:
+        """Return the goal to send: the wished one as far as it is allowed, else one that stops.
+
+        Parameters
+        ----------
+        wished_rad : ndarray, shape (dof,)
+            Goal of the motion in this tick.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+            `goal_rad`, overwritten in place.
+        """
+        if self.state in (SafetyState.RUNNING, SafetyState.DEGRADED):
+            goal = self._blend.next(wished_rad.tolist())
+            complaint = self._limits.complaint_about_goal(
+                goal, before=self._goal, velocity=self._velocity, period_s=self._period_s
+            )
+            if complaint:
+                self._stop(complaint)
+            else:
+                self._accept(goal)
+        if self.state is SafetyState.STOPPING:
+            self._accept(self._slowed())
+            if not any(self._velocity):
+                self._hold_ticks -= 1
+                if self._hold_ticks <= 0:
+                    self._enter(SafetyState.OFF)
+        return self.goal_rad
+
+    def _slowed(self) -> list[float]:
+        """Goals one period on, with the speed brought towards zero, inside the angle limits."""
+        low, high = self._limits.angle_rad
+        step = self._limits.stop_deceleration_rad_s2 * self._period_s
+        goal = []
+        for value, velocity in zip(self._goal, self._velocity, strict=True):
+            slower = math.copysign(max(abs(velocity) - step, 0.0), velocity)
+            goal.append(min(max(value + slower * self._period_s, low), high))
+        return goal
+
+    def _accept(self, goal: Sequence[float]) -> None:
+        for joint, value in enumerate(goal):
+            self._velocity[joint] = (value - self._goal[joint]) / self._period_s
+            self._goal[joint] = self.goal_rad[joint] = value
+
+
+def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) -> None:
+    """Refuse a table of goals that the supervisor would stop.
+
+    Parameters
+    ----------
+    goals_rad : ndarray, shape (n, dof)
+        One row a period, from rest at the first row.
+    limits : Limits
+        What the robot may do.
+    period_s : float
+        Control period.
+    where : str
+        What the message calls the motion.
+
+    Raises
+    ------
+    InputError
+        If a goal breaks a limit; it names the first.
+    """
+    supervisor = SafetySupervisor(limits, goals_rad.shape[1], period_s)
+    supervisor.arm(goals_rad[0])
+    supervisor.start()
+    for row in goals_rad:
+        supervisor.admit(row)
+        if supervisor.state is not SafetyState.RUNNING:
+            raise InputError(
+                where, supervisor.reason, "make the motion slower or smaller, or widen [limits]"
+            )

@@ -1,0 +1,91 @@
+"""Put the observer unit into a bundle, with golden ticks that the unit did not make itself."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.inference.bundle import Manifest, write_manifest
+from firmware_py.inference.estimator import Estimate, ObserverEstimator
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.golden import GOLDEN, read_golden, record_golden, verify, write_golden
+from firmware_py.inference.predictor import OnnxPredictor
+from fmu.fmu_builder import build_unit
+from fmu.fmu_models import PLANT, PREDICTOR, Parts
+from models.plant.step_model import StepModel, names
+
+Array = NDArray[np.float64]
+OBSERVER = "observer.fmu"
+
+
+class ModelEstimator:
+    """`DeformationEstimator` on the interpreted model: the reference for the compiled unit."""
+
+    def __init__(self, model: StepModel) -> None:
+        self._model, self._parameters = model, model.parameter_values()
+        outputs = names(model.outputs)
+        self._rows = [outputs.index("di"), outputs.index("payload_kg")]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._state: Array | None = None
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample; see `DeformationEstimator.update`."""
+        model, p = self._model, self._parameters
+        u = np.concatenate([angle_rad, current_a])
+        before = np.asarray(model.initial(u, p)).ravel() if self._state is None else self._state
+        self._state = model.advance(before, u, p, step_s)
+        y = np.asarray(model.output(self._state, u, p)).ravel()
+        di, payload_kg = y[self._rows]
+        return Estimate(float(di), float(payload_kg))
+
+
+def add_observer(bundle: Path, manifest: Manifest, parts: Parts) -> Path:
+    """Build the observer into a bundle and make it the bundle's estimator.
+
+    The golden ticks keep their motion; their answers are computed anew by the interpreted model,
+    so that the robot's replay proves the binary. The manifest is replaced last, at once.
+
+    Returns
+    -------
+    Path
+        The unit.
+
+    Raises
+    ------
+    InputError
+        If the bundle holds no golden ticks, or the unit does not replay them.
+    """
+    assert parts.plant is not None
+    if parts.plant.sha256() != manifest.plant_sha256:
+        print(
+            f"{bundle}: the predictor was trained with another plant's observer; train it again "
+            "for its best accuracy",
+            file=sys.stderr,
+        )
+    model = parts.model()
+    motion = read_golden(bundle / GOLDEN, parts.dof)
+    predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
+    golden = record_golden(
+        ModelEstimator(model), predictor, motion.angle_rad, motion.current_a, motion.step_s
+    )
+    scratch = build_unit(
+        model,
+        bundle / f".{OBSERVER}",
+        description=parts.description(),
+        resources=parts.resources(),
+    )
+    with FmuInstance(scratch) as unit:
+        verify(golden, ObserverEstimator(unit, parts.dof), predictor, bundle / OBSERVER)
+    scratch.replace(bundle / OBSERVER)
+    write_golden(bundle / GOLDEN, golden)
+    parts.plant.write(bundle / PLANT)
+    renewed = {"estimator": "observer", "plant_sha256": parts.plant.sha256()}
+    write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
+    return bundle / OBSERVER

@@ -1,0 +1,124 @@
+"""A run of a unit in FMPy along a motion or a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from firmware_py.signals import DI, PAYLOAD, tip_names
+from fmu.fmpy_instance import Archive, Instance
+from fmu.fmu_models import parts_inside
+from fmu.stimulus import motion_inputs, trial_inputs
+from models.plant.step_model import names
+from models.trials.deformation import deformation_index
+from models.trials.trial import Trial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FmuRun:
+    """Inputs and outputs of a run.
+
+    Attributes
+    ----------
+    title : str
+        What was run.
+    time_s : ndarray, shape (n,)
+        Time of each row.
+    columns : dict of str to ndarray, shape (n,)
+        Inputs, then outputs, as in a trial: a goal is sent just after its row's sample.
+    units : dict of str to str
+        Unit of each column.
+    measured : dict of str to ndarray, shape (n,)
+        The trial's own values of the outputs, where there is a trial.
+    """
+
+    title: str
+    time_s: Array
+    columns: dict[str, Array]
+    units: dict[str, str]
+    measured: dict[str, Array]
+
+    def rms_against_trial(self) -> dict[str, float]:
+        """Root mean square difference from the trial by output, in the unit of each."""
+        return {
+            name: float(np.sqrt(np.mean((self.columns[name] - values) ** 2)))
+            for name, values in self.measured.items()
+        }
+
+
+def simulate(
+    archive: Archive,
+    source: Motion | Trial,
+    payload_kg: float,
+    step_s: float,
+    parameters: Mapping[str, float],
+) -> FmuRun:
+    """Run a unit.
+
+    Parameters
+    ----------
+    archive : Archive
+        The unit.
+    source : Motion or Trial
+        Where the inputs come from.
+    payload_kg, step_s : float
+        Payload and communication step; a trial has its own.
+    parameters : mapping of str to float
+        Variables to set before the start.
+
+    Raises
+    ------
+    InputError
+        If the unit is not one of ours, or refuses a parameter.
+    """
+    parts = parts_inside(archive.directory / "resources")
+    if parts is None:
+        raise InputError(archive.path, "does not say what it is", "simulate a unit of ours")
+    model = parts.model()
+    inputs, outputs = names(model.inputs), names(model.outputs)
+    if isinstance(source, Trial):
+        u, step_s = trial_inputs(parts, model, source), source.step_s
+    else:
+        u = motion_inputs(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
+    # A goal holds over the step that follows it, a measured sample ends the step before it.
+    goals = parts.kind == "twin"
+    with archive.instance() as instance:
+        _set(archive, instance, parameters)
+        driven = u[:-1] if goals else u
+        y = instance.run(inputs, driven, np.full(len(driven), step_s), outputs)
+    y = y if goals else y[1:]
+    return FmuRun(
+        title=f"{archive.path.name}: {source.name if isinstance(source, Trial) else source.kind}",
+        time_s=np.asarray(step_s * np.arange(len(u), dtype=np.float64)),
+        columns=dict(zip([*inputs, *outputs], [*u.T, *y.T], strict=True)),
+        units={v.name: v.unit for v in (*model.inputs, *model.outputs)},
+        measured=_measured(source, outputs) if isinstance(source, Trial) else {},
+    )
+
+
+def _set(archive: Archive, instance: Instance, parameters: Mapping[str, float]) -> None:
+    for name, value in parameters.items():
+        if name not in instance.variables:
+            raise InputError(archive.path, f"has no variable {name}", "see its documentation")
+        try:
+            instance.set({name: value})
+        except FMICallException:
+            reason = instance.messages[-1].rstrip(".")
+            raise InputError(archive.path, reason, "choose another value") from None
+
+
+def _measured(trial: Trial, outputs: Sequence[str]) -> dict[str, Array]:
+    """What the trial itself says of the outputs; the predicted tip is held against its tip."""
+    columns = {**trial.columns, DI.name: deformation_index(trial)}
+    columns[PAYLOAD.name] = np.full(len(trial), trial.meta.payload_kg)
+    for name, predicted in zip(tip_names(), tip_names("predicted_"), strict=True):
+        columns[predicted] = columns[name]
+    return {name: columns[name] for name in outputs if name in columns}

@@ -1,0 +1,211 @@
+"""modelDescription.xml of a unit for FMI 2.0 and FMI 3.0, and the page of documentation."""
+
+from __future__ import annotations
+
+import html
+import importlib.metadata
+from typing import Literal
+from xml.etree import ElementTree as ET
+
+from firmware_py.signals import PERIOD_S
+from fmu.interface import FmiVariable, Interface, bounds
+from fmu.si_units import DISPLAY_UNITS, base_exponents
+
+FmiVersion = Literal[2, 3]
+
+STOP_TIME_S = 2 * 256 * PERIOD_S
+"""Two cycles of the study's motion (paper, section IV-A)."""
+
+
+def describe(
+    interface: Interface, fmi: FmiVersion, token: str, description: str, generated: str
+) -> bytes:
+    """Write the model description.
+
+    Parameters
+    ----------
+    interface : Interface
+        Variables and dependencies.
+    fmi : {2, 3}
+        Version of the standard.
+    token : str
+        GUID (FMI 2.0) or instantiation token (FMI 3.0).
+    description : str
+        One sentence on the unit.
+    generated : str
+        Date and time, like "2026-11-21T00:00:00Z".
+
+    Returns
+    -------
+    bytes
+        XML, UTF-8.
+    """
+    root = ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{fmi}.0",
+            "modelName": interface.name,
+            {2: "guid", 3: "instantiationToken"}[fmi]: token,
+            "description": description,
+            "version": _version(),
+            "license": "Apache-2.0",
+            "generationTool": f"dropstitch {_version()}",
+            "generationDateAndTime": generated,
+            "variableNamingConvention": "structured",
+        },
+    )
+    if fmi == 2:
+        root.set("numberOfEventIndicators", "0")
+    root.append(_co_simulation(interface, fmi))
+    root.append(_unit_definitions(interface))
+    categories = ET.SubElement(root, "LogCategories")
+    ET.SubElement(categories, "Category", name="logStatusError", description="refused calls")
+    ET.SubElement(
+        root, "DefaultExperiment",
+        startTime="0.0", stopTime=repr(STOP_TIME_S), stepSize=repr(PERIOD_S),
+    )  # fmt: skip
+    variables = ET.SubElement(root, "ModelVariables")
+    for variable in interface.variables:
+        variables.append(_variable_2(variable) if fmi == 2 else _variable_3(variable))
+    root.append(_structure_2(interface) if fmi == 2 else _structure_3(interface))
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _version() -> str:
+    return importlib.metadata.version("dropstitch")
+
+
+def _co_simulation(interface: Interface, fmi: FmiVersion) -> ET.Element:
+    spelling = "FMUstate" if fmi == 2 else "FMUState"
+    element = ET.Element(
+        "CoSimulation",
+        {
+            "modelIdentifier": interface.name,
+            "canHandleVariableCommunicationStepSize": "true",
+            f"canGetAndSet{spelling}": "true",
+            f"canSerialize{spelling}": "true",
+        },
+    )
+    if fmi == 2:
+        element.set("canNotUseMemoryManagementFunctions", "true")
+    return element
+
+
+def _unit_definitions(interface: Interface) -> ET.Element:
+    definitions = ET.Element("UnitDefinitions")
+    for name in interface.units:
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        exponents = {symbol: str(power) for symbol, power in base_exponents(name).items()}
+        ET.SubElement(unit, "BaseUnit", exponents)
+        if name in DISPLAY_UNITS:
+            shown = DISPLAY_UNITS[name]
+            ET.SubElement(unit, "DisplayUnit", name=shown.name, factor=repr(shown.factor))
+    return definitions
+
+
+def _common(variable: FmiVariable) -> dict[str, str]:
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(variable.reference),
+        "causality": variable.causality,
+        "variability": variable.variability,
+    }
+    if variable.initial:
+        attributes["initial"] = variable.initial
+    if variable.description:
+        attributes["description"] = variable.description
+    return attributes
+
+
+def _values(variable: FmiVariable) -> dict[str, str]:
+    """Attributes of the value: unit, bounds, nominal, start."""
+    attributes = {}
+    if variable.type == "Float64":
+        attributes["unit"] = variable.unit
+        if variable.unit in DISPLAY_UNITS:
+            attributes["displayUnit"] = DISPLAY_UNITS[variable.unit].name
+        attributes.update({name: repr(value) for name, value in bounds(variable).items()})
+        if variable.causality != "independent":
+            attributes["nominal"] = repr(variable.nominal)
+    if variable.causality in ("input", "parameter"):
+        attributes["start"] = repr(float(variable.start))
+    return attributes
+
+
+def _variable_2(variable: FmiVariable) -> ET.Element:
+    element = ET.Element("ScalarVariable", _common(variable))
+    kind = {"Float64": "Real", "Boolean": "Boolean"}[variable.type]
+    ET.SubElement(element, kind, _values(variable))
+    return element
+
+
+def _variable_3(variable: FmiVariable) -> ET.Element:
+    return ET.Element(variable.type, {**_common(variable), **_values(variable)})
+
+
+def _structure_2(interface: Interface) -> ET.Element:
+    """FMI 2.0 counts variables from 1; parameters are knowns in initialization only."""
+    structure = ET.Element("ModelStructure")
+    inputs = {v.reference for v in interface.of("input")}
+    outputs = ET.SubElement(structure, "Outputs")
+    unknowns = ET.SubElement(structure, "InitialUnknowns")
+    for output, known in interface.dependencies.items():
+        indices = [k + 1 for k in known if k in inputs]
+        ET.SubElement(outputs, "Unknown", index=str(output + 1), dependencies=_list(indices))
+    for output, known in interface.initial_dependencies.items():
+        indices = [k + 1 for k in known]
+        ET.SubElement(unknowns, "Unknown", index=str(output + 1), dependencies=_list(indices))
+    return structure
+
+
+def _structure_3(interface: Interface) -> ET.Element:
+    structure = ET.Element("ModelStructure")
+    for tag, dependencies in (
+        ("Output", interface.dependencies),
+        ("InitialUnknown", interface.initial_dependencies),
+    ):
+        for output, known in dependencies.items():
+            ET.SubElement(
+                structure, tag, valueReference=str(output), dependencies=_list(list(known))
+            )
+    return structure
+
+
+def _list(numbers: list[int]) -> str:
+    return " ".join(map(str, numbers))
+
+
+def document(interface: Interface, description: str) -> str:
+    """Write documentation/index.html: what the unit is and the table of its variables."""
+    rows = "\n".join(
+        "<tr>"
+        + "".join(
+            f"<td>{html.escape(cell)}</td>"
+            for cell in (v.name, v.causality, v.unit, _range(v), v.description)
+        )
+        + "</tr>"
+        for v in interface.variables
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{interface.name}</title>
+<style>body{{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}
+td,th{{text-align:left;padding:.1em .8em .1em 0;border-bottom:1px solid #ddd}}</style></head>
+<body><h1>{interface.name}</h1>
+<p>{html.escape(description)}</p>
+<p>Co-Simulation, any communication step; outputs follow inputs and parameters that are set
+between two steps at once. A call that is refused leaves the instance as it was and logs one
+sentence under <code>logStatusError</code>. The plant and the predictor that the unit was built
+from lie in <code>resources/</code>.</p>
+<table><tr><th>Variable</th><th>Causality</th><th>Unit</th><th>Range</th><th>Meaning</th></tr>
+{rows}
+</table></body></html>
+"""
+
+
+def _range(variable: FmiVariable) -> str:
+    limits = bounds(variable)
+    if not limits:
+        return ""
+    return f"{limits.get('min', '')} … {limits.get('max', '')}"

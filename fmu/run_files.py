@@ -1,0 +1,61 @@
+"""Write and draw a run of a unit."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt
+
+from firmware_py.signals import TIME
+from fmu.fmpy_run import FmuRun
+from fmu.si_units import DISPLAY_UNITS, DisplayUnit
+
+
+def write_csv(result: FmuRun, path: Path) -> None:
+    """Write time, inputs and outputs, SI units, one row a step."""
+    columns = [result.time_s, *result.columns.values()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([TIME.name, *result.columns])
+        writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
+
+
+def draw(result: FmuRun, path: Path) -> None:
+    """Draw one panel for each quantity; the trial, where there is one, dashed behind."""
+    panels: dict[tuple[str, str], list[str]] = {}
+    for name in result.columns:
+        panels.setdefault((_quantity(name), result.units[name]), []).append(name)
+    figure, axes = plt.subplots(
+        len(panels), 1, figsize=(8.0, 2.2 * len(panels)), sharex=True, squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
+    for axis, ((quantity, unit), columns) in zip(axes[:, 0], panels.items(), strict=True):
+        shown = DISPLAY_UNITS.get(unit, DisplayUnit(unit, 1.0))
+        for name in columns:
+            (line,) = axis.plot(
+                result.time_s, shown.factor * result.columns[name], lw=1.0, label=name
+            )
+            if name in result.measured and not name.startswith("predicted_"):  # drawn once
+                axis.plot(
+                    result.time_s, shown.factor * result.measured[name], "--", lw=1.0,
+                    color=line.get_color(), alpha=0.5, label=f"{name}, trial",
+                )  # fmt: skip
+        axis.set_ylabel(quantity if unit == "1" else f"{quantity} in {shown.name}")
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes[0, 0].set_title(result.title)
+    axes[-1, 0].set_xlabel("time in s")
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
+def _quantity(name: str) -> str:
+    """What a variable is a value of: "tip_x_m" and "predicted_tip_x_m" are both the tip."""
+    for quantity in ("half_width", "tip", "angle", "goal", "current", "payload", "in_range"):
+        if quantity in name:
+            return {"goal": "angle", "half_width": "half width"}.get(quantity, quantity)
+    return name

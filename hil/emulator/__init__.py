@@ -1,0 +1,1 @@
+"""Emulated servos: registers, packets, the line and the physics behind them."""

@@ -1,0 +1,323 @@
+"""One emulated DYNAMIXEL: its registers, their access rights and what they do.
+
+Physics is not here: the servo turns its registers into the goal that the plant gets
+(`goal_rad`), and what the plant answers (`observe`) into registers with the model's resolution.
+Between the two lies the plant's own closed servo loop.
+
+Semantics follow the e-Manual's control tables and its Protocol 2.0. Where it is silent:
+
+- Torque off: the gear holds (502:1, friction above the link's torque), so the goal stays where the
+  angle is and the current reads 0.
+- Only the position modes are there (3 position, 4 extended); another mode is a data range error.
+- Profiles are registers without effect: the loop sends a goal every 17 ms.
+- A reboot takes no time.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from firmware_py.bus.registers import (
+    RETURN_DELAY_UNIT_S,
+    WATCHDOG_UNIT_S,
+    X_SERIES,
+    Register,
+    RegisterField,
+)
+from firmware_py.bus.servo_models import Model
+from hil.emulator.packets import ALERT, StatusError
+
+EXTENDED_POSITION_MODE: Final = 4
+MEMORY_BYTES: Final = 1024
+BAUD_OF_CODE: Final = {
+    0: 9600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000,
+}  # fmt: skip
+"""Values of the baud rate register (legacy PRO has 2400 instead of 9600 [recalled])."""
+
+_GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
+_FIRMWARE_VERSION = 46
+_VOLTAGE_RAW, _TEMPERATURE_DEGC = 240, 35
+_CURRENT_LIMIT_RAW = {"legacy PRO": 620, "PRO(A) and P": 10_000, "X": 1193}
+
+_RANGES: Final = {
+    Register.ID: (0, 252),
+    Register.BAUD_RATE: (min(BAUD_OF_CODE), max(BAUD_OF_CODE)),
+    Register.RETURN_DELAY: (0, 254),
+    Register.OPERATING_MODE: (3, EXTENDED_POSITION_MODE),
+    Register.TORQUE_ENABLE: (0, 1),
+    Register.STATUS_RETURN_LEVEL: (0, 2),
+    Register.BUS_WATCHDOG: (0, 127),
+}
+"""Values that a register accepts; any that fits its bytes where it is not listed."""
+
+
+class EmulatedServo:
+    """A servo on the bus.
+
+    Parameters
+    ----------
+    model : Model
+        Which one.
+    servo_id : int
+        Its address on the bus.
+    baud : int
+        Its baud rate, one of `BAUD_OF_CODE`.
+    return_delay_s : float
+        Pause between instruction and status packet (factory setting 500 µs).
+
+    Attributes
+    ----------
+    torque_on : bool
+        Whether the motor is driven.
+    watchdog_tripped : bool
+        Whether the bus watchdog has stopped the servo.
+    goal_rad : float
+        Angle that it drives to; where it stands when it may not drive.
+    """
+
+    def __init__(
+        self, model: Model, servo_id: int = 1, baud: int = 1_000_000, return_delay_s: float = 500e-6
+    ) -> None:
+        self.model, self._table = model, model.table
+        self._memory = bytearray(MEMORY_BYTES)
+        self._cell_at = {cell.address: (r, cell) for r, cell in model.table.cells.items()}
+        self._present = tuple(
+            model.table[register]
+            for register in (
+                Register.PRESENT_POSITION, Register.PRESENT_VELOCITY, Register.PRESENT_CURRENT
+            )
+        )  # fmt: skip
+        self._hold_rad = 0.0
+        self._angle_rad = 0.0
+        self._fed_ns = 0
+        self._refresh()
+        code = next(code for code, rate in BAUD_OF_CODE.items() if rate == baud)
+        turn = model.pulses_per_turn
+        low, high = (0, turn - 1) if model.table is X_SERIES else (-turn // 2, turn // 2)
+        for register, raw in {
+            Register.MODEL_NUMBER: model.number,
+            Register.FIRMWARE_VERSION: _FIRMWARE_VERSION,
+            Register.ID: servo_id,
+            Register.BAUD_RATE: code,
+            Register.RETURN_DELAY: round(return_delay_s / RETURN_DELAY_UNIT_S),
+            Register.OPERATING_MODE: 3,
+            Register.CURRENT_LIMIT: _CURRENT_LIMIT_RAW[model.table.name],
+            Register.MAX_POSITION_LIMIT: high,
+            Register.MIN_POSITION_LIMIT: low,
+            Register.SHUTDOWN: 58 if Register.BUS_WATCHDOG not in model.table else 52,
+            Register.PRESENT_INPUT_VOLTAGE: _VOLTAGE_RAW,
+            Register.PRESENT_TEMPERATURE: _TEMPERATURE_DEGC,
+        }.items():
+            self.put(register, raw)
+        self._point_at_themselves()
+        self._boot()
+
+    # --- registers as the servo's own firmware sees them ---------------------------------------
+
+    def get(self, register: Register) -> int:
+        """Raw value of a register; 0 for one that the model lacks."""
+        cell = self._table.cells.get(register)
+        return cell.decode(self._memory, cell.address) if cell else 0
+
+    def put(self, register: Register, raw: int) -> None:
+        """Set a register past all access rights; nothing where the model lacks it."""
+        if register in self._table:
+            self._store(self._table[register], raw)
+            self._refresh()
+
+    def _point_at_themselves(self) -> None:
+        """Factory setting of the indirect addresses: no byte stands for another."""
+        indirect = self._table.indirect
+        for k in range(indirect.entries):
+            self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
+
+    def _store(self, cell: RegisterField, raw: int) -> None:
+        self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+
+    def _refresh(self) -> None:
+        """Bring what the physics asks for in every step up to date with the registers."""
+        watchdog = self.get(Register.BUS_WATCHDOG)
+        self.torque_on = bool(self.get(Register.TORQUE_ENABLE))
+        self.watchdog_tripped = watchdog < 0
+        armed = watchdog if self.torque_on and not self.watchdog_tripped else 0
+        self._watchdog_ns = armed * round(WATCHDOG_UNIT_S * 1e9)
+        self._offset_raw = self.get(Register.HOMING_OFFSET)
+        self.goal_rad = self._hold_rad
+        if self.torque_on and not self.watchdog_tripped:
+            self.goal_rad = self.model.angle_rad(
+                self.get(Register.GOAL_POSITION) - self._offset_raw
+            )
+
+    @property
+    def id(self) -> int:
+        """Address on the bus."""
+        return self.get(Register.ID)
+
+    @property
+    def baud(self) -> int:
+        """Bits per second that it sends with."""
+        return BAUD_OF_CODE[self.get(Register.BAUD_RATE)]
+
+    @property
+    def return_delay_ns(self) -> int:
+        """Pause in front of a status packet."""
+        return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_UNIT_S * 1e9)
+
+    # --- physics -------------------------------------------------------------------------------
+
+    def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
+        """Take over the plant's state into the present registers, quantised and clipped."""
+        model = self.model
+        self._angle_rad = angle_rad
+        raws = (
+            round(angle_rad / model.rad_per_pulse) + model.zero_pulse + self._offset_raw,
+            round(velocity_rad_s / model.velocity_rad_s_per_lsb),
+            round(current_a / model.current_a_per_lsb) if self.torque_on else 0,
+        )
+        for cell, raw in zip(self._present, raws, strict=True):
+            limit = 1 << (8 * cell.size - 1)
+            self._store(cell, max(-limit, min(limit - 1, raw)))
+
+    # --- protection ----------------------------------------------------------------------------
+
+    def fail(self, bits: int) -> None:
+        """Raise hardware errors; those in the shutdown mask switch the torque off for good."""
+        self.put(Register.HARDWARE_ERROR, self.get(Register.HARDWARE_ERROR) | bits)
+        if self._shut_down:
+            self._release()
+
+    @property
+    def _shut_down(self) -> bool:
+        return bool(self.get(Register.HARDWARE_ERROR) & self.get(Register.SHUTDOWN))
+
+    @property
+    def alert(self) -> int:
+        """Bit that every status packet carries while there is a hardware error."""
+        return ALERT if self.get(Register.HARDWARE_ERROR) else 0
+
+    @property
+    def watchdog_due_ns(self) -> int | None:
+        """When the bus watchdog will trip unless it is fed; None where it is not armed."""
+        return self._fed_ns + self._watchdog_ns if self._watchdog_ns else None
+
+    def trip_watchdog(self) -> None:
+        """Stop at the present angle and lock the goals until 0 is written to the watchdog."""
+        self._hold_rad = self._angle_rad
+        self.put(Register.BUS_WATCHDOG, -1)
+
+    def feed_watchdog(self, now_ns: int) -> None:
+        """Note that an instruction was on the bus, whoever it was for."""
+        self._fed_ns = now_ns
+
+    def _release(self) -> None:
+        self._hold_rad = self._angle_rad
+        self.put(Register.TORQUE_ENABLE, 0)
+
+    def _boot(self) -> None:
+        """Give the RAM area its start values."""
+        self._release()
+        if self._table.indirect.address >= self._table.ram_start:
+            self._point_at_themselves()
+        for register in (Register.HARDWARE_ERROR, Register.BUS_WATCHDOG, *_GOALS):
+            self.put(register, 0)
+        self.put(Register.STATUS_RETURN_LEVEL, 2)
+        self.put(Register.POSITION_P_GAIN, 800)
+        self.observe(self._angle_rad, 0.0, 0.0)
+
+    def reboot(self) -> None:
+        """Restart: clears hardware errors and RAM, keeps EEPROM."""
+        self._boot()
+
+    # --- registers as the bus sees them --------------------------------------------------------
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return the error number and, where it is 0, the bytes."""
+        if length == 0:
+            return StatusError.DATA_LENGTH, b""
+        if address + length > MEMORY_BYTES:
+            return StatusError.ACCESS, b""
+        if not self._shows_others(address, length):
+            return StatusError.NONE, bytes(self._memory[address : address + length])
+        behind = (self._behind(address + k) for k in range(length))
+        return StatusError.NONE, bytes(self._memory[a] for a in behind)
+
+    def covers(self, address: int, length: int, register: Register) -> bool:
+        """Whether a span, looked at through the indirect addresses, begins to show a register."""
+        wanted = self._table[register].address
+        if not self._shows_others(address, length):
+            return address <= wanted < address + length
+        return any(self._behind(address + k) == wanted for k in range(length))
+
+    def _shows_others(self, address: int, length: int) -> bool:
+        data = self._table.indirect.data
+        return address + length > data and address < data + self._table.indirect.entries
+
+    def _behind(self, address: int) -> int:
+        """The address that one stands for: its own, or what its indirect entry holds."""
+        entry = self._table.indirect.entry_of(address)
+        if entry is None:
+            return address
+        held = self._memory[entry] | self._memory[entry + 1] << 8
+        return held if held < MEMORY_BYTES else address
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write whole registers one after the other; nothing changes where one is refused."""
+        fields = []
+        indirect = self._table.indirect
+        if indirect.address <= address < indirect.address + 2 * indirect.entries:
+            return self._redirect(address, data)
+        while data:
+            address = self._behind(address)
+            if address not in self._cell_at:
+                return StatusError.ACCESS
+            register, cell = self._cell_at[address]
+            if len(data) < cell.size:
+                return StatusError.DATA_LENGTH
+            raw = cell.decode(data)
+            if error := self._refusal(register, cell, raw):
+                return error
+            fields.append((register, raw))
+            address, data = address + cell.size, data[cell.size :]
+        if not fields:
+            return StatusError.DATA_LENGTH
+        for register, raw in fields:
+            self._apply(register, raw)
+        return StatusError.NONE
+
+    def _redirect(self, address: int, data: bytes) -> int:
+        """Write indirect addresses."""
+        end = self._table.indirect.address + 2 * self._table.indirect.entries
+        if address < self._table.ram_start and self.torque_on:
+            return StatusError.ACCESS
+        if address + len(data) > end:
+            return StatusError.DATA_LENGTH
+        self._memory[address : address + len(data)] = data
+        return StatusError.NONE
+
+    def _refusal(self, register: Register, cell: RegisterField, raw: int) -> int:
+        if not cell.writable or (cell.address < self._table.ram_start and self.torque_on):
+            return StatusError.ACCESS
+        low, high = _RANGES.get(register, (raw, raw))
+        if not low <= raw <= high:
+            return StatusError.DATA_RANGE
+        if register in _GOALS and self.watchdog_tripped:
+            return StatusError.DATA_RANGE
+        if register is Register.TORQUE_ENABLE and raw and self._shut_down:
+            return StatusError.RESULT_FAIL
+        if register is Register.GOAL_POSITION and not self._within_limits(raw):
+            return StatusError.DATA_LIMIT
+        return StatusError.NONE
+
+    def _within_limits(self, raw: int) -> bool:
+        if self.get(Register.OPERATING_MODE) == EXTENDED_POSITION_MODE:
+            return True
+        low = self.get(Register.MIN_POSITION_LIMIT)
+        return low <= raw <= self.get(Register.MAX_POSITION_LIMIT)
+
+    def _apply(self, register: Register, raw: int) -> None:
+        if register is Register.TORQUE_ENABLE:
+            if raw and not self.torque_on:  # the goal starts where the servo stands
+                self.put(Register.GOAL_POSITION, self.get(Register.PRESENT_POSITION))
+            elif not raw:
+                self._release()
+        self.put(register, raw)

@@ -1,0 +1,257 @@
+"""The emulated servos as a whole: line, servos and plant from one specification.
+
+For a virtual run they live in the loop's process; for a run in real time in a process of their own
+(`Emulator`), so that nothing but bytes passes between them and the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.errors import InputError
+from firmware_py.realtime.clock import RealTimeOptions, real_time
+from firmware_py.realtime.timing import KernelCounters
+from hil.emulator.emulated_bus import EmulatedBus, Physics
+from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
+from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
+from hil.emulator.physics import FmuPhysics, RigSource, open_physics
+from hil.faults import FaultPlan
+from hil.timing.host import Releases
+
+PRIORITY: Final = 60
+"""Above the loop's: where both share a processor a reply must not wait for the waiting loop."""
+MAX_PAYLOAD_KG: Final = 20.0
+"""Ten times what the link was made for."""
+MAX_LATENCY_S: Final = 0.255
+"""The latency timer is one byte of milliseconds."""
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True)
+class Specification:
+    """What to emulate.
+
+    Attributes
+    ----------
+    source : Path or RigSource
+        Twin to step, one joint per servo, or the laboratory.
+    model_number : int
+        Model of every servo.
+    ids : tuple of int
+        Their addresses, in joint order.
+    baud : int
+        Bits per second.
+    return_delay_s, latency_s : float
+        Of the servos and of the USB adapter.
+    payload_kg : float
+        At the tip.
+    faults : dict of str to float
+        Rates for `FaultPlan`.
+    seed : int
+        Of the faults.
+    """
+
+    source: Path | RigSource
+    model_number: int = 54024
+    ids: tuple[int, ...] = (1,)
+    baud: int = 1_000_000
+    return_delay_s: float = 500e-6
+    latency_s: float = 1e-3
+    payload_kg: float = 0.0
+    faults: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.baud not in BAUD_OF_CODE.values():
+            rates = ", ".join(map(str, BAUD_OF_CODE.values()))
+            raise InputError("--baud", f"{self.baud} is no rate of the servo", f"use {rates}")
+        if len(set(self.ids)) != len(self.ids) or not all(0 <= i <= 252 for i in self.ids):
+            raise InputError("--ids", f"{self.ids} is no set of addresses", "give each once, 0–252")
+        if self.model_number not in MODELS:
+            raise InputError("--model", f"{self.model_number} is not known", "see hil emulate -h")
+        if not 0.0 <= self.payload_kg <= MAX_PAYLOAD_KG:
+            raise InputError(
+                "--payload-kg", f"is {self.payload_kg:g}", f"give 0 to {MAX_PAYLOAD_KG:g}"
+            )
+        if not 0.0 <= self.latency_s <= MAX_LATENCY_S:
+            raise InputError(
+                "--latency-ms", f"is {self.latency_s * 1e3:g}", f"give 0 to {MAX_LATENCY_S * 1e3:g}"
+            )
+
+
+class Truth(NamedTuple):
+    """What the plant did, one row per measurement that the servos sent.
+
+    Attributes
+    ----------
+    time_ns : ndarray, shape (n,)
+        When the servo sampled.
+    tip_m : ndarray, shape (n, 3)
+        True end effector then.
+    """
+
+    time_ns: NDArray[np.int64]
+    tip_m: NDArray[np.float64]
+
+
+class TruthLog:
+    """Notes the true tip whenever a present position is read."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self._time_ns, self._tip_m = array("q"), array("d")
+
+    def note(self, time_ns: int) -> None:
+        """Note the tip at a time; a second servo's answer to the same instruction adds nothing."""
+        if self._time_ns and self._time_ns[-1] == time_ns:
+            return
+        self._time_ns.append(time_ns)
+        self._tip_m.extend(self._physics.tip_m.tolist())
+
+    def truth(self) -> Truth:
+        """Everything noted so far."""
+        return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
+
+
+def assemble(specification: Specification) -> tuple[Line, TruthLog]:
+    """Put line, servos and plant together; the plant is in its initial state at time zero."""
+    spec = specification
+    physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
+    log = TruthLog(physics)
+    servos = [
+        EmulatedServo(MODELS[spec.model_number], servo_id, spec.baud, spec.return_delay_s)
+        for servo_id in spec.ids
+    ]
+    chain = EmulatedBus(servos, physics, on_sample=log.note)
+    return Line(chain, spec.latency_s, FaultPlan(spec.faults, spec.seed)), log
+
+
+class EmulatorOutcome(NamedTuple):
+    """What an emulator leaves behind."""
+
+    truth: Truth
+    releases: Releases
+    faults: dict[str, int]
+
+
+def _run(
+    pipe: Connection, spec: Specification, kind: Literal["pty", "socket"], path: Path, cpu: int
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
+    due, written, delays = array("q"), array("q"), array("q")
+    with real_time(RealTimeOptions(priority=PRIORITY, cpu=cpu)), contextlib.ExitStack() as stack:
+        counters = KernelCounters()
+        seen_ns = counters.run_delay_ns()
+
+        def note_release(due_ns: int, written_ns: int) -> None:
+            nonlocal seen_ns
+            delay_ns = counters.run_delay_ns()
+            due.append(due_ns)
+            written.append(written_ns)
+            delays.append(delay_ns - seen_ns)
+            seen_ns = delay_ns
+
+        endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, pipe.fileno())
+        name, connect = stack.enter_context(endpoint)
+        line, log = assemble(spec)
+        gc.freeze()
+        pipe.send(name)
+        while (fd := connect()) is not None and serve(line, fd, pipe.fileno(), note_release):
+            pass
+    releases = Releases(*(np.array(column, np.int64) for column in (due, written, delays)))
+    with contextlib.suppress(BrokenPipeError):
+        pipe.send(EmulatorOutcome(log.truth(), releases, dict(line.faults.injected)))
+
+
+class Emulator:
+    """Emulated servos in a process of their own.
+
+    Parameters
+    ----------
+    specification : Specification
+        What to emulate.
+    kind : {"pty", "socket"}
+        Endpoint to offer.
+    directory : Path
+        Where the socket goes.
+    cpu : int
+        Processor to pin the process to.
+
+    Attributes
+    ----------
+    name : str
+        Port name for `firmware_py.bus.transport.open_transport`.
+    pid : int
+        Process.
+    """
+
+    def __init__(
+        self,
+        specification: Specification,
+        kind: Literal["pty", "socket"],
+        directory: Path,
+        cpu: int,
+    ) -> None:
+        # What is wrong with the unit is said here, where somebody can read it.
+        if isinstance(specification.source, Path):
+            FmuPhysics(specification.source, len(specification.ids)).unit.close()
+        self._ours, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(
+            target=_run,
+            args=(theirs, specification, kind, directory / f"line-{os.getpid()}", cpu),
+            daemon=True,
+        )
+        self._process.start()
+        theirs.close()
+        try:
+            self.name: str = self._ours.recv()
+        except EOFError:
+            raise InputError(
+                "emulator", "did not start", "see its message above; is the disk full?"
+            ) from None
+        self.pid = self._process.pid or 0
+
+    def stop(self) -> EmulatorOutcome:
+        """End the process and return what it leaves behind."""
+        self._ours.send(None)
+        outcome: EmulatorOutcome = self._ours.recv()
+        return outcome
+
+    def close(self) -> None:
+        """End the process if it still runs."""
+        self._ours.close()
+        self._process.join()
+
+
+def serve_forever(
+    specification: Specification,
+    kind: Literal["pty", "socket"],
+    path: Path,
+    announce: Callable[[str], None],
+) -> None:
+    """Be the servos in this process until it is interrupted."""
+    never, held = os.pipe()
+    endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)
+    try:
+        with endpoint as (name, connect):
+            line, _ = assemble(specification)
+            announce(name)
+            while (fd := connect()) is not None and serve(line, fd, never):
+                pass
+    finally:
+        os.close(never)
+        os.close(held)

@@ -1,0 +1,259 @@
+"""The wire between a program and the emulated servos, and its three ways to be real.
+
+`Line` says when which bytes come out of the USB adapter; it is a function of its inputs and knows
+no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faster than real time.
+`serve`
+plays it in real time behind a file descriptor, which `pty_endpoint` and `socket_endpoint` provide:
+the first for any Dynamixel program, the second for timing claims (a pseudo-terminal passes through
+a kernel worker that SCHED_FIFO readers starve, FACTS §1).
+
+::
+
+    host writes ─ wire time by baud ─▶ servo ─ return delay ─ wire time ─▶ adapter ─ latency ─▶ host
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import os
+import select
+import socket
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from firmware_py.realtime.clock import SimClock
+from hil.emulator.emulated_bus import EmulatedBus
+from hil.emulator.packets import Parser
+from hil.faults import FaultPlan
+
+BITS_PER_BYTE: Final = 10
+"""Eight data bits between start and stop bit."""
+USB_PACKET_BYTES: Final = 62
+"""What an FTDI adapter sends up without waiting for its latency timer."""
+_IDLE_S: Final = 0.05
+_READ_SIZE: Final = 4096
+_NO_FAULTS: Final = FaultPlan()
+
+
+class Arrival(NamedTuple):
+    """Bytes that reach the adapter one after the other from `start_ns` on."""
+
+    start_ns: int
+    data: bytes
+    byte_ns: int
+
+    @property
+    def end_ns(self) -> int:
+        """When the last one is there."""
+        return self.start_ns + len(self.data) * self.byte_ns
+
+
+class Line:
+    """Half-duplex wire with a USB adapter at the host's end.
+
+    Parameters
+    ----------
+    chain : EmulatedBus
+        Servos at the other end; the first one's baud rate is the host's.
+    latency_s : float
+        Period of the adapter's latency timer; 0 hands every byte over at once.
+    faults : FaultPlan, optional
+        What befalls the status packets, from the moment that a servo's torque is on: a line on
+        which no robot gets ready shows nothing about the loop.
+    """
+
+    def __init__(
+        self, chain: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None
+    ):
+        self.chain = chain
+        self.faults = faults or FaultPlan()
+        self._latency_ns = round(latency_s * 1e9)
+        self._timer_ns = 0
+        self._free_ns = 0
+        self._parser = Parser()
+
+    def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
+        """Take bytes that the host writes at `now_ns`; return (time, bytes) that it may read."""
+        heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.chain.servos[0].baud)
+        self._free_ns = heard_ns
+        arrivals: list[Arrival] = []
+        for packet in self._parser.feed(data):
+            faults = self.faults if self.chain.driven else _NO_FAULTS
+            for reply in self.chain.execute(packet, heard_ns):
+                self._free_ns += reply.servo.return_delay_ns
+                byte_ns = _byte_ns(reply.servo.baud)
+                for delay_ns, damaged in faults.apply(reply.frame):
+                    arrivals.append(Arrival(self._free_ns + delay_ns, damaged, byte_ns))
+                self._free_ns += len(reply.frame) * byte_ns
+        return self._adapter(sorted(arrivals))
+
+    def _adapter(self, arrivals: list[Arrival]) -> list[tuple[int, bytes]]:
+        """Hold bytes back until 62 are together or the latency timer, running freely, ticks."""
+        if self._latency_ns == 0:
+            return [(a.end_ns, a.data) for a in arrivals]
+        releases: list[tuple[int, bytes]] = []
+        held, tick_ns = b"", 0
+        for start_ns, data, byte_ns in arrivals:
+            if held and tick_ns <= start_ns:
+                releases.append((tick_ns, held))
+                held = b""
+            while len(held) + len(data) >= USB_PACKET_BYTES:
+                room = USB_PACKET_BYTES - len(held)
+                start_ns += room * byte_ns
+                releases.append((start_ns, held + data[:room]))
+                held, data, self._timer_ns = b"", data[room:], start_ns
+            held += data
+            tick_ns = self._next_tick_ns(start_ns + len(data) * byte_ns)
+        if held:
+            releases.append((tick_ns, held))
+        return releases
+
+    def _next_tick_ns(self, time_ns: int) -> int:
+        self._timer_ns += -(-(time_ns - self._timer_ns) // self._latency_ns) * self._latency_ns
+        return self._timer_ns
+
+
+def _byte_ns(baud: int) -> int:
+    return round(BITS_PER_BYTE * 1e9 / baud)
+
+
+class VirtualTransport:
+    """A wire in memory on a simulated clock (see `firmware_py.bus.transport.Transport`).
+
+    Parameters
+    ----------
+    line : Line
+        The emulated line.
+    clock : SimClock
+        Shared with the loop; waiting for a reply moves it.
+    """
+
+    def __init__(self, line: Line, clock: SimClock) -> None:
+        self._line, self._clock = line, clock
+        self._pending: list[tuple[int, int, bytes]] = []
+        self._count = 0
+
+    def write(self, data: bytes) -> int:
+        """Hand the bytes to the line; its answers become readable at their time."""
+        for time_ns, answer in self._line.receive(self._clock.now_ns(), data):
+            self._count += 1
+            heapq.heappush(self._pending, (time_ns, self._count, answer))
+        return len(data)
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """Return what is readable by then, moving the clock as far as that takes."""
+        if not self._pending or self._pending[0][0] > deadline_ns:
+            self._clock.sleep_until(deadline_ns)
+            return b""
+        self._clock.sleep_until(self._pending[0][0])
+        time_ns, count, data = heapq.heappop(self._pending)
+        if len(data) > size:
+            heapq.heappush(self._pending, (time_ns, count, data[size:]))
+        return data[:size]
+
+    def discard_input(self) -> None:
+        """Drop what is readable now."""
+        while self._pending and self._pending[0][0] <= self._clock.now_ns():
+            heapq.heappop(self._pending)
+
+    def close(self) -> None:
+        """Drop everything."""
+        self._pending.clear()
+
+
+@contextlib.contextmanager
+def pty_endpoint() -> Iterator[tuple[str, Callable[[], int | None]]]:
+    """A pseudo-terminal: its name, and a function that gives the descriptor to serve.
+
+    The slave descriptor is held open: programs close and reopen the port when they set the baud
+    rate, and without a holder the line would hang up.
+    """
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    try:
+        yield os.ttyname(slave), lambda: master
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@contextlib.contextmanager
+def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[], int | None]]]:
+    """A UNIX stream socket: its name, and a function that waits for a program to connect.
+
+    The function gives None when `stop_fd` becomes readable instead.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener.bind(str(path))
+    listener.listen(1)
+    connections: list[socket.socket] = []
+
+    def accept() -> int | None:
+        ready, _, _ = select.select([listener.fileno(), stop_fd], [], [])
+        if listener.fileno() not in ready:
+            return None
+        connections.append(listener.accept()[0])
+        return connections[-1].fileno()
+
+    try:
+        yield f"unix:{path}", accept
+    finally:
+        for connection in (*connections, listener):
+            connection.close()
+        path.unlink(missing_ok=True)
+
+
+def serve(
+    line: Line, fd: int, stop_fd: int, on_release: Callable[[int, int], None] | None = None
+) -> bool:
+    """Play the line in real time on a descriptor; the plant's time goes on from here.
+
+    Parameters
+    ----------
+    line : Line
+        The emulated line.
+    fd : int
+        Where the host's bytes come from and go to.
+    stop_fd : int
+        Serving ends when this becomes readable.
+    on_release : callable, optional
+        Called with the time at which bytes were due and the time at which they were written.
+
+    Returns
+    -------
+    bool
+        True where the host hung up, False where `stop_fd` ended it.
+    """
+    pending: list[tuple[int, int, bytes]] = []
+    count = 0
+    line.chain.resume(time.monotonic_ns())
+    while True:
+        now_ns = time.monotonic_ns()
+        if pending and pending[0][0] <= now_ns:
+            due_ns, _, data = heapq.heappop(pending)
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                os.write(fd, data)
+            if on_release:
+                on_release(due_ns, time.monotonic_ns())
+            continue
+        timeout_s = (pending[0][0] - now_ns) * 1e-9 if pending else _IDLE_S
+        ready, _, _ = select.select([fd, stop_fd], [], [], timeout_s)
+        if stop_fd in ready:
+            return False
+        if fd in ready:
+            received_ns = time.monotonic_ns()
+            try:
+                data = os.read(fd, _READ_SIZE)
+            except ConnectionResetError:
+                data = b""
+            if not data:
+                return True
+            for due_ns, answer in line.receive(received_ns, data):
+                count += 1
+                heapq.heappush(pending, (due_ns, count, answer))
+        elif not pending:
+            line.chain.advance(time.monotonic_ns())  # a long pause must not pile up work

@@ -1,0 +1,97 @@
+"""The laboratory behind the emulated servos: what a plant is held against, loop and wire included.
+
+`hil.emulator.physics` steps the plant that we ship; here stands the MuJoCo robot that it was
+identified on,
+with whatever is hidden in it, so that the robot's own prediction meets something that it does not
+know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from hil.emulator.physics import RigSource
+from models.rig.rig import Rig
+from models.rig.rig_parameters import read_parameters
+from models.rig.sensors import read_current
+from models.rig.study_protocol import vary
+from models.rig.trial_case import TrialCase
+
+Array = NDArray[np.float64]
+
+_TIP_ROW = slice(12, 16)
+
+
+class RigPhysics:
+    """The laboratory as `hil.emulator.emulated_bus.Physics`.
+
+    It settles at zero and then runs in its own steps: angle, current and tip belong to one moment,
+    the start of the last whole step, which is at most two steps ago. The tip is the true one; what
+    is hidden in the motion capture does not touch it.
+
+    Parameters
+    ----------
+    reality : RigSource
+        Which laboratory.
+    dof : int
+        Number of joints.
+    payload_kg : float
+        Declared mass at the tip.
+
+    Raises
+    ------
+    InputError
+        If an effect cannot be hidden, or, from `advance`, if the link folds.
+    """
+
+    def __init__(self, reality: RigSource, dof: int, payload_kg: float = 0.0) -> None:
+        # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
+        case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=reality.seed)
+        self._rng = case.rng()
+        variation = vary(read_parameters().hide(reality.hidden), case, self._rng)
+        self.dof, self._parameters = dof, variation.parameters
+        self._lab = Rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
+        self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)
+        self.current_a = np.zeros(dof)
+        self._until_s = self._parameters["world.settle_s"]
+        self._run()
+        self._lab.start_leak()
+
+    @property
+    def tip_m(self) -> Array:
+        """End effector in the world frame, shape (3,)."""
+        return np.asarray(self._lab.markers_m[_TIP_ROW].mean(axis=0))
+
+    def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
+        """See `hil.emulator.emulated_bus.Physics.advance`."""
+        self._lab.send(np.asarray(goal_rad))
+        self._until_s += step_s
+        self._run()
+
+    def _run(self) -> None:
+        lab, due_s = self._lab, self._until_s + 1e-9
+        while lab.time_s + lab.step_s <= due_s:
+            self.angle_rad[:] = [s.encoder_rad for s in lab.servos]
+            self._true_current_a[:] = [s.current_a for s in lab.servos]
+            lab.step()  # leaves the markers of its start behind
+        self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
+        if lab.folded:
+            raise InputError(
+                "--hide", f"the link folds {lab.time_s:.1f} s after power-up",
+                "choose a smaller payload, amplitude or strength",
+            )  # fmt: skip
+
+
+def geometry() -> dict[str, float]:
+    """The link's base_offset_m, link_length_m and link_width_m."""
+    p = read_parameters()
+    return {
+        "base_offset_m": p["link.base_offset_m"],
+        "link_length_m": p["link.length_m"],
+        "link_width_m": p["link.width_m"],
+    }

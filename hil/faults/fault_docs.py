@@ -1,0 +1,59 @@
+"""The parts of docs/safety.md that are drawn from the code: `python -m hil.faults.fault_docs`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from firmware_py.safety.states import TRANSITIONS, SafetyState
+from hil.faults.fault_table import HOST, PROCESS, ROWS, SERVO, TOGETHER, WIRE
+
+DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
+_PARTS: Final = (
+    ("Wire", WIRE), ("Servo", SERVO), ("Host", HOST), ("Together", TOGETHER), ("Processes", PROCESS)
+)  # fmt: skip
+
+
+def state_machine() -> str:
+    """The supervisor's states and transitions as a Mermaid diagram and as a table."""
+    arrows = [
+        f"    {t.source.name} --> {t.target.name}: {t.cause.replace('`', '')}" for t in TRANSITIONS
+    ]
+    rows = [f"| {t.source.name} | {t.target.name} | {t.cause} |" for t in TRANSITIONS]
+    diagram = [
+        "```mermaid",
+        "stateDiagram-v2",
+        f"    [*] --> {SafetyState(0).name}",
+        *arrows,
+        "```",
+    ]
+    return "\n".join([*diagram, "", "| from | to | when |", "|---|---|---|", *rows])
+
+
+def faults() -> str:
+    """What there is in the table, and what must happen."""
+    assert sum(len(rows) for _, rows in _PARTS) == len(ROWS)
+    lines = []
+    for title, rows in _PARTS:
+        lines += [f"**{title}**", "", "| fault | how | line | must |", "|---|---|---|---|"]
+        lines += [
+            f"| {row.fault} | {row.how} | {', '.join(row.lines)} | "
+            + str(row.must).replace("|", " or ")
+            + " |"
+            for row in rows
+        ]
+        lines.append("")
+    return "\n".join(lines).rstrip()
+
+
+def drawn(text: str) -> str:
+    """A document with what stands between the marks drawn anew."""
+    for name, part in (("state machine", state_machine()), ("faults", faults())):
+        head, begin, rest = text.partition(f"<!-- drawn: {name} -->\n")
+        _, end, tail = rest.partition(f"<!-- end: {name} -->\n")
+        text = head + begin + part + "\n" + end + tail
+    return text
+
+
+if __name__ == "__main__":
+    DOCUMENT.write_text(drawn(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,200 @@
+"""Faults of the host: the robot's own parts, disturbed at a tick of a plan.
+
+Ticks are counted by the estimator, which the loop calls once in each. What takes time takes it by
+the clock that is passed in, so the same fault is simulated or real.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.transport import Transport
+from firmware_py.inference.estimator import DeformationEstimator, Estimate
+from firmware_py.inference.predictor import Prediction, Predictor
+from firmware_py.realtime.clock import SimClock
+from hil.faults.injection import Injection, Script
+
+Array = NDArray[np.float64]
+HOST_FAULTS: Final = (
+    "predictor",
+    "estimator",
+    "slow predictor",
+    "stall",
+    "garbage",
+    "clock",
+    "port",
+)
+"""The first two answer the plan's value; the others take seconds, step the clock by them, or keep
+the port away for them."""
+_GARBAGE_CYCLES: Final = 300
+
+
+class Host:
+    """The robot's own parts with the faults of a plan in them.
+
+    Parameters
+    ----------
+    script : Script
+        The plan, for its moments.
+    injections : sequence of Injection
+        Those of `HOST_FAULTS` count.
+    now_ns : callable
+        Clock.
+    take : callable
+        Lets so many seconds pass.
+
+    Attributes
+    ----------
+    tick : int
+        Number of the tick that runs, 0 before the first.
+    began_ns : int or None
+        When the first fault began.
+    """
+
+    def __init__(
+        self,
+        script: Script,
+        injections: Sequence[Injection],
+        now_ns: Callable[[], int],
+        take: Callable[[float], None],
+    ) -> None:
+        self._script, self._now_ns, self.take = script, now_ns, take
+        self._injections = tuple(i for i in injections if i.kind in HOST_FAULTS)
+        self.tick = 0
+        self.began_ns: int | None = None
+        self._back_ns: float | None = None
+
+    def value(self, kind: str) -> float | None:
+        """Value of the injection of a kind that befalls this tick; None where there is none."""
+        for injection in self._injections:
+            if injection.kind == kind and self._script.active(injection, self.tick):
+                if self.began_ns is None:
+                    self.began_ns = self._now_ns()
+                return injection.value
+        return None
+
+    def unplugged(self) -> bool:
+        """Whether the port is away now."""
+        if self._back_ns is None and (away_s := self.value("port")) is not None:
+            self._back_ns = self._now_ns() + away_s * 1e9
+        return self._back_ns is not None and self._now_ns() < self._back_ns
+
+
+class FaultyEstimator:
+    """An estimator that stalls, litters, or answers something else; see `Host`."""
+
+    def __init__(self, inner: DeformationEstimator, host: Host) -> None:
+        self._inner, self._host = inner, host
+
+    def reset(self) -> None:
+        """See `DeformationEstimator.reset`."""
+        self._inner.reset()
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """See `DeformationEstimator.update`."""
+        host = self._host
+        host.tick += 1
+        if (stall_s := host.value("stall")) is not None:
+            host.take(stall_s)
+        if host.value("garbage") is not None:
+            _litter()
+        estimate = self._inner.update(angle_rad, current_a, step_s)
+        wrong = host.value("estimator")
+        return estimate if wrong is None else Estimate(wrong, estimate.payload_kg)
+
+
+def _litter() -> None:
+    """Leave cycles behind, which only the garbage collector could take away."""
+    for _ in range(_GARBAGE_CYCLES):
+        cycle: list[object] = []
+        cycle.append(cycle)
+
+
+class FaultyPredictor:
+    """A predictor that is slow or answers something else; see `Host`."""
+
+    def __init__(self, inner: Predictor, host: Host) -> None:
+        self._inner, self._host = inner, host
+        self._wrong = Prediction(np.zeros(3), np.zeros(1), np.zeros(3))
+
+    def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
+        """See `Predictor.predict`."""
+        if (slow_s := self._host.value("slow predictor")) is not None:
+            self._host.take(slow_s)
+        prediction = self._inner.predict(angle_rad, current_a, di)
+        wrong = self._host.value("predictor")
+        if wrong is None:
+            return prediction
+        self._wrong.tip_m[:] = wrong
+        return self._wrong
+
+
+class SteppedClock(SimClock):
+    """Simulated time as a clock shows it that is set forward or back in a tick of the plan.
+
+    Attributes
+    ----------
+    true : SimClock
+        The time that the servos live in.
+    host : Host or None
+        Who knows the plan.
+    """
+
+    def __init__(self, true: SimClock) -> None:
+        super().__init__()
+        self.true = true
+        self.host: Host | None = None
+
+    @property
+    def step_ns(self) -> int:
+        """By how much it is ahead of the true time."""
+        step_s = self.host.value("clock") if self.host else None
+        return round((step_s or 0.0) * 1e9)
+
+    def now_ns(self) -> int:
+        """See `Clock.now_ns`."""
+        return self.true.now_ns() + self.step_ns
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """See `Clock.sleep_until`."""
+        self.true.sleep_until(deadline_ns - self.step_ns)
+
+    def advance(self, duration_ns: int) -> None:
+        """See `SimClock.advance`."""
+        self.true.advance(duration_ns)
+
+
+class FaultyTransport:
+    """A wire in true time under a stepped clock, which can be pulled out (`Host.unplugged`)."""
+
+    def __init__(self, inner: Transport, clock: SteppedClock, host: Host) -> None:
+        self._inner, self._clock, self._host = inner, clock, host
+        self._dead = False
+
+    def _check(self) -> None:
+        self._dead = self._dead or self._host.unplugged()
+        if self._dead:
+            raise ConnectionResetError("the adapter is unplugged")
+
+    def read(self, size: int, deadline_ns: int) -> bytes:
+        """See `Transport.read`."""
+        self._check()
+        return self._inner.read(size, deadline_ns - self._clock.step_ns)
+
+    def write(self, data: bytes) -> int:
+        """See `Transport.write`."""
+        self._check()
+        return self._inner.write(data)
+
+    def discard_input(self) -> None:
+        """See `Transport.discard_input`."""
+        self._check()
+        self._inner.discard_input()
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._inner.close()

@@ -1,0 +1,239 @@
+"""What happened in a case: the loop's record and the servos' testimony put together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.safety.states import SafetyState
+from hil.faults.servo_log import ServoLog
+
+Columns = Mapping[str, NDArray[Any]]
+_SAME_RAD: Final = 1e-12
+_READS_PER_TICK: Final = 2
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """How a run ended, as its process said.
+
+    Attributes
+    ----------
+    ended, reason : str
+        As in `RunSummary`; "refused" and "killed" besides.
+    replugs, telemetry_drops : int
+        As in `RunSummary`.
+    misses : dict of str to int
+        Slots missed by cause.
+    unlogged_stale : int
+        Ticks without fresh data in a run whose log is not whole.
+    """
+
+    ended: str
+    reason: str
+    replugs: int = 0
+    telemetry_drops: int = 0
+    misses: dict[str, int] = field(default_factory=dict)
+    unlogged_stale: int = 0
+
+
+@dataclass(frozen=True)
+class CaseObservation:
+    """What happened in a case; the fields of `faults.json`.
+
+    Attributes
+    ----------
+    ended, reason : str
+        How the run ended.
+    injected : bool
+        Whether the fault befell the run at all.
+    detected_ticks : int or None
+        In which tick from the fault on the record showed it, 1 for the same one.
+    state : str
+        Highest state of the supervisor before the run was over.
+    told : str
+        What the servos were told from then on.
+    recovered_ticks : int or None
+        Ticks from the first sign to the last; None where there was none, or no recovery.
+    lost_ticks : int
+        Slots from the fault on without fresh data, missed ones included.
+    unlogged_ticks : int
+        Ticks that the log lacks.
+    replugs : int
+        Times that the robot went on after its port was gone.
+    misses : dict of str to int
+        Slots missed by cause.
+    unheard_ns : int
+        Longest time for which a servo was driven and heard nothing.
+    watched : bool
+        Whether the servos have a watchdog.
+    live : bool
+        Whether one still drives towards a goal in the end.
+    drift_rad : float
+        How far one moved at most after the last that it heard.
+    goal_jump_rad : float
+        By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
+    stale_as_fresh : int
+        Ticks that took for fresh what the servos had not sent in them.
+    """
+
+    ended: str
+    reason: str
+    injected: bool = True
+    detected_ticks: int | None = None
+    state: str = SafetyState.STARTING.name
+    told: str = "nothing, the torque stayed off"
+    recovered_ticks: int | None = None
+    lost_ticks: int = 0
+    unlogged_ticks: int = 0
+    replugs: int = 0
+    misses: dict[str, int] = field(default_factory=dict)
+    unheard_ns: int = 0
+    watched: bool = True
+    live: bool = False
+    drift_rad: float = 0.0
+    goal_jump_rad: float = 0.0
+    stale_as_fresh: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def observe(
+    outcome: CaseOutcome,
+    columns: Columns,
+    testimony: ServoLog,
+    began_ns: int | None,
+    slots: int,
+    period_s: float,
+    rate_rad_s: float,
+    *,
+    stepped_in_tick: int | None = None,
+) -> CaseObservation:
+    """Put together what the loop recorded and what the servos saw.
+
+    Parameters
+    ----------
+    outcome : CaseOutcome
+        How the run ended.
+    columns : mapping of str to ndarray
+        The ticks by column.
+    testimony : ServoLog
+        The servos'.
+    began_ns : int or None
+        When the first fault began.
+    slots : int
+        Slots of the motion: what comes later is the stop at its end.
+    period_s, rate_rad_s : float
+        Control period, and limit of the goals' rate.
+    stepped_in_tick : int or None
+        Tick, from 1, in which the record's clock left the servos'.
+    """
+    facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
+    if len(columns.get("tick", ())):
+        first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, began_ns)
+        facts |= _course(columns, first, slots)
+        if not stepped_in_tick:
+            facts["stale_as_fresh"] = _stale_as_fresh(columns, testimony)
+    if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
+        facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
+    return CaseObservation(
+        injected=began_ns is not None or stepped_in_tick is not None,
+        ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
+        misses=outcome.misses, told=_told(outcome, testimony),
+        unheard_ns=testimony.unheard_ns, watched=testimony.watched, live=testimony.live,
+        drift_rad=testimony.drift_rad,
+        goal_jump_rad=_goal_jump_rad(testimony, period_s, rate_rad_s),
+        **facts,
+    )  # fmt: skip
+
+
+def _first(columns: Columns, began_ns: int | None) -> int | None:
+    """Index of the tick that a time falls into, or that follows it."""
+    if began_ns is None:
+        return None
+    ends_ns = columns["deadline_ns"] + columns["lateness_ns"] + columns["busy_ns"]
+    return int(np.argmax(ends_ns >= began_ns))
+
+
+def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
+    """Detection, recovery and losses, from the tick that the fault befell to the motion's end."""
+    ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
+    stale = columns["bus_status"] > BusStatus.ALERT
+    missed = columns["missed"].astype(int)
+    span = np.arange(len(ticks))
+    span = span[(span >= (first or 0)) & (ticks - missed < slots)]
+    bad = span[
+        (columns["bus_status"][span] != BusStatus.OK)
+        | (states[span] != SafetyState.RUNNING)
+        | (missed[span] > 0)
+    ]
+    good_after = span[span > bad[-1]] if len(bad) else bad
+    return {
+        "detected_ticks": int(bad[0] - first + 1) if len(bad) and first is not None else None,
+        "state": SafetyState(int(states[span].max())).name
+        if len(span)
+        else SafetyState.RUNNING.name,
+        "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
+        "lost_ticks": int(stale[span].sum() + missed[span].sum()),
+    }
+
+
+def _stale_as_fresh(columns: Columns, testimony: ServoLog) -> int:
+    """Fresh ticks with an angle that is not what its servo reported within them."""
+    fresh = columns["bus_status"] <= BusStatus.ALERT
+    starts = columns["deadline_ns"] + columns["lateness_ns"]
+    ends = starts + columns["busy_ns"]
+    times_ns, reported_rad = testimony.sample_ns, testimony.sample_rad
+    dof = reported_rad.shape[1]
+    angles = np.stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)], axis=1)
+    first, end = np.searchsorted(times_ns, starts), np.searchsorted(times_ns, ends, side="right")
+    true = np.zeros(angles.shape, bool)
+    for read in range(_READS_PER_TICK):
+        sample = np.minimum(first + read, len(times_ns) - 1)
+        same = np.abs(reported_rad[sample] - angles) <= _SAME_RAD
+        true |= same & (first + read < end)[:, None]
+    return int((fresh & ~true.all(axis=1)).sum())
+
+
+def _goal_jump_rad(testimony: ServoLog, period_s: float, rate_rad_s: float) -> float:
+    """Excess of the largest step of a goal, the first of a stretch counted from where it stood."""
+    excess = 0.0
+    for goals_rad, stands_rad in zip(testimony.goal_rad.T, testimony.stand_rad.T, strict=True):
+        before, before_ns = math.inf, 0
+        for now_ns, goal, stand in zip(
+            testimony.goal_ns.tolist(), goals_rad.tolist(), stands_rad.tolist(), strict=True
+        ):
+            if math.isinf(goal):
+                before = math.inf
+            elif math.isfinite(goal):
+                fresh_start = math.isinf(before)
+                since_s = 0.0 if fresh_start else (now_ns - before_ns) * 1e-9
+                allowed_rad = rate_rad_s * period_s * max(round(since_s / period_s), 1)
+                step_rad = abs(goal - (stand if fresh_start else before))
+                excess = max(excess, step_rad - allowed_rad)
+                before, before_ns = goal, now_ns
+    return excess
+
+
+def _told(outcome: CaseOutcome, testimony: ServoLog) -> str:
+    """What the servos were told from the fault on, in words."""
+    if outcome.ended == "refused":
+        return "nothing, the torque stayed off"
+    if testimony.live:
+        return "nothing: without a watchdog it holds its last goal"
+    if testimony.stopped_by_watchdog:
+        stopped = "its own watchdog stopped it where it stood"
+        return f"{stopped}, then the goals blend on from there" if outcome.replugs else stopped
+    if outcome.replugs:
+        return "nothing while unplugged, then the goals blend on from where it stands"
+    if outcome.ended in ("tripped", "signalled"):
+        return "goals slow down to rest, held, torque off"
+    return "goals along the motion"

@@ -1,0 +1,206 @@
+"""A case with real processes: `dropstitch run` and its recorder, done to what an operator fears.
+
+The servos live in a station (`hil.faults.station`) that survives the robot. Unplugging goes over a
+pseudo-terminal, which disappears as a USB adapter does; the rest goes over the socket.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import msgspec
+import tomli_w
+
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.config import RobotConfig
+from firmware_py.errors import InputError
+from firmware_py.log.recording import read_recording
+from firmware_py.realtime.clock import RealTimeOptions
+from hil.faults.case_robot import CaseRobot, robot_config
+from hil.faults.fault_table import Row
+from hil.faults.injection import Script
+from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe
+from hil.faults.station import Station, StationTask
+from hil.timing.host import kept_to, processors
+
+SECONDS: Final = 2.6
+REPLUG_SECONDS: Final = 4.5
+"""The motion's duration; longer where the robot is to go on after a while."""
+SETTLE_S: Final = 0.3
+_START_TIMEOUT_S: Final = 30.0
+_END_TIMEOUT_S: Final = 30.0
+_STILL_S: Final = 0.3
+
+
+def run_process(rig: CaseRobot, row: Row, number: int, seed: int) -> CaseObservation:
+    """Run one case; see `hil.faults.virtual_case.run_virtual`."""
+    setup = dict(row.setup)
+    loop_cpu, other_cpus = processors()
+    with contextlib.ExitStack() as stack:
+        scratch = Path(stack.enter_context(TemporaryDirectory(prefix="dropstitch-faults-")))
+        stack.enter_context(kept_to(other_cpus))
+        kind = "pty" if "unplug_s" in setup else "socket"
+        task = StationTask(
+            rig.unit, rig.dof, row, number, seed, kind, scratch / "tty-a", max(other_cpus)
+        )
+        station = stack.enter_context(contextlib.closing(Station(task)))
+        bundle = Path(shutil.copytree(rig.bundle.directory, scratch / "bundle"))
+        port = str(scratch / "tty-*") if "rename" in setup else str(task.port)
+        config = msgspec.structs.replace(
+            robot_config(rig, row, number, port if kind == "pty" else f"unix:{port}"),
+            bundle=str(bundle), real_time=RealTimeOptions(cpu=loop_cpu),
+        )  # fmt: skip
+        seconds = REPLUG_SECONDS if "replug_s" in setup else SECONDS
+        process = stack.enter_context(_robot(config, scratch, seconds))
+        _await(station, Script((), seed).start, process)
+        began_ns = _do(setup, process, station, scratch, task.port)
+        output = _end(process, station)
+        time.sleep(SETTLE_S)
+        testimony = station.testify()
+        columns = _columns(scratch / "ticks.mcap")
+        outcome = _outcome(process, output, columns)
+    slots = round(seconds / config.period_s)
+    return observe(
+        outcome, columns, testimony, began_ns, slots, config.period_s,
+        config.limits_in_force.rate_rad_s,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _robot(config: RobotConfig, scratch: Path, seconds: float) -> Iterator[subprocess.Popen[str]]:
+    path = scratch / "robot.toml"
+    document = _without_none(msgspec.to_builtins(config))
+    path.write_text(tomli_w.dumps(document), encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "firmware_py", "run", "--config", str(path), "--seconds",
+         str(seconds), "--log", str(scratch / "ticks.mcap"), "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        for pid in (*_recorders(process.pid), process.pid):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        process.communicate()
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> None:
+    """Wait until the running robot has come to an exchange."""
+    deadline_s = time.monotonic() + _START_TIMEOUT_S
+    while station.exchange < exchange:
+        if process.poll() is not None or time.monotonic() > deadline_s:
+            words = process.stderr.read() if process.poll() is not None and process.stderr else ""
+            raise InputError("dropstitch run", f"did not get going ({words.strip()})", "run it")
+        time.sleep(1e-3)
+
+
+def _do(
+    setup: dict[str, float],
+    process: subprocess.Popen[str],
+    station: Station,
+    scratch: Path,
+    port: Path,
+) -> int:
+    """Do what the set-up says; return when it began."""
+    began_ns = time.monotonic_ns()
+    for pid in _recorders(process.pid):
+        if "disk" in setup:
+            size = (scratch / "ticks.mcap").stat().st_size
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, size))
+        if "recorder" in setup:
+            os.kill(pid, int(setup["recorder"]))
+    if "swap" in setup:
+        for path in (scratch / "bundle").iterdir():
+            path.write_bytes(b"swapped")
+    if "freeze_s" in setup:
+        os.kill(process.pid, signal.SIGSTOP)
+        time.sleep(setup["freeze_s"])
+        os.kill(process.pid, signal.SIGCONT)
+    if "unplug_s" in setup:
+        began_ns = station.unplug()
+        if "replug_s" in setup:
+            time.sleep(setup["unplug_s"])
+            station.plug(port.with_name("tty-b") if "rename" in setup else port)
+    if "signal" in setup:
+        os.kill(process.pid, int(setup["signal"]))
+    return began_ns
+
+
+def _recorders(pid: int) -> list[int]:
+    """Children of a process that are recorders."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid and b"firmware_py.log.recorder" in (path / "cmdline").read_bytes():
+                found.append(int(path.name))
+    return found
+
+
+def _end(process: subprocess.Popen[str], station: Station) -> str:
+    """Wait for the robot's end; a recorder that hangs then is ended as well."""
+    seen, since_s = station.exchange, time.monotonic()
+    deadline_s = since_s + _END_TIMEOUT_S
+    while process.poll() is None and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+        if station.exchange != seen:
+            seen, since_s = station.exchange, time.monotonic()
+        elif time.monotonic() - since_s > _STILL_S:
+            for pid in _recorders(process.pid):
+                if _stopped(pid):
+                    os.kill(pid, signal.SIGKILL)
+    return process.communicate(timeout=_END_TIMEOUT_S)[0]
+
+
+def _stopped(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    return False
+
+
+def _columns(log: Path) -> Columns:
+    """The ticks that the log holds; a recorder may still be finishing it."""
+    deadline_s = time.monotonic() + 1.0
+    while True:
+        try:
+            recording = read_recording(log)
+        except InputError:
+            return {}
+        if recording.complete or time.monotonic() > deadline_s:
+            return recording.columns
+        time.sleep(0.05)
+
+
+def _outcome(process: subprocess.Popen[str], output: str, columns: Columns) -> CaseOutcome:
+    if not output:
+        killed = process.returncode == -signal.SIGKILL
+        return CaseOutcome("killed" if killed else f"exit {process.returncode}", "no last words")
+    summary = json.loads(output)
+    timing = summary["timing"]
+    logged = len(columns.get("tick", ()))
+    stale = sum(n for name, n in summary["bus_faults"].items() if not BusStatus[name.upper()].fresh)
+    return CaseOutcome(
+        summary["ended"], summary["reason"], summary["replugs"],
+        telemetry_drops=summary["ticks"] - logged,
+        misses={cause: count for cause, count in timing["causes"].items() if count},
+        unlogged_stale=stale if logged < summary["ticks"] else 0,
+    )  # fmt: skip

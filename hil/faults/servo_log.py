@@ -1,0 +1,229 @@
+"""What the servos saw: the only account of a run that the loop cannot embellish.
+
+A `LoggedServo` is an emulated servo that can be disturbed and that notes how long it was driven
+without hearing anything; a `LoggedBus` notes every sample that it gave and every goal that it
+got. Both are the truth against which the loop's own record is held.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.registers import Register
+from hil.emulator.emulated_bus import EmulatedBus, Physics, Reply
+from hil.emulator.emulated_servo import EmulatedServo
+from hil.emulator.packets import Instruction, Packet, StatusError
+
+Array = NDArray[np.float64]
+_HUSHED_ID: Final = 255
+_READS: Final = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
+
+
+class LoggedServo(EmulatedServo):
+    """An emulated servo that can be disturbed.
+
+    Attributes
+    ----------
+    angle_error_rad, current_error_a : float
+        Added to what it measures.
+    refuses_indirect : bool
+        Whether it keeps its indirect addresses as they are.
+    unheard_ns : int
+        Longest time for which it was driven and heard nothing.
+    """
+
+    angle_error_rad = 0.0
+    current_error_a = 0.0
+    refuses_indirect = False
+    unheard_ns = 0
+    _hushed = False
+
+    @property
+    def id(self) -> int:
+        """Address on the bus; nobody's while the servo is off the bus."""
+        return _HUSHED_ID if self._hushed else super().id
+
+    def hush(self, on: bool) -> None:
+        """Take the servo off the bus, or put it back."""
+        self._hushed = on
+
+    def lose_torque(self) -> None:
+        """Switch the torque off without a word."""
+        self._release()
+
+    def write(self, address: int, data: bytes) -> int:
+        """See `EmulatedServo.write`."""
+        start, _, entries = self.model.table.indirect
+        if self.refuses_indirect and start <= address < start + 2 * entries:
+            return StatusError.ACCESS
+        return super().write(address, data)
+
+    @property
+    def live(self) -> bool:
+        """Whether it drives towards a goal."""
+        return self.torque_on and not self.watchdog_tripped
+
+    @property
+    def taken_goal_rad(self) -> float:
+        """Goal that it drives to; NaN where it takes none."""
+        return self.goal_rad if self.live and not self._hushed else math.nan
+
+    @property
+    def reported_rad(self) -> float:
+        """Angle that it reports."""
+        return self.model.angle_rad(self.get(Register.PRESENT_POSITION))
+
+    def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
+        """See `EmulatedServo.observe`; the errors are its sensors'."""
+        super().observe(angle_rad, velocity_rad_s, current_a)
+        if self.angle_error_rad or self.current_error_a:
+            hold = self._angle_rad
+            super().observe(
+                angle_rad + self.angle_error_rad, velocity_rad_s, current_a + self.current_error_a
+            )
+            self._angle_rad = hold
+
+    def note_silence(self, until_ns: int) -> None:
+        """Take account of the time since something was heard, up to now."""
+        if self.live:
+            self.unheard_ns = max(self.unheard_ns, until_ns - self._fed_ns)
+
+    def feed_watchdog(self, now_ns: int) -> None:
+        """See `EmulatedServo.feed_watchdog`; a servo that is off the bus hears nothing."""
+        if not self._hushed:
+            self.note_silence(now_ns)
+            super().feed_watchdog(now_ns)
+
+    def trip_watchdog(self) -> None:
+        """See `EmulatedServo.trip_watchdog`."""
+        if self.watchdog_due_ns is not None:
+            self.note_silence(self.watchdog_due_ns)
+        super().trip_watchdog()
+
+
+class Director(Protocol):
+    """Who decides what happens to the servos; see `hil.faults.injection.Script`."""
+
+    began_ns: int | None
+
+    def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
+        """Let begin and end what does in the next exchange."""
+        ...
+
+
+@dataclass(frozen=True)
+class ServoLog:
+    """What the servos saw.
+
+    Attributes
+    ----------
+    began_ns : int or None
+        When the first fault of wire or servo began.
+    sample_ns, sample_rad : ndarray, shapes (n,), (n, dof)
+        Angles that they reported to the loop, and when.
+    goal_ns, goal_rad, stand_rad : ndarray, shapes (m,), (m, dof), (m, dof)
+        Goals that they got, when, and where they stood then: NaN for a servo that did not take
+        it, a row of infinities where the torque went off.
+    watched : bool
+        Whether they have a bus watchdog.
+    unheard_ns : int
+        Longest time for which one was driven and heard nothing.
+    live, stopped_by_watchdog : bool
+        Whether one still drives towards a goal in the end; whether one was stopped by itself.
+    drift_rad : float
+        How far one moved at most after the last that it heard.
+    """
+
+    began_ns: int | None
+    sample_ns: NDArray[np.int64]
+    sample_rad: Array
+    goal_ns: NDArray[np.int64]
+    goal_rad: Array
+    stand_rad: Array
+    watched: bool
+    unheard_ns: int
+    live: bool
+    stopped_by_watchdog: bool
+    drift_rad: float
+
+
+class LoggedBus(EmulatedBus):
+    """A chain that notes what goes in and out, and lets a director disturb it.
+
+    Parameters
+    ----------
+    servos : sequence of LoggedServo
+        In joint order.
+    physics : Physics
+        With as many joints.
+    director : Director
+        Told of every exchange of the running robot.
+    """
+
+    def __init__(self, servos: Sequence[LoggedServo], physics: Physics, director: Director) -> None:
+        super().__init__(servos, physics)
+        self._watched, self._director = tuple(servos), director
+        self._sample_ns, self._sample_rad = array("q"), array("d")
+        self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
+        self._last_heard_rad = self.physics.angle_rad.copy()
+        self._stopped_by_watchdog = False
+
+    def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
+        """See `EmulatedBus.execute`."""
+        running = self.driven
+        if running and packet.instruction in _READS:
+            self._director.begin_exchange(self._watched, now_ns)
+        replies = super().execute(packet, now_ns)
+        self._last_heard_rad[:] = self.physics.angle_rad
+        if packet.instruction in _READS:
+            self._sample_ns.append(now_ns)
+            self._sample_rad.extend(servo.reported_rad for servo in self._watched)
+        elif packet.instruction == Instruction.SYNC_WRITE and running:
+            self._note_goals(now_ns, [servo.taken_goal_rad for servo in self._watched])
+        elif running and not self.driven:
+            self._note_goals(now_ns, [math.inf] * len(self._watched))
+        return replies
+
+    def _note_goals(self, now_ns: int, goals_rad: list[float]) -> None:
+        self._goal_ns.append(now_ns)
+        self._goal_rad.extend(goals_rad)
+        self._stand_rad.extend(self.physics.angle_rad.tolist())
+
+    def resume(self, now_ns: int) -> None:
+        """See `EmulatedBus.resume`; once servos are driven their time does not stand still."""
+        if self.driven:
+            self.advance(now_ns)
+        else:
+            super().resume(now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """See `EmulatedBus.advance`."""
+        super().advance(now_ns)
+        self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
+
+    def testify(self, now_ns: int) -> ServoLog:
+        """Let time pass up to now, then tell."""
+        self.advance(now_ns)
+        for servo in self._watched:
+            servo.note_silence(now_ns)
+        dof = len(self._watched)
+        return ServoLog(
+            began_ns=self._director.began_ns,
+            sample_ns=np.array(self._sample_ns, np.int64),
+            sample_rad=np.array(self._sample_rad).reshape(-1, dof),
+            goal_ns=np.array(self._goal_ns, np.int64),
+            goal_rad=np.array(self._goal_rad).reshape(-1, dof),
+            stand_rad=np.array(self._stand_rad).reshape(-1, dof),
+            watched=all(Register.BUS_WATCHDOG in servo.model.table for servo in self._watched),
+            unheard_ns=max(servo.unheard_ns for servo in self._watched),
+            live=any(servo.live for servo in self._watched),
+            stopped_by_watchdog=self._stopped_by_watchdog,
+            drift_rad=float(np.abs(self.physics.angle_rad - self._last_heard_rad).max()),
+        )

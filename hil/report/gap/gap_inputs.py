@@ -1,0 +1,119 @@
+"""What `make gap-demo` built around a diagnosis.
+
+::
+
+    trials/                     python -m models simulate --hide …      the gap is looked for in
+    sealed/                     the same on another motion              nothing is fitted to
+    found/gap.json, plant.json  python -m models gap
+    check_twin_1dof.json        python -m fmu check … --json            of the rebuilt unit
+    fmpy_VARIANT_PAYLOAD.json   python -m fmu simulate … --json         and …/result.csv
+    sil_VARIANT_PAYLOAD/        python -m hil sil --rig --hide …
+    commands.log                make gap-demo
+
+Variants: `before` and `after` the diagnosis; `without` the effect, units and bundle as before: what
+cannot be improved on; of the loop also `retrained`, on the same trials as `after` but with the
+plant as before: what new data does by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from hil.report.build_inputs import Json, LoopRun, read_commands, read_json, read_loop
+from models.plant.plant import Plant, read_plant
+from models.trials.trial_files import TrialSet, read_trials
+
+MADE_BY: Final = "run 'make gap-demo'"
+VARIANTS: Final = ("before", "retrained", "after", "without")
+
+ByPayload = dict[float, Any]
+
+
+@dataclass(frozen=True)
+class GapInputs:
+    """Everything that the page is about.
+
+    Attributes
+    ----------
+    found : dict
+        gap.json.
+    before, after : Plant
+        As given, and as improved.
+    trials, sealed : TrialSet
+        Where the gap was looked for, and what nothing was fitted to.
+    check : dict
+        Of the rebuilt twin.
+    units : dict of str to dict of float to dict
+        What `fmu simulate` said of each variant's unit, by payload in kg.
+    outputs : dict of str to dict of float to ndarray
+        The rows that those runs wrote, with their columns as fields.
+    loops : dict of str to dict of float to LoopRun
+        Of each variant, by payload in kg.
+    commands : list of str
+        What made all this.
+    """
+
+    found: Json
+    before: Plant
+    after: Plant
+    trials: TrialSet
+    sealed: TrialSet
+    check: Json
+    units: dict[str, dict[float, Json]]
+    outputs: dict[str, dict[float, NDArray[np.void]]]
+    loops: dict[str, dict[float, LoopRun]]
+    commands: list[str]
+
+
+def read_gap(directory: Path, plant: Path) -> GapInputs:
+    """Read the directory and the plant before the diagnosis.
+
+    Raises
+    ------
+    InputError
+        If something is missing or damaged.
+    """
+    for needed in ("found/gap.json", "check_twin_1dof.json"):
+        if not (directory / needed).is_file():
+            raise InputError(directory / needed, "is missing", MADE_BY)
+    before = read_plant(plant)
+    return GapInputs(
+        found=read_json(directory / "found" / "gap.json"),
+        before=before,
+        after=read_plant(directory / "found" / "plant.json"),
+        trials=read_trials(directory / "trials", before.signals),
+        sealed=read_trials(directory / "sealed", before.signals),
+        check=read_json(directory / "check_twin_1dof.json"),
+        units=_variants(directory, "fmpy_{}_{}.json", read_json),
+        outputs=_variants(directory, "fmpy_{}_{}/result.csv", _columns),
+        loops=_variants(directory, "sil_{}_{}/timing.json", lambda path: read_loop(path.parent)),
+        commands=read_commands(directory / "commands.log"),
+    )
+
+
+def _variants(directory: Path, pattern: str, read: Callable[[Path], Any]) -> dict[str, ByPayload]:
+    """Files of every variant, by payload; before and after are needed."""
+    result: dict[str, ByPayload] = {}
+    for variant in VARIANTS:
+        head, tail = pattern.format(variant, "*").split("*")
+        paths = {
+            float(str(path.relative_to(directory))[len(head) : -len(tail)]): path
+            for path in directory.glob(head + "*" + tail)
+        }
+        if paths:
+            result[variant] = {kg: read(paths[kg]) for kg in sorted(paths)}
+    for variant in ("before", "after"):
+        if result.get(variant, {}).keys() != result.get("before", {0.0: None}).keys():
+            raise InputError(directory / pattern.format(variant, "…"), "is missing", MADE_BY)
+    return result
+
+
+def _columns(path: Path) -> NDArray[np.void]:
+    return np.asarray(np.genfromtxt(path, delimiter=",", names=True))

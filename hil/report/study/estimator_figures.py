@@ -1,0 +1,116 @@
+"""DI without motion capture over time, and who predicts the end effector best by payload."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from hil.report.svg_figures import INK, QUIET, Drawing, Figure, log_axis
+
+Json = dict[str, Any]
+MM: Final = 1e3
+PERCENT: Final = 1e2
+SOURCES: Final = {
+    "true": ("motion capture", INK, "solid"),
+    "observer": ("plant observer", "#1d6a96", "dashed"),
+    "lagged": ("lagged regressor", "#c77700", "dotted"),
+}
+PREDICTORS: Final = {
+    "rigid": ("rigid kinematics", QUIET, "solid"),
+    "without": ("polynomial without DI", "#c77700", "dotted"),
+    "estimated": ("polynomial, estimated DI (robot)", "#1d6a96", "solid"),
+    "true": ("polynomial, true DI", INK, "dashed"),
+    "observer": ("plant observer's own tip", "#2e7d4f", "solid"),
+}
+
+
+def test_title(name: str) -> str:
+    """Words for the key of a test: "trial 2", "unseen 20° motion"."""
+    words = name.replace("_", " ")
+    if words.startswith("unseen"):
+        return words.replace("deg", "° motion")
+    return words
+
+
+def estimates(studies: dict[int, Json]) -> Figure:
+    """DI of the heaviest payload by every source, on every test."""
+    panels = []
+    for dof, study in studies.items():
+        for name, curves in study["series"]["estimates"].items():
+            with Drawing() as (drawing, ax):
+                for source, (_, colour, dash) in SOURCES.items():
+                    ax.plot(
+                        curves["time_s"], PERCENT * np.array(curves[source]),
+                        color=colour, linestyle=dash, linewidth=1.2,
+                    )  # fmt: skip
+                ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
+            judged = study["estimators"][name]
+            panels.append(
+                drawing.panel(
+                    f"{dof}DOF, {test_title(name)}",
+                    f"DI of the heaviest payload over time, {dof}DOF, {test_title(name)}; "
+                    f"over all payloads R² is {judged['observer']['r2_di']:.2f} for the observer "
+                    f"and {judged['lagged']['r2_di']:.2f} for the lagged regressor.",
+                )
+            )
+    mixed = any(len(study["training"]["phase_2_rad"]) > 1 for study in studies.values())
+    return Figure(
+        "DI without motion capture",
+        "The heaviest payload of each test" + (", 2DOF at its least phase." if mixed else "."),
+        panels,
+        legend=[(colour, label, dash) for label, colour, dash in SOURCES.values()],
+    )  # fmt: skip
+
+
+def predictors_by_payload(studies: dict[int, Json]) -> Figure:
+    """Mean distance of every way to predict the end effector, by payload, on every test."""
+    panels = []
+    everything = [
+        MM * v
+        for study in studies.values()
+        for name in study["tests"]
+        for values in _by_payload(study, name).values()
+        for v in values.values()
+    ]
+    for dof, study in studies.items():
+        for name in study["mean_euclidean_distance_m"]:
+            lines = _by_payload(study, name)
+            with Drawing() as (drawing, ax):
+                for key, values in lines.items():
+                    _, colour, dash = PREDICTORS[key]
+                    ax.plot(
+                        [float(k) for k in values], [MM * v for v in values.values()],
+                        color=colour, linestyle=dash, marker="o", markersize=3.5,
+                    )  # fmt: skip
+                ax.set(xlabel="payload in kg", ylabel="mean distance in mm")
+                ax.set_xticks([float(k) for k in lines["rigid"]])
+                log_axis(ax, everything)
+            listed = "; ".join(
+                f"{PREDICTORS[key][0]} {MM * min(v.values()):.1f} to {MM * max(v.values()):.1f} mm"
+                for key, v in lines.items()
+            )
+            panels.append(
+                drawing.panel(f"{dof}DOF, {test_title(name)}",
+                      f"Mean distance to the measured end effector by payload: {listed}.")
+            )  # fmt: skip
+    degrees = ", ".join(f"{dof}DOF {study['chosen_degree']}" for dof, study in studies.items())
+    return Figure(
+        "Who predicts the end effector",
+        f"Polynomials at the degree that cross-validation on trial 1 chose ({degrees}).", panels,
+        legend=[(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
+    )  # fmt: skip
+
+
+def _by_payload(study: Json, name: str) -> dict[str, dict[str, float]]:
+    table, degree = study["mean_euclidean_distance_m"][name], str(study["chosen_degree"])
+    baselines = study["baselines"][name]
+    payloads = [f"{kg:g}" for kg in study["tests"][name]["payload_kg"]]
+    columns = {
+        "rigid": baselines["rigid_kinematics"],
+        "without": {k: table[k]["without_di"][degree] for k in payloads},
+        "estimated": {k: table[k]["estimated_di"][degree] for k in payloads},
+        "true": {k: table[k]["with_di"][degree] for k in payloads},
+        "observer": baselines["observer_tip"],
+    }
+    return {key: {k: values[k] for k in payloads} for key, values in columns.items()}

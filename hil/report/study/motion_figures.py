@@ -1,0 +1,196 @@
+"""The paper's figures 7 to 11, drawn from `study.json`: how the link moves and deforms."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from hil.report.svg_figures import MOTION_COLOURS, QUIET, Drawing, Figure, Panel, ramp
+
+Json = dict[str, Any]
+Studies = dict[str, Json]
+"""By kind of motion."""
+
+PERCENT: Final = 1e2
+AZIMUTH: Final = np.radians(-20.0)
+ELEVATION: Final = np.radians(20.0)
+
+
+def motion_figures(studies: Studies) -> list[Figure]:
+    """Paths, poses and DI, one kind of motion beside the other.
+
+    Parameters
+    ----------
+    studies : dict
+        `study.json` by kind of motion.
+    """
+    return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
+
+
+def _payload_legend(labels: list[str]) -> list[tuple[str, str, str]]:
+    return [
+        (colour, _in_words(label), "solid")
+        for label, colour in zip(labels, ramp(len(labels)), strict=True)
+    ]
+
+
+def _in_words(label: str) -> str:
+    """Words for the key of a run: "0.5 kg", "2 kg, phase 90°"."""
+    payload, _, phase = label.partition(" phase ")
+    return f"{payload} kg" + (f", phase {phase.removesuffix('deg')}°" if phase else "")
+
+
+def _paths(studies: Studies) -> Figure:
+    motions = {motion: study["series"]["path"] for motion, study in studies.items()}
+    panels: list[Panel] = []
+    for motion, paths in motions.items():
+        for view, project in (("from above", _from_above), ("oblique", _oblique)):
+            with Drawing() as (drawing, ax):
+                for path, colour in zip(paths.values(), ramp(len(paths)), strict=True):
+                    point_m = np.column_stack([path[f"tip_{axis}_m"] for axis in "xyz"])
+                    ax.plot(*project(point_m).T, color=colour, linewidth=1.1)
+                if view == "from above":
+                    ax.set(xlabel="x in m", ylabel="y in m", aspect="equal")
+                    ax.set(xlim=(-0.9, 0.9), ylim=(-0.65, 0.65))
+                else:
+                    _draw_axes(ax)
+            panels.append(
+                drawing.panel(
+                    f"{motion}, {view}",
+                    f"Path of the end effector, {motion}, seen {view}, one line per payload; "
+                    f"{_extent(paths)}.",
+                )
+            )
+    return Figure(
+        "Paths of the end effector", "The base joint stands at the origin, the link upright.",
+        panels, "7", _payload_legend(list(next(iter(motions.values())))),
+    )  # fmt: skip
+
+
+def _extent(paths: Json) -> str:
+    reach = {a: max(np.ptp(p[f"tip_{a}_m"]) for p in paths.values()) for a in "xy"}
+    return f"it extends {reach['x']:.2f} m along x and {reach['y']:.2f} m along y"
+
+
+def _from_above(point_m: Any) -> Any:
+    return point_m[:, :2]
+
+
+def _oblique(point_m: Any) -> Any:
+    x, y, z = point_m.T
+    right = -np.sin(AZIMUTH) * y + np.cos(AZIMUTH) * x
+    away = np.sin(AZIMUTH) * x + np.cos(AZIMUTH) * y
+    return np.column_stack([right, np.cos(ELEVATION) * z + np.sin(ELEVATION) * away])
+
+
+def _draw_axes(ax: Any) -> None:
+    """World axes at the origin in place of a frame."""
+    for k, name in enumerate("xyz"):
+        end = np.zeros((2, 3))
+        end[1, k] = 0.35
+        ax.plot(*_oblique(end).T, color=QUIET, linewidth=0.8)
+        ax.annotate(name, _oblique(end * 1.12)[1], color=QUIET, ha="center", va="center")
+    link = np.array([[0, 0, 0], [0, 0, 1.01]])
+    ax.plot(*_oblique(link).T, color=QUIET, linewidth=0.8, linestyle=":")
+    ax.set(aspect="equal", xlim=(-0.95, 0.95))
+    ax.axis("off")
+
+
+def _poses(studies: Studies) -> Figure:
+    panels = []
+    for motion, study in studies.items():
+        poses = study["series"]["poses"]
+        line_m = np.array(poses["centre_line_m"])
+        for plane, k in (("x–z plane", 0), ("y–z plane", 1))[: study["dof"]]:
+            with Drawing() as (drawing, ax):
+                colours = ramp(len(line_m))
+                for points, colour in zip(line_m, colours, strict=True):
+                    whole = np.vstack([np.zeros(3), points])
+                    ax.plot(whole[:, k], whole[:, 2], color=colour, marker="o", markersize=2.2)
+                ax.set(xlabel=f"{'xy'[k]} in m", ylabel="z in m", aspect="equal")
+                ax.set(xlim=(-0.8, 0.8), ylim=(0, 1.08))
+            di = [PERCENT * v for v in poses["di"]]
+            panels.append(
+                drawing.panel(
+                    f"{motion}, {plane}, {poses['payload_kg']:g} kg",
+                    f"Centre line of the link at {len(di)} equal times of the first cycle, "
+                    f"{plane}; its DI goes from {min(di):.2f} to {max(di):.2f} %.",
+                )
+            )
+    with Drawing() as (drawing, ax):
+        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False):
+            poses = study["series"]["poses"]
+            ax.plot(
+                poses["time_s"], PERCENT * np.array(poses["di"]),
+                color=colour, marker="o", markersize=4, label=motion,
+            )  # fmt: skip
+        ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
+        ax.legend(frameon=False, fontsize=8, handlelength=1.4, loc="upper right")
+    panels.append(
+        drawing.panel(
+            "DI of these poses", "DI of the poses over time, one line for each kind of motion."
+        )
+    )
+    times = next(iter(studies.values()))["series"]["poses"]["time_s"]
+    legend = [(c, f"{t:.1f} s", "solid") for t, c in zip(times, ramp(len(times)), strict=True)]
+    return Figure(
+        "The link in motion",
+        "Centre line through base plate and marker rows, drawn without exaggeration.",
+        panels, "8", legend,
+    )  # fmt: skip
+
+
+def _di_over_angle(studies: Studies) -> Figure:
+    panels = []
+    top = max(max(c["di"]) for s in studies.values() for c in s["series"]["di"].values())
+    for motion, study in studies.items():
+        curves = study["series"]["di"]
+        with Drawing() as (drawing, ax):
+            for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
+                ax.plot(
+                    np.degrees(curve["angle_1_rad"]), PERCENT * np.array(curve["di"]),
+                    color=colour, linewidth=1.0,
+                )  # fmt: skip
+            ax.set(xlabel="angle 1 in °", ylabel="DI in %", xticks=[-30, -15, 0, 15, 30])
+            ax.set_ylim(0, 1.05 * PERCENT * top)
+        peaks = ", ".join(
+            f"{PERCENT * max(c['di']):.2f} % at {_in_words(k)}" for k, c in curves.items()
+        )
+        panels.append(
+            drawing.panel(
+                motion,
+                f"DI over the angle of joint 1, {motion}, one loop per payload; peaks: {peaks}.",
+            )
+        )
+    labels = list(next(iter(studies.values()))["series"]["di"])
+    return Figure(
+        "DI over the angle", "Trial 1, two cycles; marker noise alone adds about 0.07 %.",
+        panels, "9 and 10", _payload_legend(labels),
+    )  # fmt: skip
+
+
+def _mean_di(studies: Studies) -> Figure:
+    lines = [
+        (motion, study["mean_di"], colour)
+        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False)
+    ]
+    with Drawing() as (drawing, ax):
+        for _, values, colour in lines:
+            ax.plot(
+                [float(k) for k in values], [PERCENT * v for v in values.values()],
+                color=colour, marker="o", markersize=4,
+            )  # fmt: skip
+        ax.set(xlabel="payload in kg", ylabel="mean DI in %", ylim=(0, None))
+        ax.set_xticks(sorted({float(k) for _, values, _ in lines for k in values}))
+    alt = "; ".join(
+        f"{motion}: " + ", ".join(f"{PERCENT * v:.2f} % at {k} kg" for k, v in values.items())
+        for motion, values, _ in lines
+    )
+    return Figure(
+        "Mean DI by payload",
+        "Moving rows of trial 1. The paper does not give the phase by which joint 2 leads joint 1: "
+        "at 0° both move together, at 90° the tip goes round.",
+        [drawing.panel("1DOF and 2DOF", f"Mean DI over payload. {alt}.")], "11",
+        [(colour, motion, "solid") for motion, _, colour in lines],
+    )  # fmt: skip

@@ -1,0 +1,86 @@
+"""A witness on a processor: a process of high priority that notes how late it wakes.
+
+It is pinned, above everything of ours, and wakes every few milliseconds: the reference jitter of
+the machine, and, where it is milliseconds late, proof that nobody of ours could have run there.
+What it does at a wake-up is `c/probe.c`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import signal
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import numpy as np
+
+from firmware_py.realtime.clock import RealTimeOptions, real_time
+from hil.timing.host import PROBE_PERIOD_NS, PROBE_PRIORITY, Nanoseconds, Watch
+from models.shared.c_compiler import compile_library
+
+_SOURCE: Final = Path(__file__).with_name("c") / "probe.c"
+_ROWS: Final = 20_000
+_COLUMNS: Final = 3
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+class Probe:
+    """A probe on one processor, running from its making until `stop`.
+
+    Parameters
+    ----------
+    cpu : int
+        Processor to pin it to.
+    neighbours : sequence of int
+        Processes of ours that may run on the same processor beside the one that is watched.
+    """
+
+    def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
+        self._ours, theirs = _SPAWN.Pipe()
+        with TemporaryDirectory(prefix="dropstitch-probe-") as scratch:
+            library = compile_library([_SOURCE], Path(scratch) / "probe.so")
+            self._process = _SPAWN.Process(
+                target=_probe, args=(theirs, library, cpu, tuple(neighbours)), daemon=True
+            )
+            self._process.start()
+            theirs.close()
+            self._privileged: bool = self._ours.recv()
+
+    def stop(self) -> Watch:
+        """End the probe and return what it saw."""
+        self._ours.send(None)
+        rows: Nanoseconds = self._ours.recv()
+        wake, lateness, ours = np.ascontiguousarray(rows.T)
+        return Watch(wake, lateness, ours, privileged=self._privileged)
+
+    def close(self) -> None:
+        """End the probe if it still runs."""
+        self._ours.close()
+        self._process.join()
+
+
+def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
+    watch = ctypes.CDLL(str(library)).watch
+    watch.restype = ctypes.c_int64
+    accounts = [os.open(f"/proc/{pid}/schedstat", os.O_RDONLY) for pid in neighbours]
+    accounts_c, state = (ctypes.c_int * len(accounts))(*accounts), (ctypes.c_int64 * 2)()
+    chunks = []
+    with real_time(RealTimeOptions(priority=PROBE_PRIORITY, cpu=cpu)):
+        pipe.send(os.sched_getparam(0).sched_priority == PROBE_PRIORITY)
+        filled = _ROWS
+        while filled == _ROWS:
+            rows = np.zeros((_ROWS, _COLUMNS), np.int64)
+            filled = watch(
+                pipe.fileno(), ctypes.c_int64(PROBE_PERIOD_NS), accounts_c, len(accounts), state,
+                ctypes.c_void_p(rows.ctypes.data), ctypes.c_int64(_ROWS),
+            )  # fmt: skip
+            chunks.append(rows[:filled])
+    with contextlib.suppress(BrokenPipeError):  # nobody may want to know any more
+        pipe.send(np.concatenate(chunks))

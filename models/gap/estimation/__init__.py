@@ -1,0 +1,1 @@
+"""Estimation against the noise floor: Gauss-Newton, model discrepancy and nuisance bias."""

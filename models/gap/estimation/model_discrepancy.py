@@ -1,0 +1,108 @@
+"""How the plant's own error varies from one link to the next.
+
+The plant is simpler than any link, and what it misses changes with the link's stiffness, mass and
+damping: on links that it was not identified on it keeps an error that looks like friction near
+standstill, or like play. A few patterns hold most of that. They were measured on laboratories
+without any hidden effect, their nuisance drawn anew and refitted (`python -m bench.gap.calibrate`),
+and belong to the noise floor: residual = noise + Σ a_m pattern_m, a_m ~ N(0, 1), so that whatever
+looks like one of them is worth no more than it was there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from models.gap.residuals.residuals import Group
+from models.gap.residuals.spectrum import Array
+from models.plant.plant import Plant
+from models.trials.trial import Trial
+
+PATH: Final = Path(__file__).with_name("model_discrepancy.npz")
+
+MOST: Final = 16
+"""Patterns that are kept: on links left out they take the error from 8.9 to 2.0 times the noise's
+power; twice as many would take it to 1.8 (64 laboratories, four folds)."""
+
+
+@dataclass(frozen=True)
+class ModelDiscrepancy:
+    """Patterns of the plant's error over links of one make.
+
+    Attributes
+    ----------
+    key : str
+        Motion of the trials, as `models.gap.residuals.residuals.Group.key`.
+    payload_kg : ndarray, shape (P,)
+        Payloads, ascending.
+    signals : tuple of str
+        Signals.
+    table : ndarray, shape (M, P, signals, K)
+        Spectra of the patterns, each as large as its standard deviation.
+    """
+
+    key: str
+    payload_kg: Array
+    signals: tuple[str, ...]
+    table: Array
+
+    def rows(self, group: Group, trials: Sequence[Trial]) -> Array:
+        """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown."""
+        shape = len(group.trials), len(group.signals), group.coefficients
+        result = np.zeros((len(self.table), *shape))
+        if group.key != self.key:
+            return result
+        for a, k in enumerate(group.trials):
+            at = float(np.clip(trials[k].meta.payload_kg, self.payload_kg[0], self.payload_kg[-1]))
+            weights = [np.interp(at, self.payload_kg, row) for row in np.eye(len(self.payload_kg))]
+            pattern = np.einsum("p,mpsk->msk", weights, self.table)
+            for b, signal in enumerate(group.signals):
+                if signal in self.signals:
+                    result[:, a, b] = pattern[:, self.signals.index(signal)]
+        return result
+
+    def write(self, path: Path = PATH) -> None:
+        """Write it to a .npz file, in single precision."""
+        np.savez_compressed(
+            path, key=self.key, payload_kg=self.payload_kg, signals=np.array(self.signals),
+            table=self.table.astype(np.float32),
+        )  # fmt: skip
+
+
+def discrepancy_of(plant: Plant) -> ModelDiscrepancy | None:
+    """Patterns of a plant: those measured for the link, none for other loads."""
+    if plant.load != "link" or not PATH.exists():
+        return None
+    with np.load(PATH) as file:
+        return ModelDiscrepancy(
+            str(file["key"]), file["payload_kg"], tuple(file["signals"].tolist()),
+            file["table"].astype(np.float64),
+        )  # fmt: skip
+
+
+def patterns_of(residuals: Array, noise: Array) -> Array:
+    """Largest patterns in the residuals of many links, in units of the noise.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (links, P, signals, K)
+        Spectra of what the nuisance fit left on each.
+    noise : ndarray, shape (signals, K)
+        Variance of the noise in them.
+
+    Returns
+    -------
+    ndarray, shape (M, P, signals, K)
+        Principal components, each with the standard deviation that noise does not account for.
+    """
+    links = len(residuals)
+    scale = np.sqrt(noise)
+    rows = (residuals / scale).reshape(links, -1)
+    _, sizes, patterns = np.linalg.svd(rows, full_matrices=False)
+    power = (sizes[:MOST] ** 2 - rows.shape[1]) / links  # noise gives each some of its own
+    spread = np.sqrt(np.maximum(power, 0.0))[:, None] * patterns[:MOST]
+    return np.asarray(spread.reshape(-1, *residuals.shape[1:]) * scale)

@@ -1,0 +1,1 @@
+"""Results of a diagnosis: gap.json, its page and the waterfall of improvements."""

@@ -1,0 +1,290 @@
+"""OUT/report.html: one page without outside files, its pictures inline SVG.
+
+Everything comes from gap.json, the two plants and the trials, so that whoever has those files can
+draw the same page again, and put more sections to it (`hil.report.gap.before_after_page`).
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from models.gap.report.gap_json import lost_in_words, strain_in_words
+from models.gap.residuals.localisation import spoken
+from models.gap.residuals.spectrum import Array
+from models.plant.identification.evaluation import TIP, Comparison, compare
+from models.plant.plant import Plant
+from models.shared import svg_charts
+from models.shared.catalogue import CATALOGUE
+from models.shared.html_page import SHOWN, Section, page_of, panels_of, readable, table_of
+from models.trials.trial import Trial
+from models.trials.trial_files import TrialSet
+
+FACTORS: Final = {
+    "phase": "Phase of the cycle", "stroke": "Stroke", "payload": "Payload",
+    "band": "Frequency, Hz", "angle": "Angle", "direction": "Direction",
+}  # fmt: skip
+_SHORT: Final = {
+    "way out to positive angles": "out to +", "return from positive angles": "back from +",
+    "way out to negative angles": "out to −", "return from negative angles": "back from −",
+    "towards +": "to +", "towards −": "to −",
+}  # fmt: skip
+RIVALS: Final = 8
+
+
+def write_report(
+    data: Mapping[str, Any], before: Plant, after: Plant, trials: TrialSet, path: Path
+) -> Path:
+    """Write the page of a diagnosis.
+
+    Parameters
+    ----------
+    data : mapping
+        Content of gap.json.
+    before, after : Plant
+        As given, and as improved.
+    trials : TrialSet
+        Where the gap was looked for.
+    path : Path
+        Page to write; returned.
+    """
+    text = page_of("The gap between plant and measurement", lead(data),
+                sections(data, before, after, trials))  # fmt: skip
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def lead(data: Mapping[str, Any]) -> str:
+    """Verdict, where the gap is in one sentence, and what became of the tip."""
+    said = html.escape(data["sentence"])
+    for more in (lost_in_words(data), strain_in_words(data)):
+        said += f" {html.escape(more[0].upper() + more[1:])}." if more else ""
+    off = [_tip_m(data[when]) for when in ("before", "after")]
+    if data["named"] and off[0]:
+        said += (
+            f" The plant's tip is off by {readable(off[0], 'm')} before and "
+            f"{readable(off[1], 'm')} after."
+        )
+    return f'<p class="lead"><b>{_verdict(data)}</b> {said}</p>'
+
+
+def sections(
+    data: Mapping[str, Any],
+    before: Plant,
+    after: Plant,
+    trials: TrialSet,
+    hidden: Mapping[str, float] | None = None,
+) -> list[Section]:
+    """What the page of a diagnosis shows; `hidden` is set beside what was found, where known."""
+    result = [
+        Section(
+            "where", "Where it is", _where(data["map"], trials),
+            "Root mean square of the residual after the nominal parameters were refitted, in noise "
+            "floors: 1 is noise. Grey figures are not significant under a false-discovery rate of "
+            "5 %.",
+        ),
+        Section(
+            "what", "What is missing", _named(data, hidden) + _rivals(data),
+            "d′: distance from a plant without the effect, in standard deviations of the noise "
+            "floor. What each effect needs to be named was measured where nothing is missing; the "
+            "bars show how many times that it reached. A strength that differs much between "
+            "payloads, signals and frequencies belongs to something else.",
+        ),
+    ]  # fmt: skip
+    if data.get("waterfall"):
+        steps = [(step["step"], step["floors"]) for step in data["waterfall"]]
+        result.append(
+            Section(
+                "waterfall",
+                "What each step takes away",
+                panels_of([("", svg_charts.waterfall(steps))]),
+                "Root mean square of all signals in noise floors, on repetitions that no value was "
+                "fitted to: the plant as given, its nominal parameters refitted, and every effect "
+                "in turn. Pale is what the step took away.",
+            )
+        )
+    result.append(_compared(data, before, after, trials))
+    result.append(Section("others", "Not named", _rejected(data)))
+    return result
+
+
+def _tip_m(errors: Mapping[str, Any]) -> float:
+    """Root mean square distance of the tip, over the last trials; zero where there is no tip."""
+    rows = errors.get("held_out", errors["fitted"])
+    return float(np.sqrt(sum(rows[axis]["rms"] ** 2 for axis in TIP if axis in rows)))
+
+
+def _verdict(data: Mapping[str, Any]) -> str:
+    names = ", ".join(_words(r["effect"]) for r in data["named"] if r["kept"])
+    return {
+        "no gap": "No gap.",
+        "closed": f"Closed by {names}.",
+        "reduced": f"Reduced by {names}; something is left.",
+        "not in the catalogue": "Something is missing that the catalogue does not hold."
+        + (f" {names.capitalize()} can only stand in for it." if names else ""),
+    }[data["verdict"]]
+
+
+def _words(name: str) -> str:
+    return html.escape(name.replace("_", " "))
+
+
+def _where(cells: Sequence[Mapping[str, Any]], trials: TrialSet) -> str:
+    """One heat map for every way to look at the residual, all on one scale of colours."""
+    most = max([c["size"] for c in cells if c["factor"] in FACTORS] + [1.5])
+    signals = sorted({c["signal"] for c in cells})
+    panels = []
+    for factor, title in FACTORS.items():
+        own = [c for c in cells if c["factor"] == factor]
+        if not own:
+            continue
+        levels = sorted({c["level"] for c in own}, key=_order)
+        place = {c["level"]: _SHORT.get(c["level"], _plain(c["level"])) for c in own}
+        rows = {c["signal"]: short(c["signal"]) for c in own}
+        drawing = svg_charts.heat_map(
+            [rows[s] for s in signals if s in rows], [place[level] for level in levels],
+            {(rows[c["signal"]], place[c["level"]]): c["size"] for c in own},
+            78, width=svg_charts.WIDTH, most=most,
+            quiet={(rows[c["signal"]], place[c["level"]]) for c in own if not c["significant"]},
+            above=_cycle(trials[0]) if factor == "phase" else None,
+        )  # fmt: skip
+        panels.append((title, drawing))
+    return f'<div class="key">{svg_charts.scale_of(most)}</div>' + panels_of(panels)
+
+
+def _order(level: str) -> tuple[float, str]:
+    """Levels with a number by it, others as they are told: out before back, minus before plus."""
+    number = re.match(r"[\d.]+", level)
+    if number:
+        return float(number[0]), level
+    told = [*_SHORT, "negative", "middle", "positive"]
+    return float(told.index(level) if level in told else len(told)), level
+
+
+def _plain(level: str) -> str:
+    return level.removesuffix(" Hz").replace(" to ", "–")
+
+
+def _cycle(trial: Trial) -> Array:
+    """The first joint over one cycle of the motion, its largest excursion one."""
+    start = trial.meta.rest_samples
+    joint = trial.joint[start : start + round(trial.meta.period_s / trial.step_s), 0]
+    return np.asarray(joint[:: max(1, len(joint) // 80)] / max(float(np.abs(joint).max()), 1e-9))
+
+
+def short(signal: str) -> str:
+    """A signal in a word or two."""
+    stem = signal.rsplit("_", 1)[0]
+    return "DI" if signal == "di" else stem.replace("_", " ")
+
+
+def _named(data: Mapping[str, Any], hidden: Mapping[str, float] | None) -> str:
+    if not data["named"]:
+        return "<p>Nothing.</p>"
+    rows = []
+    for entry in data["named"]:
+        effects = entry["effect"].split(" + ")
+        meaning = "; ".join(CATALOGUE[e].strength for e in effects if e in CATALOGUE)
+        values = "<br>".join(
+            f"{_words(name)} {q['value']:.3g} ± {q['error'] or 0:.2g} {_unit(q['unit'])}"
+            f" (was {q['before']:.3g})"
+            for name, q in entry["parameters"].items()
+        )
+        alike = ", ".join(_words(c["effect"]) for c in entry["look_alikes"]) or "nothing"
+        if entry["look_alikes"]:
+            alike += f"; {_words(entry['separated_by']['motion'])} would tell them apart"
+        row = [
+            f"<b>{_words(entry['effect'])}</b><br><small>{html.escape(meaning)}</small>", values,
+            f"{entry['evidence']['separation']:.1f}", _spread(entry["evidence"]), alike,
+        ]  # fmt: skip
+        if hidden is not None:
+            told = [f"{hidden[e]:g} {_unit(CATALOGUE[e].unit)}" for e in effects if e in hidden]
+            row.insert(1, "<br>".join(told) or "nothing")
+        rows.append(row)
+    head = ["effect", "value found", "d′", "strength differs by", "cannot be told from"]
+    if hidden is not None:
+        head.insert(1, "hidden")
+    return table_of(head, rows)
+
+
+def _spread(evidence: Mapping[str, Any]) -> str:
+    """How far its strength differs between payloads, signals and frequencies."""
+    spread = f"{100 * evidence['strength_spread']:.0f} %"
+    return spread if evidence["strength_holds"] else f"<b>{spread}: a stand-in</b>"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else html.escape(unit)
+
+
+def _rivals(data: Mapping[str, Any]) -> str:
+    """Named effects beside those that came next, each alone."""
+    named = [
+        (_words(r["effect"]), r["evidence"]["separation"] / r["evidence"]["least"])
+        for r in data["named"][:1]
+    ]
+    others = [(_words(r["effect"]), r["separation"] / r["least"]) for r in data["rejected"]]
+    rows = named + sorted(others, key=lambda row: -row[1])[: RIVALS - len(named)]
+    if not rows:
+        return ""
+    title = "How well each effect alone explains the gap, beside what it needs to be named"
+    return panels_of([(title, svg_charts.bars(rows, "", 1.0, "needed"))])
+
+
+def _rejected(data: Mapping[str, Any]) -> str:
+    by_reason: dict[str, list[str]] = {}
+    for row in data["rejected"]:
+        said = f"{_words(row['effect'])} ({row['separation']:.1f})"
+        by_reason.setdefault(row["reason"], []).append(said)
+    rows = [[html.escape(why), ", ".join(names)] for why, names in by_reason.items()]
+    return table_of(["why", "effects, with their d′"], rows)
+
+
+def _compared(data: Mapping[str, Any], before: Plant, after: Plant, trials: TrialSet) -> Section:
+    """The error of both plants, by signal and on the heaviest of the last trials."""
+    part = "held_out" if "held_out" in data["before"] else "fitted"
+    rows = [
+        [
+            html.escape(spoken(signal)), readable(row["rms"], row["unit"]),
+            readable(data["after"][part][signal]["rms"], row["unit"]),
+            readable(row["rms"] / row["floors"], row["unit"]) if row["floors"] else "",
+        ]
+        for signal, row in data["before"][part].items()
+    ]  # fmt: skip
+    trial = max(trials.split()[1] or trials, key=lambda t: t.meta.payload_kg)
+    both = [compare(plant, [trial])[0] for plant in (before, after)]
+    return Section(
+        "residual", "Before and after",
+        table_of(["root mean square error", "before", "after", "noise floor"], rows)
+        + svg_charts.legend([
+            (svg_charts.BEFORE, "before"), (svg_charts.AFTER, "after"),
+            (svg_charts.QUIET, "noise floor"),
+        ])
+        + panels_of(_residuals(data, part, both)),
+        f"Table: repetitions under every payload. Curves: measured minus simulated in "
+        f"{html.escape(trial.name)}.",
+    )  # fmt: skip
+
+
+def _residuals(
+    data: Mapping[str, Any], part: str, both: Sequence[Comparison]
+) -> list[tuple[str, str]]:
+    panels = []
+    for signal in both[0].simulated:
+        series = [-c.error(signal) for c in both]
+        still = all(np.ptp(c.simulated[signal]) == 0 for c in both)  # across a single joint's plane
+        if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in data["before"][part]:
+            continue
+        row = data["before"][part][signal]
+        unit, factor = SHOWN.get(row["unit"], (row["unit"], 1.0))
+        named = list(zip(("before", "after"), (factor * s for s in series), strict=True))
+        floor = factor * row["rms"] / row["floors"] if row["floors"] else None
+        drawing = svg_charts.traces(both[0].trial.time_s, named, unit, floor)
+        sizes = " → ".join(f"{np.sqrt(np.nanmean(values**2)):.3g}" for _, values in named)
+        panels.append((f"{short(signal)}, {sizes} {unit} RMS", drawing))
+    return panels

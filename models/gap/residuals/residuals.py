@@ -1,0 +1,242 @@
+"""The twin beside the trials: residual spectra and their exact derivatives by every knob."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.gap.residuals.fit_parameters import FitParameter, full_plant, parameters_of
+from models.gap.residuals.spectrum import Array, kept, restore, transform
+from models.plant.identification.simulation_fit import measured_signals, weights
+from models.plant.plant import Plant
+from models.plant.simulation.compiled_model import (
+    CompiledModel,
+    run_trial,
+    sensitivity,
+    trial_parameters,
+)
+from models.plant.step_model import names
+from models.trials.trial import Trial
+
+WORKERS: Final = 2
+SUBSTEP_S: Final = 2.9e-3
+"""Longest internal step: what a dead time of zero allows (`models.plant.effects.command`). Six a
+period are within 5 µm and 0.5 mA of a step of 0.25 ms; 46 µm with ten times the usual friction.
+Only for the link: the bristles of a small gear turn over faster than that."""
+
+LOST_RAD: Final = 0.03
+GIVEN: Final = 0.95
+"""A joint loses its goal where it follows that much worse than the twin ever does, with at least
+that share of the largest current."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Trials of one motion, whose spectra can be compared coefficient by coefficient.
+
+    Attributes
+    ----------
+    key : str
+        Motion, its amplitude, period and number of joints, and the trial's other conditions.
+    trials : tuple of int
+        Their indices.
+    signals : tuple of str
+        That simulation and measurement share.
+    coefficients : int
+        Number that is kept.
+    """
+
+    key: str
+    trials: tuple[int, ...]
+    signals: tuple[str, ...]
+    coefficients: int
+
+
+def group_key(trial: Trial) -> str:
+    """Condition of a trial apart from payload and repetition."""
+    m = trial.meta
+    conditions = "".join(f" {name}={value:.5g}" for name, value in sorted(m.conditions.items()))
+    return (
+        f"{m.dof}dof {m.motion} {m.amplitude_rad:.5g}rad {m.period_s:.5g}s {m.phase_2_rad:.4g}rad "
+        f"{len(trial)}x{trial.step_s:.5g}s{conditions}"
+    )
+
+
+class Residuals:
+    """Residuals of the twin that holds every effect, over trials, as spectra.
+
+    Parameters
+    ----------
+    plant : Plant
+        Where all knobs are at zero.
+    trials : sequence of Trial
+        To compare with; of one number of joints.
+    knobs : sequence of FitParameter
+        What may be turned.
+
+    Attributes
+    ----------
+    groups : list of Group
+        By motion.
+    model : StepModel
+        The twin with every effect.
+    """
+
+    def __init__(
+        self, plant: Plant, trials: Sequence[Trial], knobs: Sequence[FitParameter]
+    ) -> None:
+        dofs = {t.meta.dof for t in trials}
+        if len(dofs) != 1:
+            raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
+        self.plant, self.trials, self.knobs = plant, tuple(trials), tuple(knobs)
+        model = full_plant(plant).step_model(dofs.pop(), "twin")
+        substep_s = SUBSTEP_S if plant.load == "link" else model.max_substep_s
+        self.model = replace(model, max_substep_s=substep_s)
+        moved = [n for n in parameters_of(knobs) if n in names(model.parameters)]
+        self._plain = CompiledModel(self.model)
+        self._sensitive = CompiledModel(sensitivity(model, moved, substep_s))
+        self._outputs = names(model.outputs)
+        known = names(model.parameters)
+        self._base = [trial_parameters(model, t) for t in trials]
+        self._by_parameter = np.zeros((len(known), len(knobs)))
+        self._by_output = np.zeros((len(self._outputs), len(knobs)))
+        for k, knob in enumerate(knobs):
+            for name, weight in knob.parameters.items():
+                self._by_parameter[known.index(name), k] = weight
+            for name, weight in knob.outputs.items():
+                self._by_output[self._outputs.index(name), k] = weight
+        self._moved = self._by_parameter[[known.index(n) for n in moved]]
+        self._turns = np.array(
+            [[k.trial is None or k.trial == i for k in knobs] for i in range(len(trials))]
+        )
+        self._measured = [measured_signals(t) for t in trials]
+        self.groups = self._group()
+        self._low = np.array([v.minimum for v in model.parameters])
+        self._high = np.array([v.maximum for v in model.parameters])
+        driven = plant.load == "link"
+        self._counted = [
+            counted(t, self._follows(k)) if driven else np.ones(len(t))
+            for k, t in enumerate(trials)
+        ]
+
+    def _group(self) -> list[Group]:
+        found: dict[str, list[int]] = {}
+        for k, trial in enumerate(self.trials):
+            found.setdefault(group_key(trial), []).append(k)
+        result = []
+        for key, rows in found.items():
+            seen = [
+                s for s in self._outputs
+                if all(s in self._measured[k] and np.isfinite(self._measured[k][s]).any()
+                       for k in rows)
+            ]  # fmt: skip
+            first = self.trials[rows[0]]
+            result.append(Group(key, tuple(rows), tuple(seen), kept(len(first), first.step_s)))
+        return result
+
+    def residuals(self, values: Array) -> list[Array]:
+        """Measured minus simulated, a spectrum (trials, signals, K) for each group."""
+        with ThreadPoolExecutor(WORKERS) as pool:
+            runs = list(pool.map(lambda k: self._run(k, values), range(len(self.trials))))
+        return [self._spectra(g, runs) for g in self.groups]
+
+    def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
+        """Residual spectra, and derivatives of the simulated ones (trials, signals, K, knobs)."""
+        with ThreadPoolExecutor(WORKERS) as pool:
+            both = list(pool.map(lambda k: self._run_sensitive(k, values), range(len(self.trials))))
+        rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
+        slopes = []
+        for g in self.groups:
+            block = np.empty((len(g.trials), len(g.signals), g.coefficients, len(self.knobs)))
+            for a, k in enumerate(g.trials):
+                for b, signal in enumerate(g.signals):
+                    block[a, b] = self._coefficients(
+                        k, signal, both[k][1][self._outputs.index(signal)]
+                    )
+            slopes.append(block)
+        return rows, slopes
+
+    def lost(self) -> dict[str, int]:
+        """First row that no longer counts, of each trial whose joint has lost its goal."""
+        return {
+            t.name: int(rows.sum())
+            for t, rows in zip(self.trials, self._counted, strict=True) if not rows.all()
+        }  # fmt: skip
+
+    def _follows(self, k: int) -> Array:
+        """Largest following error of each joint of the twin as given, rad."""
+        y, goal = self._run(k, np.zeros(len(self.knobs))), self.trials[k].goal_rad
+        angle = [self._outputs.index(f"angle_{j}_rad") for j in range(1, goal.shape[1] + 1)]
+        return np.asarray(np.abs(goal - y[:, angle]).max(axis=0))
+
+    def _parameters(self, k: int, values: Array) -> Array:
+        p = self._base[k] + self._by_parameter @ (values * self._turns[k])
+        return np.asarray(np.clip(p, self._low, self._high))
+
+    def _run(self, k: int, values: Array) -> Array:
+        y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
+        return np.asarray(y + self._by_output @ (values * self._turns[k]))
+
+    def _run_sensitive(self, k: int, values: Array) -> tuple[Array, list[Array]]:
+        """Outputs (n, outputs) and, by output, their derivatives (n, knobs)."""
+        y = run_trial(self._sensitive, self.trials[k], self._parameters(k, values))
+        count = len(self._outputs)
+        slopes = [
+            (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._turns[k]
+            for o in range(count)
+        ]
+        return y[:, :count] + self._by_output @ (values * self._turns[k]), slopes
+
+    def _spectra(self, g: Group, runs: Sequence[Array]) -> Array:
+        rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
+        for a, k in enumerate(g.trials):
+            for b, signal in enumerate(g.signals):
+                residual = self._measured[k][signal] - runs[k][:, self._outputs.index(signal)]
+                rows[a, b] = self._coefficients(k, signal, fill(residual))
+        return rows
+
+    def as_counted(self, g: Group, spectra: Array) -> Array:
+        """Spectra (…, trials, signals, K) of what the counted rows of each trial would hold."""
+        result = spectra.copy()
+        for a, k in enumerate(g.trials):
+            rows, trial = self._counted[k], self.trials[k]
+            if not rows.all():
+                curves = restore(np.moveaxis(spectra[..., a, :, :], -1, 0), len(trial))
+                kept_rows = transform((rows * curves.T).T, trial.step_s)
+                result[..., a, :, :] = np.moveaxis(kept_rows, 0, -1)
+        return result
+
+    def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
+        trial = self.trials[k]
+        weight = self._counted[k] * weights(trial, signal)
+        return transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
+
+
+def counted(trial: Trial, follows_rad: Array) -> Array:
+    """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike.
+
+    Parameters
+    ----------
+    trial : Trial
+        As measured.
+    follows_rad : ndarray, shape (joints,)
+        Following error that is to be expected.
+    """
+    error, current = np.abs(trial.goal_rad - trial.angle_rad), np.abs(trial.current_a)
+    behind = error > follows_rad + LOST_RAD
+    lost = np.any(behind & (current > GIVEN * current.max(axis=0)), axis=1)
+    return np.asarray(np.cumsum(lost) == 0, dtype=np.float64)
+
+
+def fill(rows: Array) -> Array:
+    """Rows with what is missing interpolated."""
+    seen = np.isfinite(rows)
+    if seen.all():
+        return rows
+    place = np.arange(len(rows))
+    return np.interp(place, place[seen], rows[seen])

@@ -1,0 +1,1 @@
+"""Search for missing effects: candidates, evidence, consistency and look-alikes."""

@@ -1,0 +1,1 @@
+"""Learning: polynomial predictors, the lagged DI regressor and their export to ONNX."""

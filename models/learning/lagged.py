@@ -1,0 +1,90 @@
+"""The lagged regressor of DI: what the servo alone can tell, without a model of the link.
+
+A quadratic in angles and currents now and up to 16 ticks (0.27 s) ago. On the motion that it was
+trained on it recovers most of what DI gains; on others less (FACTS §6), which is why the bundle
+prefers the plant observer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from models.learning.onnx_power import PolynomialGraph
+from models.learning.predictors import Array, polynomial_pipeline, predict
+from models.trials.trial import Trial
+
+LAG_TICKS: Final = (0, 4, 8, 16)
+DEGREE: Final = 2
+
+
+def lagged_features(
+    angle_rad: Array, current_a: Array, lag_ticks: Sequence[int] = LAG_TICKS
+) -> Array:
+    """Angles and currents at each lag, side by side.
+
+    Parameters
+    ----------
+    angle_rad, current_a : ndarray, shape (n, dof)
+        A run from its first sample on; before it, that sample is taken to have held.
+
+    Returns
+    -------
+    ndarray, shape (n, len(lag_ticks) * 2 * dof)
+        For each lag angles, then currents: the input of `lagged.onnx`.
+    """
+    signals = np.hstack([angle_rad, current_a])
+    row = np.arange(len(signals))
+    return np.hstack([signals[np.maximum(row - lag, 0)] for lag in lag_ticks])
+
+
+@dataclass(frozen=True)
+class LaggedRegressor:
+    """A fitted lagged regressor.
+
+    Attributes
+    ----------
+    pipeline : sklearn Pipeline
+        Quadratic in the lagged features, output DI.
+    lower, upper : ndarray
+        Training box, to which inputs are clipped.
+    """
+
+    pipeline: Any
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def fit(cls, trials: Sequence[Trial], di: Sequence[Array]) -> LaggedRegressor:
+        """Fit on the moving rows of trials whose DI is known.
+
+        Parameters
+        ----------
+        trials : sequence of Trial
+            To fit on.
+        di : sequence of ndarray
+            True DI of every row of each; NaN rows are left out.
+        """
+        features = np.vstack([lagged_features(t.angle_rad, t.current_a)[t.moving] for t in trials])
+        target = np.concatenate([d[t.moving] for t, d in zip(trials, di, strict=True)])
+        seen = np.isfinite(target)
+        features, target = features[seen], target[seen, None]
+        pipeline = polynomial_pipeline(DEGREE).fit(features, target)
+        return cls(pipeline, features.min(axis=0), features.max(axis=0))
+
+    def estimate(self, trial: Trial) -> Array:
+        """DI of every row of a trial, shape (n,)."""
+        features = lagged_features(trial.angle_rad, trial.current_a)
+        return predict(self.pipeline, np.clip(features, self.lower, self.upper))[:, 0]
+
+    @property
+    def inputs(self) -> int:
+        """Width of the graph's input."""
+        return len(self.lower)
+
+    def graph(self) -> PolynomialGraph:
+        """What `models.learning.onnx_power.to_onnx` converts to `lagged.onnx`."""
+        return PolynomialGraph(self.pipeline, "di", (self.lower, self.upper))

@@ -1,0 +1,222 @@
+"""Polynomial predictors of the end effector (paper, eq. 2 and 3) and their 95 % interval.
+
+Everything is fitted on inputs scaled to the training box: on raw units scikit-learn's least
+squares cuts singular values that matter (FACTS §4, "Fit scaled").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
+
+Array = NDArray[np.float64]
+Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Row numbers to train on and to test on."""
+
+DEGREES: Final = (1, 2, 3, 4, 5, 6)
+COVERAGE: Final = 0.95
+LEVERAGE_RIDGE: Final = 1e-6
+"""Added to the mean squares of the leverage's regressors: it bounds the leverage of a direction
+that the training never moved in (angles 1 and 2 in phase) instead of dividing by zero."""
+
+
+def polynomial_pipeline(degree: int) -> Pipeline:
+    """Unfitted pipeline: scale to the box [-1, 1]^n, all monomials up to `degree`, least squares.
+
+    The bias column is left to the intercept; skl2onnx writes an unusable float64 graph for it.
+    """
+    return make_pipeline(
+        MinMaxScaler(feature_range=(-1.0, 1.0)),
+        PolynomialFeatures(degree, include_bias=False),
+        LinearRegression(),
+    )
+
+
+def predict(pipeline: Any, features: Array) -> Array:
+    """Outputs of a fitted pipeline, shape (n, outputs)."""
+    return np.asarray(pipeline.predict(features), dtype=np.float64)
+
+
+def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -> Array:
+    """Fit on a fold's training rows and predict its test rows, shape (test rows, outputs).
+
+    Inputs are clipped into the box of the fold's training rows, as the deployed predictor does:
+    a block that holds the only start of a motion is else extrapolated to by metres.
+    """
+    train, test = fold
+    seen = features[train]
+    pipeline = polynomial_pipeline(degree).fit(seen, targets[train])
+    return predict(pipeline, np.clip(features[test], seen.min(axis=0), seen.max(axis=0)))
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A fitted pipeline read as a polynomial in z = scale * x + offset.
+
+    Attributes
+    ----------
+    scale, offset : ndarray, shape (n,)
+        Map from features in SI units to the box [-1, 1]^n.
+    exponents : ndarray of int, shape (monomials, n)
+        Rows are the monomials; the first is the constant.
+    coefficients : ndarray, shape (monomials, outputs)
+        Of the monomials in z.
+    """
+
+    scale: Array
+    offset: Array
+    exponents: NDArray[np.int64]
+    coefficients: Array
+
+    @property
+    def degree(self) -> int:
+        """Total degree."""
+        return int(self.exponents.sum(axis=1).max())
+
+    @classmethod
+    def of(cls, pipeline: Any) -> Polynomial:
+        """Read the steps of a fitted `polynomial_pipeline`."""
+        scaler, monomials, regression = (step for _, step in pipeline.steps)
+        powers = np.asarray(monomials.powers_, dtype=np.int64)
+        coefficients = np.vstack(
+            [np.atleast_1d(regression.intercept_), np.atleast_2d(regression.coef_).T]
+        )
+        exponents = np.vstack([np.zeros((1, powers.shape[1]), dtype=np.int64), powers])
+        return cls(scaler.scale_, scaler.min_, exponents, coefficients)
+
+    def monomials(self, features: Array) -> Array:
+        """Values of the monomials at features in SI units, shape (n, monomials)."""
+        z = features * self.scale + self.offset
+        return np.asarray(np.prod(z[:, None, :] ** self.exponents, axis=2))
+
+    def __call__(self, features: Array) -> Array:
+        """Values of the polynomial at features in SI units, shape (n, outputs)."""
+        return self.monomials(features) @ self.coefficients
+
+    def in_si_units(self) -> dict[tuple[int, ...], Array]:
+        """Exponents to coefficients of the features themselves (the paper's β, eq. 2 and 3).
+
+        For reading: at high degree these large coefficients of both signs cancel, so evaluate
+        the scaled form instead.
+        """
+        n = len(self.scale)
+        factor = [_powers_of_affine(self.scale[i], self.offset[i], self.degree) for i in range(n)]
+        total: dict[tuple[int, ...], Array] = {}
+        for exponents, beta in zip(self.exponents, self.coefficients, strict=True):
+            terms: dict[tuple[int, ...], float] = {(): 1.0}
+            for i, power in enumerate(exponents):
+                terms = {
+                    (*done, k): value * factor[i][power][k]
+                    for done, value in terms.items()
+                    for k in range(int(power) + 1)
+                }
+            for key, value in terms.items():
+                total[key] = total.get(key, np.zeros_like(beta)) + value * beta
+        return dict(sorted(total.items(), key=lambda item: (sum(item[0]), item[0][::-1])))
+
+
+def _powers_of_affine(scale: float, offset: float, degree: int) -> list[Array]:
+    """Coefficients of (scale x + offset)^k for k = 0 … degree, lowest power first."""
+    rows = [np.ones(1)]
+    for _ in range(degree):
+        rows.append(np.convolve(rows[-1], [offset, scale]))
+    return rows
+
+
+@dataclass(frozen=True)
+class GuardedPredictor:
+    """What the robot gets: polynomial, guard of the inputs and 95 % prediction interval.
+
+    The polynomial sees inputs clipped into the training box; `in_range` says whether they lay in
+    it. The half width is q sqrt(1 + h(x)): h is the leverage of the quadratic model on the
+    *unclipped* input, a quartic polynomial whatever the predictor's degree (the leverage of a
+    degree-d model would have degree 2 d: 8008 monomials at 5 inputs and degree 5), so it grows
+    outside the training data. q is the quantile of the out-of-fold residuals divided by the same
+    root, per output: a cross-conformal interval, which assumes no distribution.
+
+    Attributes
+    ----------
+    pipeline : sklearn Pipeline
+        Fitted `polynomial_pipeline`.
+    lower, upper : ndarray, shape (n,)
+        Training box in SI units.
+    leverage : Polynomial
+        Quartic in the scaled inputs, one output.
+    quantile : ndarray, shape (outputs,)
+        q, in the unit of the outputs.
+    """
+
+    pipeline: Any
+    lower: Array
+    upper: Array
+    leverage: Polynomial
+    quantile: Array
+
+    @classmethod
+    def fit(
+        cls, degree: int, features: Array, targets: Array, folds: Iterable[Fold]
+    ) -> GuardedPredictor:
+        """Fit on all rows; the interval comes from the rows that each fold holds out.
+
+        Parameters
+        ----------
+        degree : int
+            Of the polynomial.
+        features : ndarray, shape (n, inputs)
+            In SI units, finite.
+        targets : ndarray, shape (n, outputs)
+            In SI units.
+        folds : iterable of (train rows, test rows)
+            As `models.learning.validation.payload_folds` gives them: whole runs, for the rows of
+            one run resemble each other more than those of the next.
+        """
+        pipeline = polynomial_pipeline(degree).fit(features, targets)
+        leverage = _leverage(features)
+        scores = []
+        for fold in folds:
+            test = fold[1]
+            residual = np.abs(targets[test] - predict_held_out(degree, features, targets, fold))
+            scores.append(residual / np.sqrt(1.0 + leverage(features[test])))
+        score = np.concatenate(scores)
+        level = min(1.0, COVERAGE * (1.0 + 1.0 / len(score)))
+        quantile = np.quantile(score, level, axis=0, method="higher")
+        return cls(pipeline, features.min(axis=0), features.max(axis=0), leverage, quantile)
+
+    def predict(self, features: Array) -> Array:
+        """Outputs at the clipped inputs, shape (n, outputs)."""
+        return predict(self.pipeline, np.clip(features, self.lower, self.upper))
+
+    def in_range(self, features: Array) -> NDArray[np.bool_]:
+        """True where every input lies in the training box (bounds included), shape (n,)."""
+        return np.asarray(np.all((features >= self.lower) & (features <= self.upper), axis=1))
+
+    def half_width(self, features: Array) -> Array:
+        """Half width of the 95 % prediction interval, shape (n, outputs)."""
+        return self.quantile * np.sqrt(1.0 + self.leverage(features))
+
+
+def _leverage(features: Array) -> Polynomial:
+    """h(x) = φ(x)ᵀ (ΦᵀΦ + n λ I)⁻¹ φ(x), φ all monomials up to degree 2, as a quartic."""
+    pipeline = polynomial_pipeline(2).fit(features, features[:, :1])
+    quadratic = Polynomial.of(pipeline)
+    phi = quadratic.monomials(features)
+    ridge = LEVERAGE_RIDGE * len(phi) * np.eye(phi.shape[1])
+    inverse = np.linalg.inv(phi.T @ phi + ridge)
+    total: dict[tuple[int, ...], float] = {}
+    for i, first in enumerate(quadratic.exponents):
+        for j, second in enumerate(quadratic.exponents):
+            key = tuple(int(k) for k in first + second)
+            total[key] = total.get(key, 0.0) + float(inverse[i, j])
+    return Polynomial(
+        quadratic.scale,
+        quadratic.offset,
+        np.array(list(total), dtype=np.int64),
+        np.array(list(total.values()))[:, None],
+    )

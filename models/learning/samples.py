@@ -1,0 +1,126 @@
+"""Rows of trials as the regressions see them: features, end effector, and where each is from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from models.learning.predictors import Array
+from models.learning.validation import split_rows
+from models.trials.trial import Trial
+
+Source = Literal["true", "observer", "lagged", "none"]
+"""Where DI comes from: motion capture, the plant observer, the lagged regressor, nowhere."""
+
+VARIANTS: Final[dict[str, Source]] = {
+    "with_di": "true",
+    "without_di": "none",
+    "estimated_di": "observer",
+}
+"""The study's three predictors and the DI that each is trained and tested on."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Moving rows of some trials (the paper's 512 steps each), one under the other.
+
+    A row that shows no marker at all has no true DI and is left out for every source alike, so
+    that all predictors are compared on the same rows.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+        Where the rows come from.
+    kept : tuple of ndarray of bool
+        Rows of each trial that are here.
+    run : ndarray of int, shape (n,)
+        Number of the trial in `trials`.
+    time_s, payload_kg : ndarray, shape (n,)
+        Time in the trial; conditions.
+    signals : ndarray, shape (n, 2 * dof)
+        Angles, then currents.
+    tip_m : ndarray, shape (n, 3)
+        End effector by motion capture.
+    di : dict of str to ndarray, shape (n,)
+        DI by source.
+    """
+
+    trials: tuple[Trial, ...]
+    kept: tuple[NDArray[np.bool_], ...]
+    run: NDArray[np.intp]
+    time_s: Array
+    payload_kg: Array
+    signals: Array
+    tip_m: Array
+    di: dict[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def features(self, source: Source) -> Array:
+        """Inputs of a predictor: angles, currents and the DI of a source.
+
+        "none" leaves the column out, which fits the same functions as the paper's DI = 0.
+        """
+        if source == "none":
+            return self.signals
+        return np.column_stack([self.signals, self.di[source]])
+
+    def rows_of(self, arrays: Sequence[Array]) -> Array:
+        """Pick from one array per trial, a row a sample, the rows that are here."""
+        return _stack(arrays, self.kept)
+
+    def parts(self) -> dict[str, NDArray[np.bool_]]:
+        """Rows of each part that a table reports (see `models.learning.validation.split_rows`)."""
+        phases = np.array([t.meta.phase_2_rad for t in self.trials])
+        return split_rows(self.payload_kg, phases[self.run])
+
+    @property
+    def angle_rad(self) -> Array:
+        """Joint angles, shape (n, dof)."""
+        return self.signals[:, : self.signals.shape[1] // 2]
+
+
+def collect(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
+    """Stack the moving rows of trials.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At least one, all of one dof.
+    di : mapping of source to one array per trial
+        DI of every row, rest rows included; must hold "true".
+
+    Raises
+    ------
+    InputError
+        If a trial has no moving row whose DI is known.
+    """
+    kept = []
+    for trial, true in zip(trials, di["true"], strict=True):
+        keep = np.isfinite(true)
+        keep[: trial.meta.rest_samples] = False
+        if not keep.any():
+            raise InputError(
+                trial.path, "shows no marker while the link moves", "record the trial again"
+            )
+        kept.append(keep)
+    return Samples(
+        tuple(trials),
+        tuple(kept),
+        np.concatenate([np.full(int(keep.sum()), i) for i, keep in enumerate(kept)]),
+        _stack([t.time_s for t in trials], kept),
+        _stack([np.full(len(t), t.meta.payload_kg) for t in trials], kept),
+        _stack([np.hstack([t.angle_rad, t.current_a]) for t in trials], kept),
+        _stack([t.tip_m for t in trials], kept),
+        {source: _stack(arrays, kept) for source, arrays in di.items()},
+    )
+
+
+def _stack(arrays: Sequence[Array], kept: Sequence[NDArray[np.bool_]]) -> Array:
+    return np.concatenate([a[rows] for a, rows in zip(arrays, kept, strict=True)])

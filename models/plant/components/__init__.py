@@ -1,0 +1,1 @@
+"""Components of a plant: drives, the inflatable link and rigid loads."""

@@ -1,0 +1,321 @@
+"""Drives: from a goal, or a command, to the torque on a joint and the current that it costs.
+
+The joint's own inertia and friction are apart: every drive has a reflected `inertia`, friction is
+an effect. Each drive holds for the joints of a plant alike; parameters are per joint.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final, Protocol
+
+import casadi as ca
+
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
+
+
+class Drive(Protocol):
+    """What turns commands into torque."""
+
+    kind: ClassVar[str]
+    has: ClassVar[tuple[str, ...]]
+    meshes: ClassVar[bool]
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters for the joints of `scope`."""
+        ...
+
+    def declare(self, scope: Scope) -> None:
+        """Add inputs and states; wire `goal`."""
+        ...
+
+    def drive(self, scope: Scope) -> None:
+        """Wire `current` and `motor_torque`."""
+        ...
+
+    def inertia(self, scope: Scope, joint: int) -> Expr:
+        """Inertia of the drive seen from the joint."""
+        ...
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque at the joint per ampere."""
+        ...
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step that costs `scope.current` on the mean."""
+        ...
+
+
+def take_goal(scope: Scope, joint: int) -> None:
+    """Make the goal of a joint an input, and where the joint starts."""
+    angle = scope.suffix["angle"]
+    goal = scope.input(
+        Variable(
+            f"goal_{joint}_{angle}", UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
+        )
+    )
+    scope.goal[joint] = goal
+    scope.start[joint] = goal - scope.angle_error[joint]
+
+
+def start_offset(scope: Scope, joint: int) -> Parameter:
+    """Return where a joint without a stiff loop stands at first, from its goal or from zero."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_offset_{joint}_{angle}", unit=UNIT_OF[angle], value=0.0, low=-10.0, high=10.0,
+        description="first position, from the first goal or from zero; of a trial, as measured",
+        source="at the goal",
+    )  # fmt: skip
+
+
+def friction_speed(scope: Scope, joint: int) -> Parameter:
+    """Return the speed that regularises dry friction of a drive."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"friction_speed_{joint}_{angle}_s", unit=f"{UNIT_OF[angle]}/s",
+        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
+        description="speed below which dry friction is linear in the rate",
+        source="numerical: 3 % of the study's peak rate",
+    )  # fmt: skip
+
+
+class Cascade:
+    """P position → PI velocity → current, as the Dynamixel PRO runs it (FACTS §6).
+
+    With e = k_p (goal − q) − q̇::
+
+        i = k_v (e + I / T_i),   İ = e,   τ = k_t i
+
+    the current clipped to its limit, and I held back while it is (back-calculation).
+    """
+
+    kind: ClassVar[str] = "cascade"
+    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    meshes: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Gains, torque constant, inertia and limit of each joint."""
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
+                          high=60.0, role="nuisance", description="position loop: rate per error",
+                          source="FACTS §6"),
+                Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
+                          high=60.0, role="nuisance", description="current per rate error",
+                          source="FACTS §6: 150 rad/s on the reflected inertia"),
+                Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
+                          high=5.0, role="nuisance", description="integral time of the rate error",
+                          source="assumed: slower than the position loop"),
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=6.83, low=2.0,
+                          high=15.0, description="torque at the output per ampere",
+                          source="FACTS §6"),
+                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.84, low=0.4,
+                          high=2.0, role="nuisance", description="rotor inertia at the output",
+                          source="FACTS §6, recalled"),
+                Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
+                          description="rated current limit", source="FACTS §6"),
+                friction_speed(scope, j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Goals as inputs, the integral of the velocity error as a state."""
+        for j in scope.joints:
+            take_goal(scope, j)
+            scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
+
+    def drive(self, scope: Scope) -> None:
+        """Run both loops."""
+        for j in scope.joints:
+            integral = scope.states[f"velocity_integral_{j}_rad"]
+            gain = scope.p("velocity_gain_{j}_a_s_rad", j)
+            held = scope.holding[j] / self.torque_per_current(scope, j)
+            integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
+            error = (
+                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.seen_angle(j))
+                - scope.rate[j]
+            )
+            wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
+            current = ca.fmin(ca.fmax(wanted, -limit), limit)
+            integral.rate = error - (wanted - current) / gain
+            scope.current[j] = current
+            scope.motor_torque[j] = self.torque_per_current(scope, j) * current
+
+    def inertia(self, scope: Scope, joint: int) -> Expr:
+        """Rotor inertia times gear ratio squared."""
+        return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step: the goal's staircase makes it a saw-tooth.
+
+        Each step the goal jumps by q̇h and the current by k_v k_p q̇h; from there it decays with
+        the velocity loop, τ = J / (k_t k_v). What the end of the step shows differs from the mean
+        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ): less than the mean by a share of the rate,
+        which looks like negative viscous friction.
+        """
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        decay_s = self.inertia(scope, joint) / (self.torque_per_current(scope, joint) * gain)
+        left = ca.exp(-step_s / decay_s)
+        jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
+        return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)
+
+
+BRISTLE_S: Final = 5e-3
+"""Time by which a joint that sticks is damped: it rings no longer than some periods."""
+
+FASTEST_S: Final = 5e-4
+"""Shortest time in which bristles turn over; half an internal step."""
+
+
+def mesh(scope: Scope, joint: int) -> None:
+    """Wire what the friction of a small gear depends on beside the load and the rate.
+
+    The drive presses the teeth as the load does (BAM), so its torque is made known; and dry
+    friction holds a joint that stands, by bristles that bend before they slide (Dahl 1968)::
+
+        ż = (q̇ − |q̇| z) / (δ + |q̇| T),   direction = z + T_d ż
+
+    z goes to sign(q̇) within the distance δ and stays what it is at rest, where a smooth sign of
+    the rate alone lets the joint creep. T bounds the rate of change for the sake of the integrator.
+    """
+    scope.pressing[joint] = ca.SX.sym(f"drive_torque_{joint}")
+    z = scope.state(Variable(f"bristle_{joint}", "1"))
+    speed = ca.fabs(scope.rate[joint])
+    reach = scope.p("presliding_{j}_{angle}", joint) + speed * FASTEST_S
+    scope.states[z.name()].rate = (scope.rate[joint] - speed * z) / reach
+    scope.direction[joint] = z + BRISTLE_S * scope.states[z.name()].rate
+
+
+class Duty:
+    """DC motor under a proportional duty cycle, as small Dynamixels run position control (BAM).
+
+        d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
+
+    The supply voltage V is an input: a sagging supply imitates friction (data README). With its
+    torque disabled (`enabled` is 0) the winding is open: no current, so no braking either.
+    """
+
+    kind: ClassVar[str] = "duty"
+    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    meshes: ClassVar[bool] = True
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Duty per error, winding and inertia of each joint."""
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"duty_gain_{j}", unit="1/rad", value=1.15, low=0.01, high=50.0,
+                          description="duty per radian of error",
+                          source="kp · 651.9 / (256 · 885) for kp = 400 (data README)"),
+                start_offset(scope, j),
+                Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
+                          high=50.0, role="nuisance", description="resistance of the winding",
+                          source="assumed: 1.5 A stall at 5 V"),
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=0.36, low=0.01,
+                          high=10.0, role="nuisance", description="torque and back EMF constant",
+                          source="assumed: 0.52 N·m stall at 1.5 A"),
+                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
+                          high=0.1, role="nuisance", description="rotor inertia at the output",
+                          source="assumed"),
+                Parameter(name=f"current_limit_{j}_a", unit="A", value=3.0, low=0.1, high=50.0,
+                          description="rated current limit",
+                          source="assumed: twice the stall current at 5 V"),
+                Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
+                          description="distance in which dry friction turns over",
+                          source="assumed: two steps of the encoder"),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Goal, supply voltage and whether there is torque as inputs."""
+        for j in scope.joints:
+            take_goal(scope, j)
+            scope.start[j] += scope.p("start_offset_{j}_{angle}", j)
+            scope.input(Variable(f"supply_{j}_v", "V", 5.0, "measured supply", 0.0, nominal=5.0))
+            scope.input(Variable(f"enabled_{j}", "1", 1.0, "1 where torque is enabled", 0.0, 1.0))
+
+    def drive(self, scope: Scope) -> None:
+        """Current through the winding."""
+        for j in scope.joints:
+            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.seen_angle(j))
+            duty = ca.fmin(ca.fmax(duty, -1), 1)
+            constant = self.torque_per_current(scope, j)
+            voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
+            wanted = voltage / scope.p("winding_resistance_{j}_ohm", j)
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
+            limit = ca.fmax(limit, 0)
+            closed = scope.inputs[f"enabled_{j}"][1]
+            scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
+            scope.motor_torque[j] = constant * scope.current[j]
+
+    def inertia(self, scope: Scope, joint: int) -> Expr:
+        """Rotor inertia times gear ratio squared."""
+        return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Without a velocity loop the current follows the motion: its mean."""
+        return scope.current[joint]
+
+
+class Force:
+    """A commanded voltage that is a force (EMPS): F = k u, nothing else in between."""
+
+    kind: ClassVar[str] = "force"
+    has: ClassVar[tuple[str, ...]] = ()
+    meshes: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Force (or torque) per volt of each joint."""
+        torque = scope.suffix["torque"]
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{UNIT_OF[torque]}/V",
+                          value=35.1507, low=0.01, high=1e3,
+                          description="force per volt of command", source="EMPS, data README"),
+                start_offset(scope, j),
+                friction_speed(scope, j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Take the command voltage as an input."""
+        for j in scope.joints:
+            scope.goal[j] = scope.input(
+                Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
+            )
+            scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
+
+    def drive(self, scope: Scope) -> None:
+        """Force in proportion to the command; there is no current to report."""
+        for j in scope.joints:
+            scope.motor_torque[j] = self.torque_per_current(scope, j) * scope.goal[j]
+
+    def inertia(self, scope: Scope, joint: int) -> Expr:
+        """None: the moving mass is the load's."""
+        return ca.SX(0)
+
+    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+        """Force per volt: the command stands for the current."""
+        return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Without a velocity loop the current follows the motion: its mean."""
+        return scope.current[joint]
+
+
+DRIVES: Final[dict[str, type[Drive]]] = {d.kind: d for d in (Cascade, Duty, Force)}
+"""Drives by the name that a plant document gives them."""

@@ -1,0 +1,56 @@
+"""Equations of motion of point masses on coordinates (Lagrange, second kind).
+
+M(c) a + h(c, v) = tau,   M = sum m J'J,   h = sum m J'(dJ/dt v - g),   J = dr/dc
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from models.plant.scope import Expr
+
+PointMass = tuple[Expr, Expr]
+"""Mass and position (3,) of a point."""
+
+
+def rod(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
+    """Points with the mass, centre and inertia of a uniform slender rod (Simpson's rule)."""
+    return [
+        (mass_kg / 6, start_m),
+        (mass_kg * 2 / 3, (start_m + end_m) / 2),
+        (mass_kg / 6, end_m),
+    ]
+
+
+def equations(
+    points: Sequence[PointMass], coordinates: Expr, rates: Expr, gravity_m_s2: Expr
+) -> tuple[Expr, Expr]:
+    """Mass matrix M (n, n) and force h (n,) of velocity and gravity terms."""
+    count = coordinates.numel()
+    mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
+    for mass_kg, position_m in points:
+        jacobian = ca.jacobian(position_m, coordinates)
+        velocity = jacobian @ rates
+        bias = ca.jtimes(velocity, coordinates, rates)
+        mass_matrix += mass_kg * (jacobian.T @ jacobian)
+        force += mass_kg * (jacobian.T @ (bias - gravity_m_s2))
+    return mass_matrix, force
+
+
+def solve(matrix: Expr, right: Expr) -> Expr:
+    """Solution of a symmetric positive definite system."""
+    diagonal, upper, order = ca.ldl(matrix)
+    return ca.ldl_solve(right, diagonal, upper, order)
+
+
+def rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
+    """R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
+    c1, s1 = ca.cos(about_y), ca.sin(about_y)
+    c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
+    return ca.vertcat(
+        ca.horzcat(c1, -s1 * s2, s1 * c2),
+        ca.horzcat(0, c2, s2),
+        ca.horzcat(-s1, -c1 * s2, c1 * c2),
+    )

@@ -1,0 +1,248 @@
+"""The inflatable link as a pseudo-rigid chain: a root hinge, then a span hinge, per plane.
+
+The root hinge is the glued patch, which softens towards a limit moment; the span hinge stands for
+bending and shear of the span. Both bend in two planes (FACTS §6)::
+
+    τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
+    τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
+
+The term of φ_f is the folded skin meeting itself; it is below 0.5 % of M_c up to φ_f/3 and keeps a
+link that buckles from turning over. Effects add hysteresis, creep and the rest on the port
+`bend_torque`.
+
+The Deformation Index follows from the bend. Marker rows stand at L/4 … L. The span's bend is
+distributed along it like that of a cantilever under a tip force: the share f(σ) = 2σ − σ² of it
+has been turned at σL, so segment k between two rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ.
+An edge at half the width w/2 from the axis is strained by −(w/2) β / (L/4); markers are read with
+noise n, so that eq. 1 averages E|strain + n|.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import casadi as ca
+
+from models.plant.components.lagrange import PointMass, equations, rod, rotation
+from models.plant.parameter import Parameter
+from models.plant.scope import ROTARY, Expr, Hinge, Scope
+from models.plant.step_model import Variable
+
+SEGMENTS: Final = 4
+"""Segments of a long edge between base plate, marker rows and tip."""
+
+
+def turned_share(position: float) -> float:
+    """Share of the span's bend reached at `position` (0 base, 1 tip) under a tip force."""
+    return 2 * position - position**2
+
+
+class Link:
+    """The link on a one or two-axis base joint."""
+
+    kind: ClassVar[str] = "link"
+    suffix: ClassVar[dict[str, str]] = ROTARY
+    max_dof: ClassVar[int] = 2
+    has: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
+    hinges: ClassVar[tuple[str, ...]] = ("root", "span")
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Geometry, masses, and stiffness and damping of each plane."""
+        shared = (
+            Parameter(name="base_offset_m", unit="m", value=0.06, low=0.0, high=1.0,
+                      description="base plate above the joint axes", source="DESIGN §3"),
+            Parameter(name="link_length_m", unit="m", value=0.95, low=0.05, high=10.0,
+                      description="length of the link", source="paper, fig. 2"),
+            Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
+                      description="width of the link", source="paper, fig. 2"),
+            Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
+                      description="gravity, along -z", source="standard gravity"),
+            Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
+                      role="nuisance", description="mass of the link", source="FACTS §6, assumed"),
+            Parameter(name="tip_mass_kg", unit="kg", value=0.25, low=0.05, high=1.0,
+                      role="nuisance", description="hardware at the tip",
+                      source="FACTS §6, assumed"),
+            Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=12.0, high=80.0,
+                      role="nuisance", description="limit moment of the root patch",
+                      source="FACTS §6: 14 to 28 N·m"),
+            Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
+                      description="bend at which a folded hinge takes the limit moment",
+                      source="assumed, far outside the study"),
+            Parameter(name="span_position", unit="1", value=0.333, low=0.25, high=0.45,
+                      role="nuisance", description="span hinge from the root, share of length",
+                      source="cantilever under a tip force: slope and sag meet at L/3"),
+            Parameter(name="edge_gain", unit="1", value=1.0, low=0.3, high=2.0,
+                      role="calibration", description="edge strain per strain of a plane section",
+                      source="plane sections stay plane"),
+            Parameter(name="marker_noise_m", unit="m", value=0.00015, low=0.0, high=0.005,
+                      role="calibration", description="standard deviation of a marker coordinate",
+                      source="FACTS §6"),
+        )  # fmt: skip
+        result = list(shared)
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"root_stiffness_{j}_nm_rad", unit="N.m/rad", value=350.0, low=60.0,
+                          high=1000.0, role="nuisance", description="stiffness of the root patch",
+                          source="FACTS §6: 80 to 1000 N·m/rad"),
+                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=190.0, low=60.0,
+                          high=1200.0, role="nuisance", description="stiffness of the span hinge",
+                          source="4/3 EI/L with EI = 135 N·m² (FACTS §6)"),
+                Parameter(name=f"root_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=1.5, low=0.05,
+                          high=5.0, role="nuisance", description="damping of the root patch",
+                          source="FACTS §6: damping ratio 7 to 9 %"),
+                Parameter(name=f"span_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=0.8, low=0.05,
+                          high=5.0, role="nuisance", description="damping of the span hinge",
+                          source="FACTS §6: damping ratio 7 to 9 %"),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Bend and bend rate of each hinge and plane as states."""
+        for hinge in self.hinges:
+            for j in scope.joints:
+                key = (hinge, j)
+                scope.bend[key] = scope.state(
+                    Variable(f"{hinge}_bend_{j}_rad", "rad", nominal=0.05), 0.0
+                )
+                scope.bend_rate[key] = scope.state(
+                    Variable(f"{hinge}_bend_rate_{j}_rad_s", "rad/s", nominal=0.1)
+                )
+                scope.states[f"{hinge}_bend_{j}_rad"].rate = scope.bend_rate[key]
+                scope.stiffness[key] = scope.p(hinge + "_stiffness_{j}_nm_rad", j)
+
+    def load(self, scope: Scope) -> None:
+        """Elastic and viscous torque on each bend."""
+        moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
+        limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
+        share = sum(m**2 for m in moments) / limit**2
+        fold = {
+            hinge: sum(scope.bend[hinge, j] ** 2 for j in scope.joints) ** 2 / fold_rad**5
+            for hinge in self.hinges
+        }
+        for (hinge, j), bend in scope.bend.items():
+            elastic = scope.stiffness[hinge, j] * bend
+            if hinge == "root":
+                elastic = elastic / ca.sqrt(1 + share)
+            elastic = elastic + limit * fold[hinge] * bend
+            damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
+            scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
+
+    def transmit(self, scope: Scope) -> None:
+        """Wire the torque that the gear transmits: what bends the root, and what acts on the joint.
+
+        A torque on the joint that also bends the root counts in both, and cancels here.
+        """
+        for j in scope.joints:
+            scope.transmitted[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
+
+    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        """Mass matrix and force over the joints' coordinates and the bends."""
+        rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
+        return equations(
+            self._points(scope),
+            ca.vertcat(*scope.angle.values(), *scope.bend.values()),
+            ca.vertcat(*rates, *scope.bend_rate.values()),
+            ca.vertcat(0, 0, -scope.p("gravity_m_s2")),
+        )
+
+    def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
+        """Deformation Index, and end effector in the mocap's world frame."""
+        joint, bend = self._seen_late(scope)
+        tip_m = rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
+        result = {
+            "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
+                            nominal=0.01), self._deformation_index(scope, joint, bend)),
+        }  # fmt: skip
+        for axis, value in zip("xyz", ca.vertsplit(tip_m), strict=True):
+            name = f"tip_{axis}_m"
+            result[name] = (Variable(name, "m", 0.0, f"end effector, world frame, {axis}"), value)
+        return result
+
+    def _standing(self, scope: Scope) -> dict[int, Expr]:
+        """Joint angles on the load's side of the gear."""
+        return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
+
+    def _seen_late(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
+        """Joint angles and bends as the mocap's clock shows them, to second order in its delay."""
+        delay_s = scope.frame_delay_s
+
+        def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
+            return value - delay_s * rate + delay_s**2 / 2 * acceleration
+
+        standing = self._standing(scope)
+        joint = {
+            j: late(
+                standing[j],
+                scope.rate[j] - scope.windup_rate[j],
+                scope.states[scope.rate[j].name()].rate - scope.windup_acceleration[j],
+            )
+            for j in scope.joints
+        }
+        bend = {
+            key: late(value, scope.bend_rate[key], scope.states[scope.bend_rate[key].name()].rate)
+            for key, value in scope.bend.items()
+        }
+        return joint, bend
+
+    def _frames(
+        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+    ) -> tuple[Expr, Expr, Expr, Expr]:
+        """Root, span hinge and tip (3,), and the rotation of the last section."""
+        turns = (
+            list(joint.values()),
+            [bend["root", j] for j in scope.joints],
+            [bend["span", j] for j in scope.joints],
+        )
+        base, first, second = (rotation(*pair, *[0] * (2 - len(pair))) for pair in turns)
+        length_m, position = scope.p("link_length_m"), scope.p("span_position")
+        plate_m = base @ ca.vertcat(0, 0, scope.p("base_offset_m"))
+        section = base @ first
+        hinge_m = plate_m + section @ ca.vertcat(0, 0, position * length_m)
+        section = section @ second
+        tip_m = hinge_m + section @ ca.vertcat(0, 0, (1 - position) * length_m)
+        return plate_m, hinge_m, tip_m, section
+
+    def _points(self, scope: Scope) -> list[PointMass]:
+        plate_m, hinge_m, tip_m, section = self._frames(scope, self._standing(scope), scope.bend)
+        mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
+        payload_m = tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0)
+        return [
+            *rod(mass_kg * position, plate_m, hinge_m),
+            *rod(mass_kg * (1 - position), hinge_m, tip_m),
+            (scope.p("tip_mass_kg"), tip_m),
+            (scope.payload_kg, payload_m),
+        ]
+
+    def _deformation_index(
+        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+    ) -> Expr:
+        """Equation 1 over the 16 edge segments; opposite edges are strained alike.
+
+        The base corners are taken where the measured angle puts them, not where the plate is.
+        """
+        segment_m = scope.p("link_length_m") / SEGMENTS
+        lever = scope.p("edge_gain") * scope.p("link_width_m") / 2 / segment_m
+        total: Expr = 0
+        for k in range(SEGMENTS):
+            share = turned_share((k + 1) / SEGMENTS) - turned_share(k / SEGMENTS)
+            strain = [
+                lever
+                * (
+                    share * (bend["span", j] - scope.rest_bend["span", j])
+                    + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
+                    + (k == 0) * (joint[j] - scope.angle[j])
+                )
+                for j in scope.joints
+            ]
+            noisy_ends = 1 if k == 0 else 2  # the base corner follows from the angle
+            noise = scope.p("marker_noise_m") * noisy_ends**0.5 / segment_m
+            other = strain[1] if len(strain) > 1 else 0
+            total += folded(strain[0] + other, noise) + folded(strain[0] - other, noise)
+        return total / (2 * SEGMENTS)
+
+
+def folded(mean: Expr, deviation: Expr) -> Expr:
+    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
+    deviation = ca.sqrt(deviation**2 + 1e-16)
+    ratio = mean / deviation
+    return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)

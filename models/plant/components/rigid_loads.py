@@ -1,0 +1,89 @@
+"""Loads other than the inflatable link: a rigid pendulum and a plain mass."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+
+from models.plant.parameter import Parameter
+from models.plant.scope import LINEAR, ROTARY, Expr, Scope
+from models.plant.step_model import Variable
+
+
+class _Rigid:
+    """A load without bend: its coordinate is the joint's."""
+
+    max_dof: ClassVar[int] = 1
+
+    def declare(self, scope: Scope) -> None:
+        """Nothing beyond the joint."""
+
+    def load(self, scope: Scope) -> None:
+        """Nothing bends."""
+
+    def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
+        """Nothing beyond the joint."""
+        return {}
+
+
+class Pendulum(_Rigid):
+    """A rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
+
+    A point mass m (and the payload m_p) at the end of a uniform arm m_a of length l:
+    J = (m + m_p + m_a/3) l².
+    """
+
+    kind: ClassVar[str] = "pendulum"
+    has: ClassVar[tuple[str, ...]] = ("gear load",)
+    suffix: ClassVar[dict[str, str]] = ROTARY
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Masses, length and gravity."""
+        return (
+            Parameter(name="mass_kg", unit="kg", value=0.49, low=0.001, high=100.0,
+                      description="mass at the end", source="BAM, data README"),
+            Parameter(name="arm_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
+                      role="nuisance", description="mass of the arm", source="not recorded"),
+            Parameter(name="arm_length_m", unit="m", value=0.1, low=0.001, high=10.0,
+                      description="length of the arm", source="BAM, data README"),
+            Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
+                      description="gravity", source="standard gravity"),
+        )  # fmt: skip
+
+    def transmit(self, scope: Scope) -> None:
+        """Wire the torque of gravity, and what acts on the joint."""
+        scope.transmitted[1] = scope.joint_torque[1] - self._gravity(scope)
+
+    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        """Inertia and gravity torque."""
+        mass_kg = scope.p("mass_kg") + scope.payload_kg + scope.p("arm_mass_kg") / 3
+        return ca.SX(mass_kg * scope.p("arm_length_m") ** 2), ca.SX(self._gravity(scope))
+
+    def _gravity(self, scope: Scope) -> Expr:
+        mass_kg = scope.p("mass_kg") + scope.payload_kg + scope.p("arm_mass_kg") / 2
+        lever = scope.p("arm_length_m") * ca.sin(scope.angle[1] - scope.windup[1])
+        return mass_kg * scope.p("gravity_m_s2") * lever
+
+
+class Mass(_Rigid):
+    """A mass on a straight guide: m q̈ = F."""
+
+    kind: ClassVar[str] = "mass"
+    has: ClassVar[tuple[str, ...]] = ()
+    suffix: ClassVar[dict[str, str]] = LINEAR
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Declare the moving mass."""
+        return (
+            Parameter(name="mass_kg", unit="kg", value=95.11, low=0.01, high=1e4, role="nuisance",
+                      description="moving mass", source="EMPS, data README"),
+        )  # fmt: skip
+
+    def transmit(self, scope: Scope) -> None:
+        """Wire the transmitted force: what acts on the joint, beside inertia."""
+        scope.transmitted[1] = ca.SX(scope.joint_torque[1])
+
+    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        """Mass, and no force of its own."""
+        return ca.SX(scope.p("mass_kg") + scope.payload_kg), ca.SX(0)

@@ -1,0 +1,102 @@
+"""The link driven by the measured angles: no servo loop stands between the data and the load.
+
+The angle is measured at the end of each step. Between two samples it is taken as a ramp, and a
+critically damped second-order filter follows it, so that the link's base has a smooth
+acceleration whatever the quantisation and the step (ω = `follow_rate_per_s`; it lags behind an
+acceleration a by a/ω², 0.1 mrad in the study). The current is that which the motion costs::
+
+    k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
+
+with friction F of the plant's effects and the bends' acceleration b̈ from their own equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import casadi as ca
+
+from models.plant.components.drives import UNIT_OF, Drive
+from models.plant.components.lagrange import solve
+from models.plant.composition.twin import (
+    build,
+    current_variable,
+    measured_current,
+    payload_variable,
+    serve,
+    settle,
+    strain,
+)
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import StepModel, Variable
+
+FOLLOW_RATE: Final = Parameter(
+    name="follow_rate_per_s", unit="1/s", value=120.0, low=20.0, high=400.0,
+    description="bandwidth that follows the measured angle",
+    source="ten times the first mode, a tenth of the internal rate",
+)  # fmt: skip
+
+
+def compose_driven(
+    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
+) -> StepModel:
+    """Link driven by the measured angles, payload given, current as an output.
+
+    What `identify` fits the link with: no loop hides an error of the load from the load's own
+    parameters.
+    """
+    follow(scope, effects)
+    scope.payload_kg = scope.input(payload_variable())
+    move(scope, drive, load, effects)
+    step_s = scope.state(Variable("step_s", "s", nominal=0.017), 1.0)
+    scope.states[step_s.name()].begin = scope.step_s
+    outputs: dict[str, tuple[Variable, Expr]] = {}
+    for j in scope.joints:
+        sampled = drive.sampled_current(scope, j, step_s)
+        variable = current_variable(j)
+        outputs[variable.name] = (variable, measured_current(scope, j, sampled))
+    return build(name, scope, outputs | load.outputs(scope))
+
+
+def follow(scope: Scope, effects: Sequence[Effect]) -> None:
+    """Wire angle, rate and acceleration of each joint to the filtered measurement."""
+    serve(scope, ("sensor",), effects)
+    angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
+    unit = UNIT_OF[angle]
+    for j in scope.joints:
+        sample = scope.input(Variable(f"angle_{j}_{angle}", unit, 0.0, f"measured, joint {j}"))
+        true = sample - scope.angle_error[j]
+        ramp = scope.state(Variable(f"ramp_{j}_{angle}", unit, nominal=0.5), true)
+        slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))
+        joint = scope.state(Variable(f"joint_{j}_{angle}", unit, nominal=0.5), true)
+        rate = scope.state(Variable(f"joint_rate_{j}_{angle}_s", f"{unit}/s"))
+        scope.start[j], scope.angle[j], scope.rate[j] = true, joint, rate
+        scope.acceleration[j] = omega**2 * (ramp - joint) + 2 * omega * (slope - rate)
+        states = scope.states
+        states[slope.name()].begin = (true - ramp) / scope.step_s
+        states[ramp.name()].rate = slope
+        states[ramp.name()].finish = true
+        states[joint.name()].rate = rate
+        states[rate.name()].rate = scope.acceleration[j]
+
+
+def move(scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]) -> None:
+    """Let the load bend on joints that move as measured; wire the current that it costs."""
+    load.declare(scope)
+    strain(scope, load, effects)
+    mass, force = load.equations(scope)
+    count = len(scope.joints)
+    base = ca.vertcat(*(scope.acceleration[j] - scope.windup_acceleration[j] for j in scope.joints))
+    own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
+    bending = solve(mass[count:, count:], own)
+    for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(bending), strict=True):
+        scope.states[rate.name()].rate = value
+    settle(scope, load, force)
+    needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
+    for index, j in enumerate(scope.joints):
+        torque = needed[index] + drive.inertia(scope, j) * scope.acceleration[j]
+        torque += scope.friction[j] - scope.joint_torque[j]
+        scope.current[j] = torque / drive.torque_per_current(scope, j)

@@ -1,0 +1,241 @@
+"""How the link resists bending beyond springs: bias, stiffness that varies, memory.
+
+Effects of one port act in the order of their classes: the bias before the memory, so that memory
+is of the bend itself, and the coupling last, so that it mixes all torque.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope, substitute
+from models.plant.step_model import Variable
+
+REFERENCE_RAD: Final = 0.1
+"""Bend of a hinge at which softening and hardening are given."""
+
+EASE_RAD: Final = 2e-3
+"""Bend within which softening starts smoothly."""
+
+LEAK_TIME_S: Final = 10.0
+"""Time in which the leak's share is lost."""
+
+
+FASTEST_SLIP_PER_S: Final = 300.0
+"""Largest bend rate, in yield bends a second, that hysteresis follows."""
+
+
+BRANCHES: Final = (1 / 16, 1.0, 24.0)
+"""Relaxation times of creep, as shares of the middle one."""
+
+
+class Prebend(Effect):
+    """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0).
+
+    The link is bent evenly, by β from root to tip, so its tip is off by β L/2; the span hinge at
+    x L puts it there with ψ_0 = β / (2 (1 − x)).
+    """
+
+    name = "prebend"
+    needs = ("bend",)
+    per_joint = (
+        Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
+                  role="effect", description="bend of the unloaded link from root to tip",
+                  source="assumed straight"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Shift where the span is at ease, in its torque and its stiffness."""
+        planes = [("span", j) for j in scope.joints]
+        share = 0.5 / (1 - scope.p("span_position"))
+        shift = [
+            (scope.bend[key], scope.bend[key] - share * scope.p("prebend_{j}_rad", key[1]))
+            for key in planes
+        ]
+        for key in planes:
+            scope.bend_torque[key] = substitute(scope.bend_torque[key], shift)
+            scope.stiffness[key] = substitute(scope.stiffness[key], shift)
+
+
+class DirectionalStiffness(Effect):
+    """Stiffer towards one side: K (1 + d s), s = tanh(φ/φ_s) the smooth side of the bend.
+
+    φ_s = 10 mrad keeps the torque smooth where the bend changes side.
+    """
+
+    name = "directional_stiffness"
+    needs = ("bend",)
+    per_joint = (
+        Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
+                  role="effect", description="share gained for positive bend, lost else",
+                  source="FACTS §6: 0.2 where negative angles deform more"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale each hinge's stiffness by the side it is bent to."""
+        for (hinge, j), bend in scope.bend.items():
+            side = ca.tanh(bend / 0.01)
+            scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
+
+
+class StiffnessSoftening(Effect):
+    """The secant stiffness falls with the bend, K / (1 + a ‖φ‖), a such that s is lost at 0.1 rad.
+
+    a = s / ((1 − s) 0.1 rad). The torque still grows with the bend, so the link cannot snap.
+    """
+
+    name = "stiffness_softening"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="softening_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
+                  description="stiffness lost at 0.1 rad of bend", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Divide each hinge's stiffness."""
+        share = scope.p("softening_share")
+        for hinge, j in scope.stiffness:
+            size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
+            scope.stiffness[hinge, j] /= 1 + share / (1 - share) * size / REFERENCE_RAD
+
+
+class StiffnessHardening(Effect):
+    """The secant stiffness grows with the bend's square, K (1 + s (‖φ‖ / 0.1 rad)²) [Duffing]."""
+
+    name = "stiffness_hardening"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="hardening_share", unit="1", value=0.0, low=0.0, high=3.0, role="effect",
+                  description="stiffness gained at 0.1 rad of bend", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Multiply each hinge's stiffness."""
+        share = scope.p("hardening_share")
+        for hinge, j in scope.stiffness:
+            scope.stiffness[hinge, j] *= 1 + share * _square(scope, hinge) / REFERENCE_RAD**2
+
+
+class PressureLeak(Effect):
+    """Stiffness falls with the pressure, K (1 − s)^(t / 10 s), from the start of the run.
+
+    Outflow through a small hole is proportional to the pressure left [orifice, laminar], and the
+    stiffness to the pressure (FACTS §6).
+    """
+
+    name = "pressure_leak"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="leak_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
+                  description="share of stiffness lost per 10 s", source="assumed tight"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale each hinge's stiffness by the pressure left."""
+        left = scope.state(Variable("pressure_left", "1"), 1.0)
+        scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
+        for key in scope.stiffness:
+            scope.stiffness[key] *= left
+
+
+class Hysteresis(Effect):
+    """Bouc–Wen in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
+
+    ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
+
+    Threads do not slip faster than in a few milliseconds: r is held below `FASTEST_SLIP_PER_S`,
+    which the study's motions stay far from, so that no bend rate makes the equation stiff.
+    """
+
+    name = "hysteresis"
+    needs = ("bend",)
+    per_joint = (
+        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+                  role="effect", description="Bouc-Wen share of the root's stiffness",
+                  source="FACTS §6"),
+    )  # fmt: skip
+    shared = (
+        Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.005, high=0.1,
+                  role="effect", description="bend at which the patch slips",
+                  source="assumed: a fifth of the bend in the study"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the hysteretic torque."""
+        yield_rad = scope.p("hysteresis_yield_rad")
+        z = {
+            j: scope.state(Variable(f"hysteresis_{j}", "1", minimum=-1.0, maximum=1.0))
+            for j in scope.joints
+        }
+        rate = {j: scope.bend_rate["root", j] / yield_rad for j in scope.joints}
+        speed = sum(r**2 for r in rate.values()) / FASTEST_SLIP_PER_S**2
+        rate = {j: r / ca.sqrt(1 + speed) for j, r in rate.items()}
+        slip = sum((ca.fabs(rate[j] * z[j]) + rate[j] * z[j]) / 2 for j in scope.joints)
+        for j in scope.joints:
+            scope.states[f"hysteresis_{j}"].rate = rate[j] - z[j] * slip
+            scope.bend_torque["root", j] -= (
+                scope.p("hysteresis_share_{j}", j) * scope.stiffness["root", j] * yield_rad * z[j]
+            )
+
+
+class Creep(Effect):
+    """Relaxing share of every hinge's stiffness: Maxwell branches (standard linear solids).
+
+    τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T   (FACTS §6)
+
+    Polymers relax over decades of time; one branch fits one period of motion and no other.
+    """
+
+    name = "creep"
+    needs = ("bend",)
+    per_joint = (
+        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
+                  description="relaxing share of the stiffness", source="FACTS §6: 6 to 10 %"),
+    )  # fmt: skip
+    shared = (
+        Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",
+                  description="relaxation time of the middle branch",
+                  source="FACTS §6: branches of 0.3, 5 and 120 s"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the relaxing torque."""
+        for (hinge, j), bend in scope.bend.items():
+            share = scope.p("creep_share_{j}", j) / len(BRANCHES)
+            for b, ratio in enumerate(BRANCHES, 1):
+                name = f"creep_{hinge}_{j}_{b}_rad"
+                crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
+                scope.states[name].rate = (bend - crept) / (ratio * scope.p("creep_time_s"))
+                scope.bend_torque[hinge, j] -= share * scope.stiffness[hinge, j] * (bend - crept)
+
+
+class CrossAxisCoupling(Effect):
+    """A bend in one plane strains the other too: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
+
+    Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
+    there is no other plane.
+    """
+
+    name = "cross_axis_coupling"
+    needs = ("bend",)
+    shared = (
+        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
+                  description="torque of one plane per other plane's", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the other plane's torque."""
+        own = dict(scope.bend_torque)
+        for hinge, j in own:
+            for other in scope.joints:
+                if other != j:
+                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+
+
+def _square(scope: Scope, hinge: str) -> Expr:
+    """Square of a hinge's bend over its planes."""
+    return sum(scope.bend[hinge, j] ** 2 for j in scope.joints)

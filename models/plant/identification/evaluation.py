@@ -1,0 +1,134 @@
+"""How far a plant is from trials: the twin, driven by their goals, against what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.plant.identification.simulation_fit import measured_signals
+from models.plant.plant import Plant
+from models.plant.simulation.compiled_model import Array, CompiledModel, run_trial
+from models.plant.step_model import names
+from models.shared.kinematics import rigid_tip_m
+from models.trials.trial import Trial
+
+TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
+
+
+class Comparison(NamedTuple):
+    """A trial beside its simulation.
+
+    Attributes
+    ----------
+    trial : Trial
+        What was measured.
+    simulated, measured : dict of str to ndarray, shape (n,)
+        Every signal that both sides have.
+    """
+
+    trial: Trial
+    simulated: dict[str, Array]
+    measured: dict[str, Array]
+
+    def error(self, signal: str) -> Array:
+        """Simulated minus measured; NaN where nothing was measured."""
+        return self.simulated[signal] - self.measured[signal]
+
+
+def compare(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
+    """Run the twin over trials: goals as they were sent, the payload as declared."""
+    compiled: dict[int, CompiledModel] = {}
+    result = []
+    for trial in trials:
+        dof = trial.meta.dof
+        if dof not in compiled:
+            compiled[dof] = CompiledModel(plant.step_model(dof, "twin"))
+        y, measured = run_trial(compiled[dof], trial), measured_signals(trial)
+        signals = [s for s in names(compiled[dof].model.outputs) if s in measured]
+        outputs = names(compiled[dof].model.outputs)
+        simulated = {s: y[:, outputs.index(s)] for s in signals}
+        if not all(np.isfinite(column).all() for column in simulated.values()):
+            raise InputError(
+                f"plant {plant.name!r}", f"does not stay finite on trial {trial.name}",
+                "identify it on trials of this link",
+            )  # fmt: skip
+        result.append(Comparison(trial, simulated, {s: measured[s] for s in signals}))
+    return result
+
+
+def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, dict[str, Any]]:
+    """Per signal the root mean square and mean absolute error over all rows, and its unit."""
+    units: dict[str, str] = {}
+    for dof in sorted({c.trial.meta.dof for c in comparisons}):
+        units |= {v.name: v.unit for v in plant.step_model(dof, "twin").outputs}
+    result: dict[str, dict[str, Any]] = {}
+    for signal, unit in units.items():
+        parts = [c.error(signal) for c in comparisons if signal in c.simulated]
+        if parts:
+            error = np.concatenate(parts)
+            result[signal] = {
+                "rms": float(np.sqrt(np.nanmean(error**2))),
+                "mae": float(np.nanmean(np.abs(error))),
+                "unit": unit,
+            }
+    return result
+
+
+def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
+    """Root mean square distance of the simulated from the measured end effector."""
+    squares = [
+        sum(c.error(axis) ** 2 for axis in TIP) for c in comparisons if TIP[0] in c.simulated
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+
+
+def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
+    """The same for a link that does not bend, at the measured angles: the yardstick."""
+    squares = []
+    for trial in (c.trial for c in comparisons if TIP[0] in c.simulated):
+        rigid = rigid_tip_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_length_m)
+        squares.append(np.sum((rigid - trial.tip_m) ** 2, axis=1))
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+
+
+def evaluation(plant: Plant, trials: Iterable[Trial]) -> dict[str, Any]:
+    """Everything that `evaluate --json` prints.
+
+    Returns
+    -------
+    dict
+        `signals`: name → rms, mae, unit; `tip_rms_m`, `rigid_tip_rms_m`; `trials`: how many;
+        `dof`: the same three by number of joints, with `payloads`: payload in kg → tip_rms_m,
+        rigid_tip_rms_m.
+    """
+    comparisons = compare(plant, trials)
+    result = _summary(plant, comparisons)
+    result["dof"] = {}
+    for dof in sorted({c.trial.meta.dof for c in comparisons}):
+        own = [c for c in comparisons if c.trial.meta.dof == dof]
+        loads = sorted({c.trial.meta.payload_kg for c in own})
+        result["dof"][str(dof)] = _summary(plant, own) | {
+            "payloads": {
+                f"{load:g}": _tip([c for c in own if c.trial.meta.payload_kg == load])
+                for load in loads
+            }
+        }
+    return result
+
+
+def _summary(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, Any]:
+    return {
+        "signals": signal_errors(plant, comparisons),
+        "trials": len(comparisons),
+        **_tip(comparisons),
+    }
+
+
+def _tip(comparisons: Sequence[Comparison]) -> dict[str, float | None]:
+    return {
+        "tip_rms_m": tip_rms_m(comparisons),
+        "rigid_tip_rms_m": rigid_tip_rms_m(comparisons),
+    }

@@ -1,0 +1,241 @@
+"""Identify a plant: its nuisance parameters, its effects and what the markers show.
+
+The trials to fit to are those that `TrialSet.split` gives; everything else is held out.
+
+1. Scan the stiffness: the cost at some multiples of it, so that the fit starts near the right
+   first mode and does not lock onto a wrong cycle of the vibration.
+2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
+   No servo loop stands in between, so a wrong gain cannot hide a wrong stiffness.
+3. Fit the drive and its friction: the twin, driven by the goals, to angle and current.
+4. Both again on all trials, weighted by the errors that the first round left. The first round
+   takes the trials with the fewest joints only: they are the quickest to run.
+
+A plane that no trial moved takes the values of the other: the link's section is square and the
+servos are of one type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.plant.components.drives import DRIVES
+from models.plant.effects import EFFECTS
+from models.plant.identification.evaluation import evaluation
+from models.plant.identification.simulation_fit import Objective, Solution, solve
+from models.plant.parameter import Parameter
+from models.plant.plant import LOADS, Plant, Unit
+from models.plant.scope import Scope
+from models.plant.simulation.compiled_model import Array
+from models.trials.trial import Trial
+from models.trials.trial_files import TrialSet
+
+STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Multiples of the first stiffness that are tried."""
+
+DRIVEN_SUBSTEP_S: Final = 2.2e-3
+"""Longest internal step of the driven link, an eighth of a control period: no dry friction."""
+
+DRAWS: Final = 32
+"""Starts that are drawn for the fit of a rigid load."""
+
+FITTED_STARTS: Final = 2
+"""The best of them, from which it is fitted; from the plant as it is in any case."""
+
+LINK_SIGNALS: Final = ("tip", "di", "current")
+DRIVE_SIGNALS: Final = ("angle", "position", "current")
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was found.
+
+    Attributes
+    ----------
+    plant : Plant
+        Identified; its provenance holds what this class summarises.
+    fitted : tuple of Parameter
+        Parameters that the trials determined, with standard errors.
+    held_out : dict
+        `models.plant.identification.evaluation.evaluation` on the held-out trials, or on the
+        fitted ones where none are held out.
+    """
+
+    plant: Plant
+    fitted: tuple[Parameter, ...]
+    held_out: dict[str, Any]
+
+
+def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None) -> Identification:
+    """Fit a plant to trials.
+
+    Parameters
+    ----------
+    plant : Plant
+        Where the fit starts; its values and bounds are the priors.
+    trials : TrialSet
+        1DOF, 2DOF or both.
+    report : callable
+        Called with one phrase after each run of all trials.
+
+    Raises
+    ------
+    InputError
+        If the plant cannot take these trials.
+    """
+    fit, held_out = trials.split()
+    planes = max(t.meta.dof for t in fit)
+    if planes > LOADS[plant.load].max_dof:
+        raise InputError(
+            f"plant {plant.name!r}",
+            f"has one joint, a trial has {planes}",
+            "use a plant of the link",
+        )
+    link, drive = _free(plant, planes)
+    first = [t for t in fit if t.meta.dof == min(t.meta.dof for t in fit)]
+    if plant.load == "link":
+        found, rms = _round(_scan(plant, first, report), first, None, report)
+        found, rms = _round(_mirrored(found, first), fit.trials, rms, report)
+    else:
+        every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
+        solution = _best_of_several(
+            Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS), report
+        )
+        found, rms = solution.plant, solution.rms
+    found = _mirrored(found, fit.trials)
+    errors = evaluation(found, held_out if len(held_out) else fit)
+    fitted = tuple(dict.fromkeys((*link, *drive)))
+    provenance = {
+        "parent_sha256": plant.sha256(),
+        "data_sha256": trials.sha256(),
+        "fitted_trials": {t.name: t.sha256() for t in fit},
+        "held_out_trials": [t.name for t in held_out],
+        "fitted_parameters": list(fitted),
+        "residual_rms": rms,
+        "held_out": errors,
+    }
+    found = replace(found, name=f"{_stem(plant.name)}, identified", provenance=provenance)
+    return Identification(found, tuple(found.parameters[n] for n in fitted), errors)
+
+
+def _best_of_several(objective: Objective, report: Report) -> Solution:
+    """Best fit of those from the plant as it is and from draws of the prior.
+
+    A joint that sticks makes the cost rugged: where it stops jumps as a parameter moves.
+    """
+    rng = np.random.default_rng(0)
+    drawn = objective.start + objective.spread * rng.standard_normal((DRAWS, len(objective.free)))
+    starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
+    costs = np.array([float(r @ r) for r in (objective(start)[0] for start in starts)])
+    report(f"{DRAWS} starts drawn")
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))[:FITTED_STARTS]
+    fits = [
+        solve(
+            objective, starts[k], evaluations=60, tolerance=1e-5,
+            report=lambda cost: report(f"cost {cost:.4g}"),
+        )
+        for k in dict.fromkeys((0, *order))
+    ]  # fmt: skip
+    return min(fits, key=lambda s: s.cost)
+
+
+def _round(
+    plant: Plant, trials: Sequence[Trial], rms: dict[str, float] | None, report: Report
+) -> tuple[Plant, dict[str, float]]:
+    """Link, then drive; the errors of an earlier round are the scales of the link's."""
+    link, drive = _free(plant, max(t.meta.dof for t in trials))
+    first = _stage(plant, "driven", trials, link, LINK_SIGNALS, rms, report)
+    second = _stage(first.plant, "twin", _spread(trials), drive, DRIVE_SIGNALS, None, report)
+    return second.plant, first.rms
+
+
+def _spread(trials: Sequence[Trial]) -> list[Trial]:
+    """Least, middle and largest payload of each number of joints: enough for the drive."""
+    chosen: list[Trial] = []
+    for dof in sorted({t.meta.dof for t in trials}):
+        own = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
+        chosen += [own[k] for k in sorted({0, len(own) // 2, len(own) - 1})]
+    return chosen
+
+
+def _stem(name: str) -> str:
+    return name.removesuffix(", identified").removesuffix(", nominal")
+
+
+def _free(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names to fit in the link's stage and in the drive's; friction is in both."""
+    scope = Scope(tuple(range(1, planes + 1)), suffix=dict(LOADS[plant.load].suffix))
+
+    def wanted(part: Any) -> list[str]:
+        declared = [q.name for q in part.parameters(scope)]
+        return [name for name in declared if plant.parameters[name].role != "fixed"]
+
+    load, drive = wanted(LOADS[plant.load]()), wanted(DRIVES[plant.drive]())
+    for name in plant.effects:
+        rows = wanted(EFFECTS[name]())
+        if EFFECTS[name].port != "command":
+            load += rows
+        if EFFECTS[name].port in ("command", "servo_torque"):
+            drive += rows
+    return tuple(load), tuple(drive)
+
+
+def _scan(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
+    """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
+    link, _ = _free(plant, max(t.meta.dof for t in trials))
+    stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
+    objective = Objective(
+        plant, "driven", trials, stiffness, LINK_SIGNALS, max_substep_s=DRIVEN_SUBSTEP_S
+    )
+
+    def scaled(factor: float) -> Array:
+        return np.clip(factor * objective.start, objective.low, objective.high)
+
+    costs: dict[float, float] = {}
+    for factor in STIFFNESS_SCAN:
+        residual = objective(scaled(factor))[0]
+        cost = float(residual @ residual)
+        costs[factor] = cost if np.isfinite(cost) else np.inf
+        report(f"stiffness x {factor:g}")
+    best = min(costs, key=lambda factor: costs[factor])
+    return plant.with_values(dict(zip(stiffness, scaled(best), strict=True)))
+
+
+def _stage(
+    plant: Plant,
+    unit: Unit,
+    trials: Sequence[Trial],
+    free: Sequence[str],
+    signals: Sequence[str],
+    scale: dict[str, float] | None,
+    report: Report,
+) -> Solution:
+    """One fit."""
+    substep_s = DRIVEN_SUBSTEP_S if unit == "driven" else None
+    what = f"{'link' if unit == 'driven' else 'drive'}, {len(trials)} trials"
+    return solve(
+        Objective(plant, unit, trials, free, signals, scale, substep_s),
+        evaluations=25, tolerance=1e-3,
+        report=lambda cost: report(f"{what}: cost {cost:.4g}"),
+    )  # fmt: skip
+
+
+def _mirrored(plant: Plant, trials: Sequence[Trial]) -> Plant:
+    """Plant whose second plane, where no trial moves it, is the first one, prebend apart."""
+    if LOADS[plant.load].max_dof == 1 or any(t.meta.dof == 2 for t in trials):
+        return plant
+    parameters = dict(plant.parameters)
+    for name, q in plant.parameters.items():
+        other = parameters.get(name.replace("_1", "_2", 1))
+        if "_1" in name and other and other.role != "fixed" and "prebend" not in name:
+            parameters[other.name] = msgspec.structs.replace(
+                other, value=min(max(q.value, other.low), other.high), error=None
+            )
+    return replace(plant, parameters=parameters)

@@ -1,0 +1,256 @@
+"""Least squares through the simulator: residuals of a unit over trials, with exact derivatives.
+
+A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
+of one: residuals of a reduced model are far from white (FACTS §8). Each free parameter also has a
+prior, its value before the fit with a quarter of its bounds as standard deviation, so that what
+the data cannot show stays where it was.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from models.plant.plant import Plant, Unit
+from models.plant.simulation.compiled_model import (
+    Array,
+    CompiledModel,
+    run_trial,
+    sensitivity,
+    trial_parameters,
+)
+from models.plant.step_model import names
+from models.trials.deformation import deformation_index, lengths_m
+from models.trials.trial import Trial
+
+SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
+"""Error that counts as one before anything is known of a signal, by its unit."""
+
+CORRELATED_SAMPLES: Final = 12
+"""Samples that carry the information of one, before anything is known (FACTS §8)."""
+
+STANDSTILL_RAD_S: Final = 0.1
+"""Below this joint rate dry friction may take any value, and the current tells little."""
+
+WORKERS: Final = 2
+
+
+def measured_signals(trial: Trial) -> dict[str, Array]:
+    """Columns of a trial, and its Deformation Index where it has markers."""
+    signals = dict(trial.columns)
+    if "m01_x_m" in signals and trial.meta.rest_samples:
+        signals["di"] = _balanced_index(trial)
+    return signals
+
+
+def _balanced_index(trial: Trial) -> Array:
+    """Deformation Index that does not favour the segments which are seen more often.
+
+    The segments at the base strain most and need one marker only, the others two: a mean over the
+    lengths that are seen would rise with occlusion. Here each of the four segments counts alike;
+    without occlusion it is `deformation_index`.
+    """
+    lengths = lengths_m(trial)
+    if np.isfinite(lengths).all():
+        return deformation_index(trial)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
+        reference = np.nanmean(lengths[: trial.meta.rest_samples], axis=0)
+        strain = np.abs(lengths - reference) / reference
+        return np.asarray(np.nanmean(strain.reshape(len(trial), 4, 4), axis=2).mean(axis=1))
+
+
+def weights(trial: Trial, signal: str) -> Array:
+    """Square root of how much each row of a signal counts: a current by its joint's rate."""
+    if not signal.startswith("current_"):
+        return np.ones(len(trial))
+    angle = trial.columns[signal.replace("current", "angle").replace("_a", "_rad")]
+    rate = np.gradient(angle, trial.step_s)
+    return np.asarray(np.sqrt(rate**2 / (rate**2 + STANDSTILL_RAD_S**2)))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a fit found.
+
+    Attributes
+    ----------
+    plant : Plant
+        With the fitted values and their standard errors.
+    free : tuple of str
+        Parameters that were fitted.
+    cost : float
+        Half the sum of squares, prior included.
+    rms : dict of str to float
+        Residual of each signal, in its unit.
+    """
+
+    plant: Plant
+    free: tuple[str, ...]
+    cost: float
+    rms: dict[str, float]
+
+
+class Objective:
+    """Residuals of one unit of a plant over trials, as a function of some parameters.
+
+    Parameters
+    ----------
+    plant : Plant
+        Where the other parameters stand, and the priors of the free ones.
+    unit : str
+        "twin" or "driven".
+    trials : sequence of Trial
+        To fit to; of one or two joints.
+    free : sequence of str
+        Names of the parameters.
+    signals : sequence of str
+        Prefixes of the outputs that count.
+    scale : mapping of str to float, optional
+        Scale of each signal in place of `SCALE`.
+    max_substep_s : float, optional
+        Longest internal step, where the unit is not stiff.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        unit: Unit,
+        trials: Sequence[Trial],
+        free: Sequence[str],
+        signals: Sequence[str],
+        scale: Mapping[str, float] | None = None,
+        max_substep_s: float | None = None,
+    ) -> None:
+        self.plant, self.free, self.trials = plant, tuple(free), tuple(trials)
+        self._signals, self._scale = tuple(signals), dict(scale or {})
+        self._measured = [measured_signals(t) for t in trials]
+        self._models: dict[int, tuple[CompiledModel, list[str]]] = {}
+        for dof in sorted({t.meta.dof for t in trials}):
+            model = plant.step_model(dof, unit)
+            own = [name for name in self.free if name in names(model.parameters)]
+            compiled = CompiledModel(sensitivity(model, own, max_substep_s))
+            self._models[dof] = (compiled, own)
+        chosen = [plant.parameters[name] for name in self.free]
+        self.start = np.array([q.value for q in chosen])
+        self.low = np.array([q.low for q in chosen])
+        self.high = np.array([q.high for q in chosen])
+        self.spread = (self.high - self.low) / 4
+        self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
+
+    def __call__(self, values: Array) -> tuple[Array, Array]:
+        """Residuals (n,) and their Jacobian (n, len(free)), the priors at the end."""
+        key = values.tobytes()
+        if key != self._last[0]:
+            with ThreadPoolExecutor(WORKERS) as pool:
+                parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
+            prior = (values - self.start) / self.spread
+            residual = np.concatenate([r for rows in parts for r, _ in rows.values()] + [prior])
+            jacobian = np.concatenate(
+                [j for rows in parts for _, j in rows.values()] + [np.diag(1 / self.spread)]
+            )
+            self._last = (key, residual, jacobian)
+        return self._last[1], self._last[2]
+
+    def rms(self, values: Array) -> dict[str, float]:
+        """Weighted root mean square of each signal's residual, in its unit."""
+        squares: dict[str, list[Array]] = {}
+        for k in range(len(self.trials)):
+            for signal, (residual, _) in self._trial(k, values).items():
+                squares.setdefault(signal, []).append(residual**2 * CORRELATED_SAMPLES)
+        return {
+            signal: float(np.sqrt(np.mean(np.concatenate(rows)))) * self.scale(signal)
+            for signal, rows in squares.items()
+        }
+
+    def scale(self, signal: str) -> float:
+        """Error of a signal that counts as one; never less than half of `SCALE`.
+
+        Less would let a signal that does not move (the end effector across a single joint's
+        plane) outweigh all others as soon as it does.
+        """
+        outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
+        default = SCALE[next(v.unit for v in outputs if v.name == signal)]
+        return max(self._scale.get(signal, default), 0.5 * default)
+
+    def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
+        """Residual and Jacobian of each signal of a trial."""
+        trial, measured = self.trials[index], self._measured[index]
+        compiled, own = self._models[trial.meta.dof]
+        model = compiled.model
+        known = names(model.parameters)
+        p = trial_parameters(model, trial)
+        columns = [self.free.index(name) for name in own]
+        p[[known.index(name) for name in own]] = values[columns]
+        y = run_trial(compiled, trial, p)
+        count = len(model.outputs) // (1 + len(own))
+        result: dict[str, tuple[Array, Array]] = {}
+        for k, signal in enumerate(names(model.outputs[:count])):
+            if signal not in measured or not signal.startswith(self._signals):
+                continue
+            factor = weights(trial, signal) / self.scale(signal) / CORRELATED_SAMPLES**0.5
+            residual = (y[:, k] - measured[signal]) * factor
+            jacobian = np.zeros((len(y), len(self.free)))
+            jacobian[:, columns] = y[:, count + k :: count] * factor[:, None]
+            seen = np.isfinite(measured[signal])
+            result[signal] = (residual[seen], jacobian[seen])
+        return result
+
+
+def solve(
+    objective: Objective,
+    start: Array | None = None,
+    evaluations: int = 40,
+    tolerance: float = 1e-4,
+    report: Callable[[float], None] = lambda cost: None,
+) -> Solution:
+    """Fit by a trust-region Gauss–Newton method within the bounds.
+
+    Parameters
+    ----------
+    objective : Objective
+        What to fit.
+    start : ndarray, optional
+        First values; the plant's by default.
+    evaluations : int
+        Most runs of all trials.
+    tolerance : float
+        Relative change of the cost that ends the fit.
+    report : callable
+        Called with the cost after each evaluation.
+    """
+
+    def residuals(values: Array) -> Array:
+        result = objective(values)[0]
+        report(0.5 * float(result @ result))
+        return result
+
+    margin = 1e-9 * (objective.high - objective.low)
+    first = np.clip(objective.start if start is None else start,
+                    objective.low + margin, objective.high - margin)  # fmt: skip
+    found = least_squares(
+        residuals, first, lambda values: objective(values)[1],
+        bounds=(objective.low, objective.high), x_scale="jac", method="trf",
+        max_nfev=evaluations, ftol=tolerance, xtol=1e-6, gtol=1e-8,
+    )  # fmt: skip
+    values = np.clip(found.x, objective.low, objective.high)
+    residual, jacobian = objective(values)
+    errors = standard_errors(jacobian)
+    plant = objective.plant.with_values(
+        dict(zip(objective.free, values, strict=True)),
+        dict(zip(objective.free, errors, strict=True)),
+    )
+    cost = 0.5 * float(residual @ residual)
+    return Solution(plant, objective.free, cost, objective.rms(values))
+
+
+def standard_errors(jacobian: Array) -> Array:
+    """Standard errors from scaled residuals' Jacobian: the roots of diag((J'J)⁻¹)."""
+    _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
+    return np.asarray(np.sqrt(np.sum((rows.T / np.maximum(singular, 1e-12)) ** 2, axis=1)))

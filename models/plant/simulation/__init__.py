@@ -1,0 +1,1 @@
+"""Simulation of a plant: C code from its equations, compiled and run over trials."""

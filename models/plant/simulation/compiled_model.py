@@ -1,0 +1,191 @@
+"""Run a `StepModel` fast: compiled to C, a whole trial in one call.
+
+The compiled run equals the interpreted `StepModel.simulate` to rounding (CasADi generates the same
+operations; FACTS §5). Libraries are cached by content, so a plant is compiled once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from models.plant.simulation.model_c import write_model
+from models.plant.step_model import StepModel, names, runge_kutta
+from models.shared.c_compiler import compile_library
+from models.trials.trial import Trial
+
+Array = NDArray[np.float64]
+_DRIVER: Final = Path(__file__).with_name("run_trial.c")
+_POINTER: Final = ctypes.POINTER(ctypes.c_double)
+
+
+class CompiledModel:
+    """A `StepModel` compiled to run whole trials.
+
+    Parameters
+    ----------
+    model : StepModel
+        What to compile.
+
+    Attributes
+    ----------
+    model : StepModel
+        As given.
+    """
+
+    def __init__(self, model: StepModel) -> None:
+        self.model = model
+        sizes = {"N_X": len(model.states), "N_U": len(model.inputs), "N_Y": len(model.outputs)}
+        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
+            directory = Path(scratch)
+            path = compile_library(
+                [write_model(model, directory), _DRIVER],
+                directory / "model.so",
+                include=[directory],
+                flags=[f"-D{name}={size}" for name, size in sizes.items()],
+            )
+            self._library = ctypes.CDLL(str(path))
+
+    def start(self, u: Array, p: Array) -> Array:
+        """State at rest under the inputs u."""
+        x = np.empty(len(self.model.states))
+        self._call("start", np.ascontiguousarray(u, dtype=np.float64), p, x)
+        return x
+
+    def simulate(
+        self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
+    ) -> Array:
+        """Outputs at the start and after each step; as `StepModel.simulate`."""
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
+        x = self.start(u[0], p) if x is None else np.array(x, dtype=np.float64)
+        y = np.empty((len(u) + 1, len(self.model.outputs)))
+        times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
+        self._call("run", u, p, x, y, before=(ctypes.c_long(len(u)), *times))
+        return y
+
+    def _call(self, function: str, *arrays: Array, before: tuple[Any, ...] = ()) -> None:
+        pointers = [a.ctypes.data_as(_POINTER) for a in arrays]
+        if getattr(self._library, function)(*before, *pointers):
+            raise MemoryError(f"{self.model.name}: {function}")
+
+
+def sensitivity(model: StepModel, wrt: list[str], max_substep_s: float | None = None) -> StepModel:
+    """Model that also carries the exact derivatives of its run by some parameters.
+
+    The states are x and S = dx/dp (column by column), the outputs y and dy/dp; S follows the
+    variational equation Ṡ = f_x S + f_p, integrated by the same Runge–Kutta steps, so it is the
+    derivative of the discrete run, not an approximation of one of the continuous run.
+
+    Parameters
+    ----------
+    model : StepModel
+        With its `rate`.
+    wrt : list of str
+        Names of parameters.
+    max_substep_s : float, optional
+        Other longest sub-step, for a model that is not stiff.
+    """
+    if model.rate is None:
+        raise ValueError(f"{model.name} has no rate")
+    index = [names(model.parameters).index(name) for name in wrt]
+    nx, nw = len(model.states), len(wrt)
+    z = ca.MX.sym("z", nx * (1 + nw))
+    u, p = ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
+    h = ca.MX.sym("h")
+    x, spread = z[:nx], ca.reshape(z[nx:], nx, nw)
+
+    def extend(function: Any, what: str, *time: Any) -> Any:
+        """Result of a function, and its derivatives along the run."""
+        value, by_x, by_p = _derivatives(function)(x, u, p, *time)
+        along = by_x @ spread + by_p[:, index]
+        stacked = ca.vertcat(value, ca.vec(ca.densify(along)))
+        return ca.Function(f"{what}_{nw}", [z, u, p, *time], [stacked])
+
+    started = ca.jacobian(model.initial(u, p), p)[:, index]
+    initial = ca.vertcat(model.initial(u, p), ca.vec(ca.densify(started)))
+    rate = extend(model.rate, "rate")
+    copies = [
+        tuple(
+            dataclasses.replace(v, name=f"{v.name}_by_{w}", unit="1")
+            for w in wrt
+            for v in variables
+        )
+        for variables in (model.states, model.outputs)
+    ]
+    return dataclasses.replace(
+        model,
+        name=f"{model.name}_sensitivity",
+        states=model.states + copies[0],
+        outputs=model.outputs + copies[1],
+        initial=ca.Function("initial", [u, p], [initial]),
+        begin=extend(model.begin, "begin", h),
+        flow=runge_kutta("flow", rate),
+        finish=extend(model.finish, "finish", h),
+        output=extend(model.output, "output"),
+        rate=rate,
+        max_substep_s=max_substep_s or model.max_substep_s,
+    )
+
+
+def _derivatives(function: Any) -> Any:
+    """Value and sparse derivatives by the first and third argument of an SX function."""
+    arguments = [ca.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
+    value = ca.cse(function(*arguments))
+    x, p = arguments[0], arguments[2]
+    results = ca.cse([value, ca.jacobian(value, x), ca.jacobian(value, p)])
+    return ca.Function(f"{function.name()}_derivatives", arguments, results)
+
+
+def trial_parameters(model: StepModel, trial: Trial) -> Array:
+    """Parameter vector with the trial's geometry, conditions and start put over the plant's."""
+    own = {
+        name: getattr(trial.meta, name)
+        for name in ("base_offset_m", "link_length_m", "link_width_m")
+    }
+    own |= trial.meta.conditions
+    for j in range(1, trial.meta.dof + 1):
+        for position, angle in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
+            if position in trial.columns:
+                goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
+                own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
+    known = set(names(model.parameters))
+    return model.parameter_values({n: v for n, v in own.items() if n in known})
+
+
+def trial_inputs(model: StepModel, trial: Trial) -> Array:
+    """Inputs of a model from a trial's columns; the payload is the declared one.
+
+    A drive is enabled where no column says otherwise.
+    """
+    columns = dict(trial.columns)
+    for j in range(1, trial.meta.dof + 1):
+        columns.setdefault(f"enabled_{j}", np.ones(len(trial)))
+    columns.setdefault("payload_kg", np.full(len(trial), trial.meta.payload_kg))
+    for name in names(model.inputs):
+        if name not in columns:
+            raise InputError(
+                trial.path, f"column {name} is missing, which the plant takes as an input",
+                "use a trial of the plant's kind",
+            )  # fmt: skip
+    return np.column_stack([columns[name] for name in names(model.inputs)])
+
+
+def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> Array:
+    """Outputs of a model at every row of a trial, shape (n, len(outputs)).
+
+    A twin is driven by the goal that was sent after a row until the next; a model driven by
+    measurement takes the sample at the end of each step.
+    """
+    u = trial_inputs(compiled.model, trial)
+    p = trial_parameters(compiled.model, trial) if p is None else p
+    at_end = any(name.startswith("angle_") for name in names(compiled.model.inputs))
+    return compiled.simulate(u[1:] if at_end else u[:-1], trial.step_s, p, compiled.start(u[0], p))

@@ -1,0 +1,30 @@
+"""Write the functions of a `StepModel` as C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+
+from models.plant.step_model import StepModel
+
+FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
+
+
+def write_model(model: StepModel, directory: Path) -> Path:
+    """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the former.
+
+    The functions take and give dense vectors, whatever sparsity CasADi found.
+    """
+    generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
+    for name in FUNCTIONS:
+        generator.add(_dense(getattr(model, name), f"model_{name}"))
+    generator.generate(f"{directory}/")
+    return directory / "model.c"
+
+
+def _dense(function: ca.Function, name: str) -> ca.Function:
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    return ca.Function(name, arguments, [ca.densify(function(*arguments))])

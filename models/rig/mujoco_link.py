@@ -1,0 +1,159 @@
+"""The MuJoCo chain: base joints, plate, link of hinge and shear pairs, tip, 16 markers.
+
+Hinge pairs: one at the root patch and one in the middle of each eighth of the span; a shear pair
+(two slides) goes with every hinge pair of the span. MuJoCo carries inertia, gravity, the linear
+shear springs and the Kelvin-Voigt damping; the bending torque is `models.rig.bending_law`'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models.rig.bending_law import SPAN_HINGES
+from models.rig.rig_parameters import RigParameters
+from models.shared.kinematics import Array
+
+AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}
+"""Axis about which a positive angle leans the link towards +x and +y."""
+
+MARKER_ROWS: Final = 4
+
+
+@dataclass(frozen=True)
+class Load:
+    """What hangs at the tip: its mass and where its centre lies off the link's axis."""
+
+    mass_kg: float = 0.0
+    offset_x_m: float = 0.0
+    offset_y_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class MujocoLink:
+    """Compiled model and where its parts stand.
+
+    Attributes
+    ----------
+    model : mujoco.MjModel
+        Hinges and slides only, so that positions and rates share addresses.
+    joints : ndarray, shape (dof,)
+        Addresses of the driven joints.
+    hinges : ndarray, shape (9, 2)
+        Addresses of the link's hinges, root first; columns bend towards +x and +y.
+    bodies : ndarray, shape (9,)
+        Bodies of the link, from the root.
+    """
+
+    model: Any
+    joints: NDArray[np.intp]
+    hinges: NDArray[np.intp]
+    bodies: NDArray[np.intp]
+
+
+def build_mujoco_link(
+    parameters: RigParameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_nm_rad: Array
+) -> MujocoLink:
+    """Build the chain.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Of the laboratory.
+    dof : int
+        Number of driven joints; with one, joint 2 is rigid.
+    load : Load
+        Payload at the tip.
+    gravity_m_s2 : ndarray, shape (3,)
+        In the world frame.
+    stiffness_nm_rad : ndarray, shape (9,)
+        Of the hinge pairs in N·m/rad; the damping is proportional to it.
+    """
+    p = parameters
+    spec = mujoco.MjSpec()
+    spec.option.timestep = p["world.step_s"]
+    spec.option.gravity = gravity_m_s2
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    )
+    frame = [p["link.frame_inertia_kg_m2"]] * 3
+    yoke = _body(spec.worldbody, "yoke", 0.0, p["link.yoke_mass_kg"], frame)
+    _joint(yoke, "joint_x", "x")
+    plate = _body(yoke, "plate", 0.0, 0.0, [0.0] * 3)
+    if dof == 2:
+        _joint(plate, "joint_y", "y")
+    _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
+    _add_link(plate, p, stiffness_nm_rad, load)
+    model = spec.compile()
+    return MujocoLink(
+        model=model,
+        joints=np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]]),
+        hinges=np.array(
+            [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in "xy"] for k in range(SPAN_HINGES + 1)]
+        ),
+        bodies=np.array([model.body(f"link{k}").id for k in range(SPAN_HINGES + 1)]),
+    )
+
+
+def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load) -> None:
+    width, damping_s = p["link.width_m"], p["stiffness.damping_s"]
+    piece = p["link.length_m"] / SPAN_HINGES
+    density = p["link.mass_kg"] / p["link.length_m"]
+    shear = (p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2) / piece
+    body, offset = plate, p["link.base_offset_m"]
+    for k in range(SPAN_HINGES + 1):
+        # The root's piece and the last one are half as long: hinges sit in the middle of eighths.
+        long = piece if 0 < k < SPAN_HINGES else 0.5 * piece
+        mass = density * long
+        across = mass * (width**2 + long**2) / 12.0
+        body = _body(
+            body, f"link{k}", offset, mass, [across, across, mass * width**2 / 6.0], 0.5 * long
+        )
+        if k > 0:
+            for axis, direction in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0))):
+                joint = body.add_joint(
+                    name=f"shear{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction
+                )
+                joint.stiffness[0], joint.damping[0] = shear, damping_s * shear
+        for axis in "xy":
+            joint = _joint(body, f"hinge{k}_{axis}", axis)
+            joint.damping[0] = damping_s * stiffness_nm_rad[k]
+        if k > 0 and k % (SPAN_HINGES // MARKER_ROWS) == 0:
+            _add_markers(body, k, 0.5 * piece, 0.5 * width)
+        offset = long
+    tip = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
+    _body(body, "tip", offset, tip, [tip * width**2 / 12.0] * 3)
+    if load.mass_kg > 0.0:
+        payload = _body(
+            body, "payload", offset, load.mass_kg,
+            [load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0] * 3,
+        )  # fmt: skip
+        payload.pos[:2] = load.offset_x_m, load.offset_y_m
+
+
+def _body(
+    parent: Any, name: str, z_m: float, mass_kg: float, inertia: list[float], centre_m: float = 0.0
+) -> Any:
+    return parent.add_body(
+        name=name, pos=[0.0, 0.0, z_m], explicitinertial=True,
+        mass=mass_kg, inertia=inertia, ipos=[0.0, 0.0, centre_m],
+    )  # fmt: skip
+
+
+def _joint(body: Any, name: str, axis: str) -> Any:
+    return body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=AXES[axis])
+
+
+def _add_markers(body: Any, section: int, z_m: float, half_m: float) -> None:
+    """Four corners of a row, in the order of the trial contract."""
+    for sign_y in (1, -1):
+        for sign_x in (1, -1):
+            body.add_site(
+                name=f"m{section}{sign_x:+d}{sign_y:+d}",
+                pos=[sign_x * half_m, sign_y * half_m, z_m],
+            )

@@ -1,0 +1,167 @@
+"""Parameters of the virtual laboratory: one TOML file with value, unit and source of each."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from models.shared.catalogue import CATALOGUE
+
+RIG_TOML: Final = Path(__file__).with_name("rig.toml")
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One parameter as its table in the TOML file gives it.
+
+    Attributes
+    ----------
+    value : float
+        In `unit`.
+    unit : str
+        SI; "1" for none.
+    source : str
+        Where the value comes from.
+    effect : str
+        Effect of the catalogue whose strength is added to the value; empty for none.
+    minimum, maximum : float
+        Bounds of the value with everything that is added to it.
+    """
+
+    value: float
+    unit: str
+    source: str
+    effect: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+
+
+@dataclass(frozen=True)
+class RigParameters(Mapping[str, float]):
+    """Values by name, like `parameters["servo.coulomb_friction_nm"]`.
+
+    Attributes
+    ----------
+    entries : dict of str to Entry
+        By `group.name`.
+    path : Path
+        File that they were read from.
+    """
+
+    entries: dict[str, Entry]
+    path: Path
+
+    def __getitem__(self, name: str) -> float:
+        return self.entries[name].value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def changed(self, **values: float) -> RigParameters:
+        """Return the same parameters with other values, by `group.name`."""
+        entries = dict(self.entries)
+        for name, value in values.items():
+            entries[name] = msgspec.structs.replace(entries[name], value=value)
+        return RigParameters(entries, self.path)
+
+    def sha256(self) -> str:
+        """Hash of all values, for provenance."""
+        return hashlib.sha256(msgspec.json.encode(dict(self))).hexdigest()
+
+    def effects(self) -> dict[str, str]:
+        """Effects that have a place in this laboratory, each with its parameter's name."""
+        return {entry.effect: name for name, entry in self.entries.items() if entry.effect}
+
+    def hide(self, strengths: Mapping[str, float]) -> RigParameters:
+        """Add effects of the catalogue to what the laboratory has by default.
+
+        Parameters
+        ----------
+        strengths : mapping of str to float
+            By effect, in the unit that `models.shared.catalogue` lists.
+
+        Raises
+        ------
+        InputError
+            If an effect has no place here, or the sum leaves the parameter's bounds.
+        """
+        places = self.effects()
+        values = {}
+        for effect, strength in strengths.items():
+            option = f"--hide {effect}={strength:g}"
+            if effect not in places:
+                raise InputError(
+                    option, "has no place in this laboratory", "choose from " + ", ".join(places)
+                )
+            entry = self.entries[places[effect]]
+            value = entry.value + strength
+            if not entry.minimum <= value <= entry.maximum:
+                raise InputError(
+                    option,
+                    f"makes {places[effect]} {value:g} {entry.unit}, outside {entry.minimum:g} "
+                    f"to {entry.maximum:g}",
+                    f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
+                )
+            values[places[effect]] = value
+        return self.changed(**values)
+
+
+def read_parameters(path: Path = RIG_TOML) -> RigParameters:
+    """Read a laboratory's parameters.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not TOML, a parameter is missing, unknown or malformed, or an
+        effect is not in the catalogue or carries another unit there.
+    """
+    entries = _read_entries(path)
+    if path != RIG_TOML:
+        expected = _read_entries(RIG_TOML)
+        for name in expected.keys() ^ entries.keys():
+            what = "is missing" if name in expected else "is unknown"
+            raise InputError(path, f"parameter {name} {what}", f"start from a copy of {RIG_TOML}")
+        for name, entry in entries.items():
+            if entry.unit != expected[name].unit:
+                raise InputError(
+                    path, f"{name} is in {entry.unit!r}", f"give it in {expected[name].unit}"
+                )
+    for name, entry in entries.items():
+        if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
+            raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
+    return RigParameters(entries, path)
+
+
+def _read_entries(path: Path) -> dict[str, Entry]:
+    try:
+        document: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise InputError(path, "cannot be read", "name a laboratory's TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+    entries = {}
+    for group, tables in document.items():
+        for key, table in tables.items() if isinstance(tables, dict) else ():
+            name = f"{group}.{key}"
+            try:
+                entry = msgspec.convert(table, Entry)
+            except msgspec.ValidationError as error:
+                raise InputError(path, f"{name}: {error}", "give value, unit and source") from None
+            if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
+                raise InputError(path, f"{name} is {entry.value}", "keep it within its bounds")
+            if entry.effect and entry.effect not in CATALOGUE:
+                raise InputError(
+                    path, f"{name}: {entry.effect!r} is no effect", "see models/shared/catalogue.py"
+                )
+            entries[name] = entry
+    return entries

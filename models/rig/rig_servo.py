@@ -1,0 +1,131 @@
+"""One servo of the laboratory: rotor, gear, friction and the cascade of its firmware.
+
+The rotor turns on its own (its inertia seen from the output) and drives the joint through a gear
+with play and give; the encoder sits on the rotor. Friction is a LuGre bristle (Canudas de Wit et
+al., 1995 [recalled]) whose level grows with the torque that the gear transmits:
+
+    dz/dt = w - sigma_0 |w| z / g(w),   F = sigma_0 z + sigma_1 dz/dt + B w,
+    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2),
+
+with z integrated implicitly, so that |sigma_0 z| never exceeds g.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from models.rig.rig_parameters import RigParameters
+
+
+class RigServo:
+    """A position servo: P position loop, PI velocity loop, current limit.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Of the laboratory.
+    step_s : float
+        Integration step.
+
+    Attributes
+    ----------
+    rotor_rad, rotor_rad_s : float
+        Angle and rate of the rotor, seen from the output.
+    current_a : float
+        Motor current.
+    gear_nm : float
+        Torque that the gear passes to the joint.
+    """
+
+    def __init__(self, parameters: RigParameters, step_s: float) -> None:
+        p = parameters
+        self._step_s = step_s
+        self._position_gain = p["servo.position_gain_per_s"]
+        self._speed_limit = p["servo.speed_limit_rad_s"]
+        self._inertia = p["servo.inertia_kg_m2"]
+        constant = p["servo.torque_constant_nm_a"]
+        # The firmware's gains count on the rated torque constant; the motor has its own.
+        self._velocity_gain = p["servo.velocity_bandwidth_rad_s"] * self._inertia / constant
+        self._integral_gain = self._velocity_gain * p["servo.velocity_integral_rad_s"]
+        self._torque_constant = constant * (1.0 - p["servo.torque_constant_loss"])
+        self._limit_a = p["servo.current_limit_a"] - p["servo.current_limit_reduction_a"]
+        self._coulomb = p["servo.coulomb_friction_nm"]
+        self._viscous = p["servo.viscous_friction_nm_s_rad"]
+        self._stribeck = p["servo.stribeck_friction_nm"]
+        self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
+        self._load_share = p["servo.load_friction_share"]
+        self._bristle = p["servo.bristle_stiffness_nm_rad"]
+        self._bristle_damping = p["servo.bristle_damping_nm_s_rad"]
+        self._half_play = 0.5 * p["servo.backlash_rad"]
+        self._gear_stiffness = 1.0 / p["servo.gear_compliance_rad_nm"]
+        self._gear_damping = p["servo.gear_damping_nm_s_rad"]
+        self._delay_s = p["servo.dead_time_s"]
+        self._encoder_offset = p["sensor.encoder_offset_rad"]
+        self._pending: deque[tuple[float, float]] = deque()
+        self._goal = self._integral_a = self._bristle_rad = 0.0
+        self.rotor_rad = self.rotor_rad_s = self.current_a = self.gear_nm = 0.0
+
+    @property
+    def encoder_rad(self) -> float:
+        """Angle that the encoder shows, before quantisation: the firmware sees no other."""
+        return self.rotor_rad + self._encoder_offset
+
+    def send(self, goal_rad: float, time_s: float) -> None:
+        """Send a goal; it takes effect after the dead time."""
+        self._pending.append((time_s + self._delay_s, goal_rad))
+
+    def step(self, time_s: float, joint_rad: float, joint_rad_s: float) -> float:
+        """Advance rotor and firmware by one step.
+
+        Parameters
+        ----------
+        time_s : float
+            Time at the start of the step.
+        joint_rad, joint_rad_s : float
+            Angle and rate of the joint behind the gear.
+
+        Returns
+        -------
+        float
+            Torque on the joint in N·m.
+        """
+        while self._pending and self._pending[0][0] <= time_s + 1e-9:
+            self._goal = self._pending.popleft()[1]
+        self._update_current()
+        self.gear_nm = self._gear(self.rotor_rad - joint_rad, self.rotor_rad_s - joint_rad_s)
+        torque = self._torque_constant * self.current_a - self._friction() - self.gear_nm
+        self.rotor_rad_s += self._step_s * torque / self._inertia
+        self.rotor_rad += self._step_s * self.rotor_rad_s
+        return self.gear_nm
+
+    def _update_current(self) -> None:
+        speed = self._position_gain * (self._goal - self.encoder_rad)
+        speed = min(max(speed, -self._speed_limit), self._speed_limit)
+        error = speed - self.rotor_rad_s
+        wanted = self._velocity_gain * error + self._integral_a
+        self.current_a = min(max(wanted, -self._limit_a), self._limit_a)
+        if self.current_a == wanted:  # no wind-up while the limit holds
+            self._integral_a += self._step_s * self._integral_gain * error
+
+    def _gear(self, twist: float, rate: float) -> float:
+        beyond = twist - min(max(twist, -self._half_play), self._half_play)
+        if beyond == 0.0:
+            return 0.0
+        torque = self._gear_stiffness * beyond + self._gear_damping * rate
+        return torque if torque * beyond > 0.0 else 0.0  # teeth push, they never pull
+
+    def _friction(self) -> float:
+        rate = self.rotor_rad_s
+        level = self._coulomb + self._load_share * abs(self.gear_nm)
+        if self._stribeck:
+            level += self._stribeck * math.exp(-((rate / self._stribeck_speed) ** 2))
+        before = self._bristle_rad
+        shed = self._step_s * abs(rate) * self._bristle / max(level, 1e-9)
+        self._bristle_rad = (before + self._step_s * rate) / (1.0 + shed)
+        bristle_rate = (self._bristle_rad - before) / self._step_s
+        return (
+            self._bristle * self._bristle_rad
+            + self._bristle_damping * bristle_rate
+            + self._viscous * rate
+        )

@@ -1,0 +1,150 @@
+"""The study's protocol: settle, warm-up run (discarded), settle, rest, recorded run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.motion import GLIDE_S
+from firmware_py.signals import PERIOD_S, trial_signals
+from models.rig.rig import Rig
+from models.rig.rig_parameters import RigParameters
+from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
+from models.rig.trial_case import TrialCase
+from models.shared.kinematics import Array
+from models.trials.trial_files import Trial, TrialMeta
+
+REST_SAMPLES: Final = 60
+"""Rows at rest in front of the motion: the reference of the Deformation Index."""
+
+_MARGIN: Final = 6
+"""Ticks logged before and after the recorded run, for the mocap's delay and resampling."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What differs in this trial from the nominal laboratory."""
+
+    parameters: RigParameters
+    eccentricity_m: tuple[float, float]
+    frame_shift_m: Array
+
+
+def vary(parameters: RigParameters, case: TrialCase, rng: np.random.Generator) -> Variation:
+    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
+    p = parameters
+    pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
+    values = {
+        "stiffness.pressure_pa": case.pressure_pa
+        * (1.0 + p["variation.pressure_share"] * pressure),
+        "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
+    }
+    scale = max(1.0 + p["variation.friction_share"] * friction, 0.0)
+    for name in p:
+        if name.startswith("servo.") and "_friction_" in name:
+            values[name] = p[name] * scale
+    eccentricity = p["variation.eccentricity_m"]
+    return Variation(
+        parameters=p.changed(**values),
+        eccentricity_m=(eccentricity * x, eccentricity * y),
+        frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
+    )
+
+
+def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
+    """Run one trial.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Of the laboratory, with what is hidden in it.
+    case : TrialCase
+        What to run.
+
+    Raises
+    ------
+    InputError
+        If the link folds under what is asked of it, or the step does not fit the period.
+    """
+    rng = case.rng()
+    variation = vary(parameters, case, rng)
+    p = variation.parameters
+    lab = Rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
+    substeps = round(PERIOD_S / lab.step_s)
+    if abs(substeps * lab.step_s - PERIOD_S) > 1e-9:
+        raise InputError(
+            p.path, f"world.step_s is {lab.step_s}", f"choose a whole fraction of {PERIOD_S} s"
+        )
+
+    # The motion rests before its start and glides back after its end: that is the whole warm-up.
+    warm_up_s = np.arange(
+        -p["world.settle_s"], case.motion.duration_s + GLIDE_S + p["world.pause_s"], PERIOD_S
+    )
+    before = case.motion.goal_rad(warm_up_s)
+    goals = case.motion.table_rad(rest_samples=REST_SAMPLES)
+    after = np.repeat(goals[-1:], _MARGIN, axis=0)
+    first, last = len(before), len(before) + len(goals)
+
+    encoder_rad, current_a = np.empty_like(goals), np.empty_like(goals)
+    log = []
+    for tick, goal in enumerate(np.concatenate([before, goals, after])):
+        if tick == first:
+            lab.start_leak()
+        if first <= tick < last:
+            encoder_rad[tick - first] = [s.encoder_rad for s in lab.servos]
+            current_a[tick - first] = [s.current_a for s in lab.servos]
+        lab.send(goal)
+        for _ in range(substeps):
+            lab.step()
+            if tick >= first - _MARGIN:
+                log.append(lab.markers_m.copy())
+        _check_shape(lab, case)
+
+    time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
+    markers_m = read_markers(
+        p, MarkerLog(-_MARGIN * PERIOD_S, lab.step_s, np.array(log)), time_s,
+        variation.frame_shift_m, rng,
+    )  # fmt: skip
+    angle_rad = read_encoder(p, encoder_rad)
+    current_a = read_current(p, current_a, rng)
+    return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
+
+
+def _check_shape(lab: Rig, case: TrialCase) -> None:
+    if lab.folded:
+        raise InputError(
+            case.name,
+            f"the link folds {lab.time_s:.1f} s after power-up",
+            "choose a smaller payload, amplitude or strength, or a longer period",
+        )
+
+
+def _trial(
+    case: TrialCase, p: RigParameters, time_s: Array, goal_rad: Array, angle_rad: Array,
+    current_a: Array, markers_m: Array,
+) -> Trial:  # fmt: skip
+    joints = np.stack([goal_rad, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
+    tip_m = markers_m[:, 12:].mean(axis=1)
+    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
+    motion = case.motion
+    meta = TrialMeta(
+        dof=motion.dof,
+        payload_kg=case.payload_kg,
+        pressure_pa=case.pressure_pa,
+        trial=case.trial,
+        motion=motion.kind,
+        source="rig",
+        period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad,
+        phase_2_rad=motion.phase_2_rad if motion.dof == 2 else 0.0,
+        base_offset_m=p["link.base_offset_m"],
+        link_length_m=p["link.length_m"],
+        link_width_m=p["link.width_m"],
+        rest_samples=REST_SAMPLES,
+    )
+    names = [s.name for s in trial_signals(motion.dof)]
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
+    return Trial(case.name, meta, columns)

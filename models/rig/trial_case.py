@@ -1,0 +1,70 @@
+"""One trial to run: its conditions, its name and its random numbers."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from firmware_py.motion import STUDY_PERIOD_S, Motion
+
+STUDY_PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+STUDY_PRESSURE_PA: Final = 41_300.0
+DOWN: Final = (0.0, 0.0, -1.0)
+"""Direction of gravity where the robot stands upright."""
+
+
+@dataclass(frozen=True)
+class TrialCase:
+    """One trial to run.
+
+    Attributes
+    ----------
+    motion : Motion
+        Reference motion, with the number of driven joints.
+    payload_kg : float
+        Declared payload.
+    trial : int
+        Number of the repetition; it draws its own variation and noise.
+    seed : int
+        Of the whole set.
+    pressure_pa : float
+        Declared pressure.
+    gravity : tuple of float
+        Direction of gravity in the world frame.
+    """
+
+    motion: Motion
+    payload_kg: float
+    trial: int
+    seed: int = 0
+    pressure_pa: float = STUDY_PRESSURE_PA
+    gravity: tuple[float, float, float] = DOWN
+
+    @property
+    def name(self) -> str:
+        """Name of the trial; conditions other than the study's are spelled out."""
+        m = self.motion
+        parts = [
+            f"dof{m.dof}",
+            f"payload{self.payload_kg:g}",
+            f"trial{self.trial}",
+            m.kind,
+            f"{math.degrees(m.amplitude_rad):.6g}deg",
+        ]
+        if m.dof == 2 and m.phase_2_rad:
+            parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
+        if m.period_s != STUDY_PERIOD_S:
+            parts.append(f"period{m.period_s:g}s")
+        if self.pressure_pa != STUDY_PRESSURE_PA:
+            parts.append(f"{self.pressure_pa:g}pa")
+        if self.gravity != DOWN:
+            parts.append("gravity" + ",".join(f"{g:g}" for g in self.gravity))
+        return "_".join(parts)
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers of this trial alone, whatever else runs and wherever."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])

@@ -1,0 +1,1 @@
+"""Shared parts of this room: effect names, kinematics, C compiler, HTML pages and charts."""

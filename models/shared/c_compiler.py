@@ -1,0 +1,110 @@
+"""Compile C to a shared library with the same compiler on every machine (`ziglang` from PyPI).
+
+The flags keep the arithmetic of the source: no contraction of a*b + c into one rounding, so that
+a compiled model equals the interpreted one (FACTS §5). Results are cached by content.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from firmware_py.errors import DropstitchError
+
+TARGET: Final = "x86_64-linux-gnu.2.17"
+"""Default platform: any Linux on x86-64 with glibc of 2012 or later."""
+
+CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
+"""Compiled libraries by hash of everything that went into them."""
+
+_FLAGS: Final = (
+    "-O2", "-std=c99", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
+    "-fno-sanitize=undefined", "-DCASADI_SYMBOL_EXPORT=", "-s", "-Wl,--build-id=none",
+)  # fmt: skip
+
+
+def compile_library(
+    sources: Sequence[Path],
+    output: Path,
+    *,
+    include: Sequence[Path] = (),
+    flags: Sequence[str] = (),
+    target: str = TARGET,
+) -> Path:
+    """Compile C sources into one shared library.
+
+    Only symbols that a source marks with default visibility are exported; CasADi's own are not,
+    unless `flags` defines CASADI_SYMBOL_EXPORT.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        C files.
+    output : Path
+        Library to write.
+    include : sequence of Path
+        Directories searched for headers.
+    flags : sequence of str
+        Further options, put after the defaults.
+    target : str
+        Zig's name of the platform.
+
+    Returns
+    -------
+    Path
+        `output`.
+
+    Raises
+    ------
+    DropstitchError
+        If the compiler refuses the sources; the message is the compiler's.
+    """
+    options = [*_FLAGS, *flags, "-target", target]
+    cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
+    if not cached.is_file():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
+            fresh = Path(scratch) / output.name
+            _compile(sources, fresh, include, options)
+            fresh.replace(cached)  # atomic: another process may build the same
+    output.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(cached, output)
+    return output
+
+
+def _compile(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> None:
+    command = [
+        sys.executable, "-m", "ziglang", "cc", *options,
+        *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, env=_environment(), check=False)
+    if done.returncode:
+        raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
+
+
+def _environment() -> dict[str, str]:
+    """Environment of the compiler: its own cache is a scratch one where there is no home."""
+    environment = dict(os.environ)
+    if not environment.get("HOME"):
+        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
+    return environment
+
+
+def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str]) -> str:
+    """Hash of sources, of every header in reach, of the options and of the compiler."""
+    digest = hashlib.sha256(importlib.metadata.version("ziglang").encode())
+    digest.update("\0".join(options).encode())
+    headers = sorted(h for directory in include for h in directory.glob("*.h"))
+    for path in (*sources, *headers):
+        digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:32]

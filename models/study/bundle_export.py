@@ -1,0 +1,226 @@
+"""From a study to a bundle: graphs behind a parity gate, manifest, golden ticks, model card."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import shutil
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import onnx
+
+from firmware_py.errors import DropstitchError, InputError
+from firmware_py.inference.bundle import MANIFEST, Manifest, Quantity, write_manifest
+from firmware_py.inference.estimator import LaggedEstimator
+from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
+from firmware_py.inference.predictor import OnnxPredictor
+from firmware_py.signals import feature_names, tip_names, unit_of
+from models.learning.lagged import LAG_TICKS
+from models.learning.onnx_power import to_onnx
+from models.learning.predictors import Array, GuardedPredictor, Polynomial
+from models.plant.plant import Plant
+from models.study.model_card import model_card
+from models.study.study import Study
+
+GATE_POINTS: Final = 10_000
+GATE_M: Final = 1e-9
+GOLDEN_TICKS: Final = 256
+LIBRARIES: Final = ("numpy", "scikit-learn", "skl2onnx", "onnx", "onnxruntime", "casadi")
+
+
+class ParityError(DropstitchError):
+    """The graph does not answer what scikit-learn does; nothing was written."""
+
+
+def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, Any]:
+    """Write the bundle of a study, whole or not at all.
+
+    The estimator that it names is the lagged one, until `python -m fmu build --unit observer`
+    adds the observer that the predictor was trained with. The same study gives the same bytes.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the bundle; one that stands there is replaced, anything else refused.
+    study : Study
+        Of one dof.
+    plant : Plant
+        Whose observer the study used; copied in as `plant.json`.
+
+    Returns
+    -------
+    dict
+        Largest differences at the parity gate: `tip_m`, `half_width_m`.
+
+    Raises
+    ------
+    InputError
+        If `directory` holds something that is no bundle.
+    ParityError
+        If the graph and scikit-learn differ by more than 1e-9 m in the training hull.
+    """
+    if directory.exists() and not (directory / MANIFEST).is_file() and _occupied(directory):
+        raise InputError(directory, "exists and is no bundle", "choose another --out")
+    scratch = directory.with_name(f".{directory.name}.partial")
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir(parents=True)
+    try:
+        parity = _fill(scratch, study, plant)
+        if directory.exists():
+            shutil.rmtree(directory)
+        scratch.rename(directory)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return parity
+
+
+def _occupied(path: Path) -> bool:
+    return not path.is_dir() or any(path.iterdir())
+
+
+def _fill(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
+    document, dof = study.document, study.document["dof"]
+    features = study.training.features("observer")
+    manifest = _manifest(study, plant)
+    facts = {
+        "features": _described(manifest.features),
+        "outputs": _described(manifest.outputs),
+        "in_range": "1 where every feature lies in its range, else 0 (also where one is NaN)",
+        "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
+        "dof": dof,
+        "degree": manifest.degree,
+        "period_s": manifest.period_s,
+        "training_data_sha256": manifest.training_data_sha256,
+    }
+    predictor_path, lagged_path = directory / "predictor.onnx", directory / "lagged.onnx"
+    onnx.save(to_onnx(study.predictor, features.shape[1], metadata=facts), predictor_path)
+    parity = check_parity(predictor_path, study.predictor, features, dof)
+    lag_facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": dof}
+    lagged = to_onnx(study.lagged.graph(), study.lagged.inputs, "lagged", lag_facts)
+    onnx.save(lagged, lagged_path)
+
+    plant.write(directory / "plant.json")
+    (directory / "study.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    heaviest = max(study.training.trials, key=lambda t: t.meta.payload_kg)
+    ticks = slice(0, heaviest.meta.rest_samples + GOLDEN_TICKS)
+    golden = record_golden(
+        LaggedEstimator(lagged_path, LAG_TICKS, dof),
+        OnnxPredictor(predictor_path, dof),
+        heaviest.angle_rad[ticks],
+        heaviest.current_a[ticks],
+        heaviest.step_s,
+    )
+    write_golden(directory / GOLDEN, golden)
+    (directory / "MODEL_CARD.md").write_text(model_card(manifest, document), encoding="utf-8")
+    write_manifest(directory, manifest)
+    return parity
+
+
+def check_parity(
+    path: Path, predictor: GuardedPredictor, features: Array, dof: int
+) -> dict[str, float]:
+    """Compare the graph with scikit-learn on 10,000 points of the training hull.
+
+    A point of the hull is a random convex combination of as many training rows as there are
+    features, and one more.
+
+    Returns
+    -------
+    dict
+        Largest absolute difference of `tip_m` and `half_width_m`, in m.
+
+    Raises
+    ------
+    ParityError
+        If one is above 1e-9 m, or `in_range` differs anywhere.
+    """
+    rng = np.random.default_rng(0)
+    corners = rng.integers(len(features), size=(GATE_POINTS, features.shape[1] + 1))
+    weights = rng.dirichlet(np.ones(corners.shape[1]), size=GATE_POINTS)
+    points = np.einsum("kc,kcn->kn", weights, features[corners])
+    graph = OnnxPredictor(path, dof)
+    tip_m, half_width_m = np.empty((GATE_POINTS, 3)), np.empty((GATE_POINTS, 3))
+    in_range = np.empty(GATE_POINTS, dtype=bool)
+    for k, point in enumerate(points):
+        answer = graph.predict(point[:dof], point[dof:-1], point[-1])
+        tip_m[k], half_width_m[k], in_range[k] = answer.tip_m, answer.half_width_m, answer.in_range
+    worst = {
+        "tip_m": float(np.abs(tip_m - predictor.predict(points)).max()),
+        "half_width_m": float(np.abs(half_width_m - predictor.half_width(points)).max()),
+    }
+    if max(worst.values()) > GATE_M or not np.array_equal(in_range, predictor.in_range(points)):
+        raise ParityError(
+            f"the graph differs from scikit-learn by {worst['tip_m']:.1e} m (tip) and "
+            f"{worst['half_width_m']:.1e} m (half width), more than {GATE_M:g} m: no bundle written"
+        )
+    return worst
+
+
+def _manifest(study: Study, plant: Plant) -> Manifest:
+    document, predictor = study.document, study.predictor
+    names = feature_names(document["dof"])
+    tips_m = study.training.tip_m
+    return Manifest(
+        dof=document["dof"],
+        period_s=document["training"]["step_s"],
+        degree=document["chosen_degree"],
+        estimator="lagged",
+        features=_quantities(names, predictor.lower, predictor.upper),
+        outputs=_quantities(tip_names(), tips_m.min(axis=0), tips_m.max(axis=0)),
+        lag_ticks=LAG_TICKS,
+        training_data_sha256=document["training"]["sha256"],
+        plant_sha256=plant.sha256(),
+        libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
+        metrics=_metrics(document),
+        coefficients=_coefficients(Polynomial.of(predictor.pipeline), names),
+        files={},
+    )
+
+
+def _quantities(names: tuple[str, ...], low: Array, high: Array) -> tuple[Quantity, ...]:
+    return tuple(
+        Quantity(name, unit_of(name) or "1", float(a), float(b))
+        for name, a, b in zip(names, low, high, strict=True)
+    )
+
+
+def _described(quantities: tuple[Quantity, ...]) -> list[dict[str, Any]]:
+    return [
+        {"name": q.name, "unit": q.unit, "minimum": q.minimum, "maximum": q.maximum}
+        for q in quantities
+    ]
+
+
+def _metrics(document: dict[str, Any]) -> dict[str, float]:
+    """Held-out figures of the deployed predictor, by test."""
+    degree = str(document["chosen_degree"])
+    metrics = {}
+    for name, table in document["mean_euclidean_distance_m"].items():
+        pooled = table["pooled"]
+        deployed = document["deployed"][name]
+        metrics[f"{name}_mean_euclidean_distance_m"] = deployed["mean_euclidean_distance_m"]
+        metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
+        metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
+        metrics[f"{name}_r2_di"] = document["estimators"][name]["observer"]["r2_di"]
+        metrics[f"{name}_interval_coverage"] = deployed["interval_coverage_mean"]
+    return metrics
+
+
+def _coefficients(polynomial: Polynomial, names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+    """β of the paper's equations 2 and 3 in SI units, by monomial."""
+    return {
+        monomial(exponents, names): tuple(float(v) for v in beta)
+        for exponents, beta in polynomial.in_si_units().items()
+    }
+
+
+def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
+    """Write a monomial: "1", "angle_1_rad^2 di"."""
+    factors = [
+        name if power == 1 else f"{name}^{power}"
+        for name, power in zip(names, exponents, strict=True)
+        if power
+    ]
+    return " ".join(factors) or "1"

@@ -1,0 +1,42 @@
+"""The plant observer over recorded trials: the same equations that the robot runs as a unit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from models.learning.predictors import Array
+from models.plant.simulation.compiled_model import CompiledModel, trial_inputs
+from models.plant.step_model import names
+from models.trials.trial import Trial
+
+
+class ObserverRun(NamedTuple):
+    """What the observer answers after each sample of a trial.
+
+    Attributes
+    ----------
+    di : ndarray, shape (n,)
+        Estimated Deformation Index.
+    tip_m : ndarray, shape (n, 3)
+        End effector by the plant alone: a baseline that needs no polynomial.
+    payload_kg : ndarray, shape (n,)
+        Estimated payload.
+    """
+
+    di: Array
+    tip_m: Array
+    payload_kg: Array
+
+
+def observe(observer: CompiledModel, trial: Trial) -> ObserverRun:
+    """Drive the observer with a trial's angles and currents, from its first row on.
+
+    Row k is the output after the step that ends at sample k, as on the robot; the rest rows are
+    part of the run, and the geometry is the plant's, not the trial's.
+    """
+    y = observer.simulate(trial_inputs(observer.model, trial), trial.step_s)[1:]
+    rows = dict(zip(names(observer.model.outputs), y.T, strict=True))
+    tip_m = np.column_stack([rows[f"tip_{axis}_m"] for axis in "xyz"])
+    return ObserverRun(rows["di"], tip_m, rows["payload_kg"])

@@ -1,0 +1,1 @@
+"""Trials: the file contract, the Deformation Index and the importers of other formats."""

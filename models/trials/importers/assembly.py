@@ -1,0 +1,176 @@
+"""From series on their own sample times to a trial with one uniform step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.signals import TIME, joint_signals, tip_names
+from models.trials.importers.mapping import MARKERS, Mapping
+from models.trials.importers.mocap_frame import align_to_rest, nominal_markers_m
+from models.trials.importers.series import Series, marker_columns, row_centre_m
+from models.trials.trial import Array, Trial
+from models.trials.trial_files import STEP_TOLERANCE, columns_of
+
+LONGEST_TIP_GAP_S: Final = 0.1
+"""An unseen tip is interpolated over at most this time; the motion is below 4 Hz."""
+REST_RANGE_RAD: Final = 1e-3
+REST_RANGE_M: Final = 3e-3
+
+
+def assemble(series: list[Series], mapping: Mapping, name: str) -> Trial:
+    """Resample all series over the time that they share and make a trial of them.
+
+    Angles, currents and positions are interpolated linearly, goals are held. A single series
+    that already has the step keeps its samples as they are. Without any motion capture the tip
+    and the markers stay empty.
+
+    Raises
+    ------
+    InputError
+        If a column of the contract is missing, or the series share no time.
+    """
+    where = series[0].path
+    source = {column: s for s in map(_with_tip, series) for column in s.columns}
+    needed = (
+        columns_of(mapping.dof, mapping.signals)[1:]
+        if mapping.signals
+        else joint_signals(mapping.dof)
+    )
+    _check_complete(where, list(source), [signal.name for signal in needed])
+    used = list({id(s): s for s in source.values()}.values())
+    grid_s = _grid_s(used, mapping.step_s)
+    columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
+    contract = [signal.name for signal in columns_of(mapping.dof, mapping.signals)[1:]]
+    goals = [n for n in (*contract, *source) if _is_goal(n, mapping)]
+    for column in dict.fromkeys([*contract, *source]):
+        if column not in source:
+            columns[column] = np.full(len(grid_s), np.nan)
+            continue
+        owner, hold = source[column], column in goals
+        columns[column] = resample(owner.time_s, owner.columns[column], grid_s, hold=hold)
+    for tip in (n for n in tip_names() if n in columns):
+        columns[tip] = _bridge(where, columns[tip], mapping.step_s)
+    for signal in needed:
+        if np.isnan(columns[signal.name]).any():
+            at_s = columns[TIME.name][np.isnan(columns[signal.name])][0]
+            raise InputError(
+                where, f"{signal.name} was not measured at {at_s:.3f} s", "cut the gap out"
+            )
+    still = _rest_rows(np.column_stack([columns[n] for n in goals]), REST_RANGE_RAD) if goals else 0
+    duration_s = float(grid_s[-1] - grid_s[0])
+    return Trial(name, mapping.meta(min(still, len(grid_s) - 1), duration_s), columns)
+
+
+def _is_goal(column: str, mapping: Mapping) -> bool:
+    """Whether a column is held from one sample to the next."""
+    if column in mapping.signals:
+        return mapping.signals[column].role == "goal"
+    return column.startswith("goal")
+
+
+def align(series: list[Series], mapping: Mapping) -> list[Series]:
+    """Lay the markers' rest pose on the upright link, where the map asks for it."""
+    if mapping.frame.align == "none":
+        return series
+    return [_aligned(s, mapping) if "m01_x_m" in s.columns else s for s in series]
+
+
+def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:
+    """Values at the times of a grid, linearly interpolated or held; NaN next to NaN.
+
+    A grid time that meets a sample gets that sample exactly, whatever stands beside it.
+    """
+    before = np.clip(np.searchsorted(time_s, grid_s, side="right") - 1, 0, len(time_s) - 2)
+    share = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])
+    if hold:
+        return np.asarray(np.where(share < 1, values[before], values[before + 1]))
+    mixed = values[before] + share * (values[before + 1] - values[before])
+    return np.select([share == 0, share == 1], [values[before], values[before + 1]], mixed)
+
+
+def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
+    for name in needed:
+        if name not in present:
+            extra = ", the angle's column if goals were not logged" if "goal" in name else ""
+            raise InputError(
+                where,
+                f"nothing holds {name}",
+                f"map it under [columns] or [topics] in MAP.toml{extra}, or merge it with --servo",
+            )
+
+
+def _with_tip(series: Series) -> Series:
+    """The series with the centre of the last row as tip, if it does not hold the tip itself."""
+    names = MARKERS[12:]
+    if "tip_x_m" in series.columns or not all(f"{n}_x_m" in series.columns for n in names):
+        return series
+    tip_m = row_centre_m(np.array([series.position_m(n) for n in names]))
+    return replace(series, columns=series.columns | marker_columns({"tip": tip_m}))
+
+
+def _grid_s(series: list[Series], step_s: float) -> Array:
+    if len(series) == 1:
+        steps = np.diff(series[0].time_s)
+        if np.all(np.abs(steps - step_s) <= STEP_TOLERANCE * step_s):
+            return series[0].time_s
+    start_s = max(s.time_s[0] for s in series)
+    end_s = min(s.time_s[-1] for s in series)
+    count = int(np.floor((end_s - start_s) / step_s + 1e-9)) + 1
+    if count < 3:
+        raise InputError(
+            series[0].path,
+            f"shares no time with {series[-1].path}"
+            if len(series) > 1
+            else f"lasts {end_s - start_s:.3g} s, less than three steps of {step_s} s",
+            "check the times, their units and --offset",
+        )
+    return np.asarray(np.minimum(start_s + step_s * np.arange(count), end_s))
+
+
+def _bridge(where: Path, values: Array, step_s: float) -> Array:
+    """Fill short gaps linearly; refuse long ones; an entirely empty column stays empty."""
+    seen = np.isfinite(values)
+    if seen.all() or not seen.any():
+        return values
+    rows = np.arange(len(values))
+    known = np.flatnonzero(seen)
+    gaps = np.diff(np.concatenate([[-1], known, [len(values)]])) - 1
+    if gaps.max() * step_s > LONGEST_TIP_GAP_S:
+        at_s = np.concatenate([[0], known])[int(np.argmax(gaps))] * step_s
+        raise InputError(
+            where,
+            f"the tip is unseen for {gaps.max() * step_s:.2f} s from {at_s:.2f} s on",
+            "cut the recording there or map a marker at the tip as 'tip'",
+        )
+    return np.asarray(np.interp(rows, known, values[known]))
+
+
+def _rest_rows(values: Array, limit: float) -> int:
+    """Leading rows that stay within `limit` of the first one in every column."""
+    moved = np.flatnonzero(np.any(np.abs(values - values[0]) > limit, axis=1))
+    return int(moved[0]) if len(moved) else len(values)
+
+
+def _aligned(series: Series, mapping: Mapping) -> Series:
+    names = [n for n in (*MARKERS, "tip") if f"{n}_x_m" in series.columns]
+    markers_m = {n: series.position_m(n) for n in names}
+    stacked = np.nan_to_num(np.concatenate([markers_m[n] for n in names], axis=1))
+    rest = max(_rest_rows(stacked, REST_RANGE_M), 1)
+    nominal = dict(zip(MARKERS, nominal_markers_m(mapping.meta(0)), strict=True))
+    pairs = [
+        (np.nanmean(markers_m[n][:rest], axis=0), nominal[n])
+        for n in names
+        if n in nominal and np.isfinite(markers_m[n][:rest]).any()
+    ]
+    if len(pairs) < 4:
+        raise InputError(
+            series.path, f"shows {len(pairs)} markers at rest", "align needs at least four"
+        )
+    rotation, shift_m = align_to_rest(*(np.array(side) for side in zip(*pairs, strict=True)))
+    moved = {n: position @ rotation.T + shift_m for n, position in markers_m.items()}
+    return replace(series, columns=series.columns | marker_columns(moved))

@@ -1,0 +1,71 @@
+"""C3D through ezc3d: points (markers) and, where the map names them, analog channels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.trials.importers.mapping import Mapping
+from models.trials.importers.mocap_frame import to_world
+from models.trials.importers.series import Series, factor_to_si, marker_columns
+
+_METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+
+def read(path: Path, mapping: Mapping) -> list[Series]:
+    """Markers of a C3D file in the world frame (z up unless the map says else), and analogs."""
+    import ezc3d  # only who imports a C3D pays for it
+
+    try:
+        file = ezc3d.c3d(str(path))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(path, f"is not C3D ({error})", "export it again") from None
+    return [_points(path, file, mapping), *_analogs(path, file, mapping)]
+
+
+def _value(file: Any, group: str, name: str) -> list[Any]:
+    return list(file["parameters"].get(group, {}).get(name, {"value": []})["value"])
+
+
+def _points(path: Path, file: Any, mapping: Mapping) -> Series:
+    unit = (_value(file, "POINT", "UNITS") or ["mm"])[0].strip().lower()
+    if unit not in _METRES:
+        raise InputError(path, f"POINT:UNITS is {unit!r}", "export in m or mm")
+    labels = [str(label).strip() for label in _value(file, "POINT", "LABELS")]
+    points_m = _METRES[unit] * np.asarray(file["data"]["points"][:3])  # (3, markers, n)
+    residuals = file["data"]["meta_points"]["residuals"][0]  # below zero: not reconstructed
+    markers_m = {}
+    for k, label in enumerate(labels):
+        ours = mapping.marker_of(label)
+        if ours:
+            markers_m[ours] = np.where(residuals[k] < 0, np.nan, points_m[:, k]).T
+    if not markers_m:
+        raise InputError(
+            path,
+            "holds none of the mapped markers; it has " + (", ".join(labels[:20]) or "none"),
+            "map them under [markers] in MAP.toml",
+        )
+    header = file["header"]["points"]
+    time_s = (header["first_frame"] + np.arange(points_m.shape[2])) / header["frame_rate"]
+    return Series(time_s, marker_columns(to_world(markers_m, mapping.frame, "z")), path)
+
+
+def _analogs(path: Path, file: Any, mapping: Mapping) -> list[Series]:
+    labels = [str(label).strip() for label in _value(file, "ANALOG", "LABELS")]
+    units = [str(unit).strip() for unit in _value(file, "ANALOG", "UNITS")]
+    channels = np.asarray(file["data"]["analogs"])[0]  # (channels, n)
+    columns = {}
+    for name, column in mapping.columns.items():
+        if column.source in labels:
+            k = labels.index(column.source)
+            unit = column.unit or (units[k] if k < len(units) else "")
+            factor = column.scale * factor_to_si(path, name, unit)
+            columns[name] = channels[k].astype(np.float64) * factor + column.offset
+    if not columns:
+        return []
+    rate_hz = file["header"]["analogs"]["frame_rate"]
+    start_s = file["header"]["points"]["first_frame"] / file["header"]["points"]["frame_rate"]
+    return [Series(start_s + np.arange(channels.shape[1]) / rate_hz, columns, path)]

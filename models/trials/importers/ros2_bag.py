@@ -1,0 +1,121 @@
+"""ROS 2 bags through rosbags, without ROS.
+
+The map's `[topics]` says what each topic is: `joints` (sensor_msgs/JointState: position and
+effort become angle and current), `goals` (JointState), `markers` (MarkerArray or PoseArray), or
+the name of one marker (`tip`, `m01` …; PointStamped, PoseStamped or TransformStamped). Joints
+keep the order of the message unless the map lists their names under `joints`. A message is dated
+by its header's stamp, or by the time it was recorded where it has none.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.trials.importers.mapping import MARKERS, Mapping
+from models.trials.importers.mocap_frame import to_world
+from models.trials.importers.series import Series, factor_to_si, marker_columns
+
+Samples = list[tuple[float, dict[str, Any]]]
+
+
+def read(path: Path, mapping: Mapping) -> list[Series]:
+    """Joint states, goals and markers of a bag; z points up unless the map says else."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    if not mapping.topics:
+        raise InputError(
+            mapping.path, "names no topics", 'add [topics] like "/joint_states" = "joints"'
+        )
+    samples: dict[str, Samples] = defaultdict(list)
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            known = {c.topic for c in bag.connections}
+            for topic in mapping.topics:
+                if topic not in known:
+                    raise InputError(
+                        path,
+                        f"topic {topic} is missing; it has " + ", ".join(sorted(known)),
+                        "correct [topics] in MAP.toml",
+                    )
+            chosen = [c for c in bag.connections if c.topic in mapping.topics]
+            for connection, recorded_ns, raw in bag.messages(connections=chosen):
+                message = bag.deserialize(raw, connection.msgtype)
+                values = _values(path, message, connection.topic, mapping)
+                samples[connection.topic].append((_stamp_s(message, recorded_ns), values))
+    except (AnyReaderError, OSError) as error:
+        raise InputError(
+            path, f"is no readable ROS 2 bag ({error})", "name its directory"
+        ) from None
+    return [_series(path, topic, rows, mapping) for topic, rows in samples.items()]
+
+
+def _stamp_s(message: Any, recorded_ns: int) -> float:
+    header = getattr(message, "header", None)
+    if header is None and getattr(message, "markers", None) is not None and len(message.markers):
+        header = message.markers[0].header
+    stamp_ns = header.stamp.sec * 10**9 + header.stamp.nanosec if header is not None else 0
+    return (stamp_ns or recorded_ns) * 1e-9
+
+
+def _values(path: Path, message: Any, topic: str, mapping: Mapping) -> dict[str, Any]:
+    """Scalars (joints) or positions (markers) of one message, by contract name."""
+    role = mapping.topics[topic]
+    if role in ("joints", "goals"):
+        return _joints(path, message, role, topic, mapping)
+    if role == "markers":
+        if hasattr(message, "markers"):
+            named = [(f"{m.ns}{m.id}", m.pose.position) for m in message.markers]
+            return {o: _xyz(p) for name, p in named if (o := mapping.marker_of(name))}
+        return {name: _xyz(p.position) for name, p in zip(MARKERS, message.poses, strict=False)}
+    for part in ("point", "pose", "transform"):
+        if hasattr(message, part) and role in (*MARKERS, "tip"):
+            inner = getattr(message, part)
+            return {role: _xyz(getattr(inner, "position", getattr(inner, "translation", inner)))}
+    raise InputError(
+        path,
+        f"topic {topic} ({type(message).__name__}) cannot be read as {role!r}",
+        "map it as joints, goals, markers, tip or m01 … m16",
+    )
+
+
+def _joints(path: Path, message: Any, role: str, topic: str, mapping: Mapping) -> dict[str, Any]:
+    order = list(mapping.joints) or list(message.name)
+    values: dict[str, Any] = {}
+    for j, name in enumerate(order[: mapping.dof], start=1):
+        if name not in message.name:
+            raise InputError(
+                path,
+                f"topic {topic} has no joint {name!r}, only " + ", ".join(message.name),
+                "correct 'joints' in MAP.toml",
+            )
+        k = list(message.name).index(name)
+        if role == "goals":
+            values[f"goal_{j}_rad"] = message.position[k]
+            continue
+        values[f"angle_{j}_rad"] = message.position[k]
+        current = f"current_{j}_a"
+        factor = factor_to_si(Path(mapping.path), current, mapping.effort_unit)
+        values[current] = message.effort[k] * factor if k < len(message.effort) else np.nan
+    return values
+
+
+def _xyz(position: Any) -> tuple[float, float, float]:
+    return (position.x, position.y, position.z)
+
+
+def _series(path: Path, topic: str, rows: Samples, mapping: Mapping) -> Series:
+    rows.sort(key=lambda row: row[0])
+    time_s = np.array([time for time, _ in rows])
+    names = sorted({name for _, values in rows for name in values})
+    if mapping.topics[topic] in ("joints", "goals"):
+        columns = {n: np.array([v.get(n, np.nan) for _, v in rows], float) for n in names}
+        return Series(time_s, columns, path)
+    unseen = (np.nan,) * 3
+    markers_m = {n: np.array([v.get(n, unseen) for _, v in rows], float) for n in names}
+    return Series(time_s, marker_columns(to_world(markers_m, mapping.frame, "z")), path)

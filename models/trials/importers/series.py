@@ -1,0 +1,109 @@
+"""What every importer returns: channels that were sampled together, by contract name, in SI."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.signals import unit_of
+from models.trials.trial import Array
+
+TO_SI: Final[dict[str, tuple[str, float]]] = {
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9),
+    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", math.pi / 180),
+    "turn": ("rad", 2 * math.pi), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180),
+    "rpm": ("rad/s", math.pi / 30), "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0),
+    "mV": ("V", 1e-3), "m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3),
+    "inch": ("m", 0.0254), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "kg": ("kg", 1.0),
+    "g": ("kg", 1e-3), "N": ("N", 1.0), "N.m": ("N.m", 1.0), "Pa": ("Pa", 1.0),
+    "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757), "degC": ("degC", 1.0),
+    "Hz": ("Hz", 1.0), "W": ("W", 1.0), "1": ("1", 1.0),
+}  # fmt: skip
+"""Unit as a map may write it -> SI unit of the contract, factor."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Channels that share their sample times.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Strictly increasing, on the clock of the file; steps may vary.
+    columns : dict of str to ndarray, shape (n,)
+        By contract name, in SI; NaN where nothing was measured.
+    path : Path
+        Where it comes from, for messages.
+    """
+
+    time_s: Array
+    columns: dict[str, Array]
+    path: Path
+
+    def __post_init__(self) -> None:
+        if len(self.time_s) < 3:
+            raise InputError(self.path, f"has {len(self.time_s)} samples", "record at least three")
+        if not np.all(np.isfinite(self.time_s)):
+            row = int(np.argmin(np.isfinite(self.time_s)))
+            raise InputError(self.path, f"sample {row + 1} has no time", "correct the time column")
+        back = np.flatnonzero(np.diff(self.time_s) <= 0)
+        if len(back):
+            raise InputError(
+                self.path,
+                f"time does not increase after sample {back[0] + 1} "
+                f"({self.time_s[back[0]]:.6g} s, then {self.time_s[back[0] + 1]:.6g} s)",
+                "sort the samples and drop doubled ones",
+            )
+
+    def position_m(self, name: str) -> Array:
+        """Position of a marker or the tip, shape (n, 3)."""
+        return np.column_stack([self.columns[f"{name}_{axis}_m"] for axis in "xyz"])
+
+
+def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
+    """Columns `m01_x_m` … of positions by contract name (`m01` … `m16`, `tip`), each (n, 3)."""
+    return {
+        f"{name}_{axis}_m": np.ascontiguousarray(position[:, k])
+        for name, position in markers_m.items()
+        for k, axis in enumerate("xyz")
+    }
+
+
+def row_centre_m(corners_m: Array) -> Array:
+    """Centre of a marker row, shape (n, 3), from its four corners, shape (4, n, 3).
+
+    Either diagonal has the centre as its middle, so two of the four markers can do; NaN where
+    neither diagonal is seen.
+    """
+    diagonals_m = np.array([corners_m[0] + corners_m[3], corners_m[1] + corners_m[2]]) / 2
+    seen = np.isfinite(diagonals_m)
+    total_m = np.where(seen, diagonals_m, 0.0).sum(axis=0)
+    count = seen.sum(axis=0)
+    return np.asarray(np.where(count > 0, total_m / np.maximum(count, 1), np.nan))
+
+
+def factor_to_si(where: Path, column: str, unit: str) -> float:
+    """Factor that takes values in `unit` to the SI unit in which `column` is declared.
+
+    Raises
+    ------
+    InputError
+        If the unit is unknown or measures another quantity.
+    """
+    declared = unit_of(column) or "1"
+    if unit not in TO_SI:
+        raise InputError(
+            where, f"{column}: unit {unit!r} is unknown", "choose from " + ", ".join(TO_SI)
+        )
+    si, factor = TO_SI[unit]
+    if si != declared:
+        alike = ", ".join(name for name, (other, _) in TO_SI.items() if other == declared)
+        raise InputError(
+            where, f"{column}: unit {unit!r} does not measure {declared}", f"give one of {alike}"
+        )
+    return factor

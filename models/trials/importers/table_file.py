@@ -1,0 +1,176 @@
+"""Tables: CSV, TSV, JSON and MATLAB files whose columns a map leads to the contract's names.
+
+`read_columns` knows files only: it returns whatever columns there are. What they mean is the
+map's business, so another plant's log needs another map and no other reader.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.signals import TIME, unit_of
+from models.trials.importers.mapping import Mapping
+from models.trials.importers.series import Series, factor_to_si
+from models.trials.trial import Array
+
+
+def read(path: Path, mapping: Mapping) -> list[Series]:
+    """Columns of a table under the contract's names, in SI.
+
+    A column that the map does not name is kept if its own name already is one of the contract's
+    kind (it ends in an SI suffix); the rest is left behind.
+    """
+    raw = read_columns(path)
+    columns = {
+        name: _numbers(path, name, cells)
+        for name, cells in raw.items()
+        if unit_of(name) is not None and name not in mapping.columns
+    }
+    for name, column in mapping.columns.items():
+        if column.source not in raw:
+            raise InputError(
+                path,
+                f"column {column.source!r} (mapped to {name}) is missing; it has "
+                + ", ".join(map(repr, list(raw)[:20])),
+                "correct 'from' in MAP.toml",
+            )
+        unit = column.unit or unit_of(column.source) or unit_of(name) or "1"
+        factor = column.scale * factor_to_si(Path(mapping.path), name, unit)
+        columns[name] = _numbers(path, column.source, raw[column.source]) * factor + column.offset
+    if TIME.name not in columns:
+        raise InputError(
+            path,
+            "no column is mapped to time_s; it has " + ", ".join(map(repr, list(raw)[:20])),
+            'add time_s = { from = "…", unit = "s" } under [columns] in MAP.toml',
+        )
+    return [Series(columns.pop(TIME.name), columns, path)]
+
+
+def read_facts(path: Path) -> dict[str, Any]:
+    """What stands once in a file beside its columns, by name: a gain, a mass, the motion's name.
+
+    Of a JSON object its strings and numbers, of a MATLAB file its 1 × 1 variables, else nothing.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        document = _json(path)
+        single = document.items() if isinstance(document, dict) else ()
+        return {name: value for name, value in single if isinstance(value, str | int | float)}
+    if suffix == ".mat":
+        return {n: np.ravel(v)[0].item() for n, v in _matlab(path).items() if np.size(v) == 1}
+    return {}
+
+
+def read_columns(path: Path) -> dict[str, Sequence[Any]]:
+    """Cells of a file by the names of its columns, each of length n.
+
+    JSON may be a list of records, an object of equally long lists, or an object in which one key
+    holds the list of records. Of a MATLAB file the vectors of the commonest length are taken.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as what its suffix says.
+    """
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".json":
+            columns = _json_columns(_json(path))
+        elif suffix == ".mat":
+            columns = _matlab_columns(path)
+        else:
+            columns = _text_columns(path)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(
+            path, f"cannot be read as {suffix or 'text'} ({error})", "export it again"
+        ) from None
+    if not columns:
+        raise InputError(path, "holds no columns", "export a header and one row per sample")
+    return columns
+
+
+def _text_columns(path: Path) -> dict[str, Sequence[Any]]:
+    text = path.read_text(encoding="utf-8-sig")
+    first = text.partition("\n")[0]
+    delimiter = max(",;\t", key=first.count)
+    rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if row]
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(rows[0]):
+            raise InputError(
+                path,
+                f"row {number} has {len(row)} cells, the header {len(rows[0])}",
+                "the file is truncated or damaged: export it again",
+            )
+    header, body = (rows[0], rows[1:]) if rows else ([], [])
+    return {name.strip(): [row[k] for row in body] for k, name in enumerate(header)}
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"cannot be read as .json ({error})", "export it again") from None
+
+
+def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
+    if isinstance(document, dict):
+        lists = {k: v for k, v in document.items() if isinstance(v, list) and v}
+        records = [v for v in lists.values() if isinstance(v[0], dict)]
+        if not records:
+            return _commonest_length(lists)
+        document = records[0]
+    if not isinstance(document, list) or not all(isinstance(r, dict) for r in document):
+        return {}
+    return {name: [record.get(name) for record in document] for name in (document or [{}])[0]}
+
+
+def _matlab(path: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        variables = loadmat(path)
+    except (MatReadError, NotImplementedError, ValueError, TypeError, OSError) as error:
+        raise InputError(
+            path, f"is not a MATLAB file up to version 7 ({error})", "save it with -v7"
+        ) from None
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
+
+
+def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
+    return _commonest_length(
+        {
+            name: np.asarray(value).ravel().tolist()
+            for name, value in _matlab(path).items()
+            if np.size(value) == max(np.shape(value), default=0) > 1
+        }
+    )
+
+
+def _commonest_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
+    lengths = [len(v) for v in columns.values()]
+    commonest = max(set(lengths), key=lambda n: (lengths.count(n), n), default=0)
+    return {k: v for k, v in columns.items() if len(v) == commonest}
+
+
+def _numbers(path: Path, name: str, cells: Sequence[Any]) -> Array:
+    """Cells as doubles; an empty one is NaN."""
+    numbers = np.empty(len(cells))
+    for i, cell in enumerate(cells):
+        try:
+            numbers[i] = np.nan if cell is None or cell == "" else float(cell)
+        except (TypeError, ValueError):
+            raise InputError(
+                path,
+                f"sample {i + 1}, column {name!r}: {cell!r} is not a number",
+                "correct the cell or leave it empty",
+            ) from None
+    return numbers

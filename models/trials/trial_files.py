@@ -1,0 +1,272 @@
+"""The trial file contract: `NAME.csv` (samples) beside `NAME.toml` (conditions).
+
+Row k holds angle, current and markers as sampled at `time_s`, and the goal that was sent just
+after that sample. The time step is uniform. An empty cell is an occluded marker (NaN); of a run
+without motion capture every marker and the tip are empty.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+import tomli_w
+
+from firmware_py.errors import InputError
+from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
+from models.trials.trial import OF_THE_LINK, SCHEMA, Array, SignalRole, Trial, TrialMeta, TrialSet
+
+__all__ = [
+    "Trial",
+    "TrialMeta",
+    "TrialSet",
+    "check_meta",
+    "read_trial",
+    "read_trials",
+    "write_trial",
+]
+
+STEP_TOLERANCE: Final = 1e-3
+"""Largest deviation of a time step from the mean, as a share of it, that counts as uniform."""
+
+_MARKER = re.compile(r"m\d\d_[xyz]_m")
+_META_RANGE: Final[dict[str, tuple[float, float]]] = {
+    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
+    "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
+    "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
+}  # fmt: skip
+_COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
+"""By suffix: the largest magnitude that is plausible, and the unit that a larger one betrays."""
+
+
+Signals = Mapping[str, SignalRole]
+"""Signals of a plant by name; empty for the link, whose columns are the contract's own."""
+
+
+def read_trials(directory: Path | str, signals: Signals | None = None) -> TrialSet:
+    """Read every trial of a directory.
+
+    Parameters
+    ----------
+    directory : Path or str
+        Where they lie.
+    signals : mapping of str to SignalRole, optional
+        What the plant's file declares, where its trials are not the link's.
+
+    Raises
+    ------
+    InputError
+        If the directory is missing or holds no trial, or a trial cannot be used.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        raise InputError(directory, "is not a directory", "name a directory of trials")
+    paths = sorted(directory.glob("*.csv"))
+    if not paths:
+        raise InputError(
+            directory, "holds no trial", "write some with 'python -m models simulate --out DIR'"
+        )
+    return TrialSet(tuple(read_trial(path, signals) for path in paths))
+
+
+def read_trial(path: Path | str, signals: Signals | None = None) -> Trial:
+    """Read one trial.
+
+    Parameters
+    ----------
+    path : Path or str
+        The CSV file; the TOML file of the same name must lie beside it.
+    signals : mapping of str to SignalRole, optional
+        As for `read_trials`.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or truncated, a key, column or unit is wrong, a value is not a
+        finite number where one is required, or the time step is not uniform.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "is missing", "name an existing trial")
+    meta = _read_meta(path.with_suffix(".toml"), signals)
+    columns = _read_columns(
+        path, columns_of(meta.dof, signals), {s.name for s in tick_signals(meta.dof)}
+    )
+    trial = Trial(path.stem, meta, columns, path)
+    _check_time(trial)
+    if not 0 <= meta.rest_samples < len(trial):
+        raise InputError(
+            path.with_suffix(".toml"),
+            f"rest_samples is {meta.rest_samples}, the trial has {len(trial)} rows",
+            "set rest_samples to the number of leading rows at rest",
+        )
+    return trial
+
+
+def write_trial(trial: Trial, directory: Path | str) -> Path:
+    """Write a trial so that `read_trial` returns the same bits; returns the CSV's path."""
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / f"{trial.name}.csv"
+    names = list(trial.columns)
+    samples = trial.stack(*names)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        for row in samples:
+            writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
+    path.with_suffix(".toml").write_text(tomli_w.dumps(trial.meta.document()), encoding="utf-8")
+    return path
+
+
+def columns_of(dof: int, signals: Signals | None) -> tuple[Signal, ...]:
+    """Columns that a trial must have: the contract's, or those that a plant's file declares."""
+    if not signals:
+        return trial_signals(dof)
+    rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
+    return (TIME, *rows)
+
+
+def check_meta(
+    document: Mapping[str, object], where: Path, signals: Signals | None = None
+) -> TrialMeta:
+    """Conditions from a decoded TOML table.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown, missing or of the wrong type, or a value is out of range.
+    """
+    needed = () if signals else OF_THE_LINK
+    conditions: Any = document.get("conditions", {})
+    for key in needed:
+        if key not in document:
+            raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
+    for name, signal in (signals or {}).items():
+        if signal.role == "condition" and name not in conditions:
+            raise InputError(
+                where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
+            )
+    try:
+        meta = msgspec.convert(document, TrialMeta)
+    except msgspec.ValidationError as error:
+        raise InputError(where, str(error), "see docs/trials.md for its form") from None
+    for key in (k for k in _META_RANGE if k in needed or k not in OF_THE_LINK):
+        low, high = _META_RANGE[key]
+        value = getattr(meta, key)
+        if not low <= value <= high:
+            raise InputError(
+                where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
+            )
+    return meta
+
+
+def _read_meta(path: Path, signals: Signals | None) -> TrialMeta:
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(path, "is missing", "write the conditions beside the CSV") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+    if document.get("schema") != SCHEMA:
+        raise InputError(
+            path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"
+        )
+    return check_meta(document, path, signals)
+
+
+def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
+    """Columns by name; `signals` must be there, `known` may be without a unit suffix."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
+    while rows and not rows[-1]:  # blank lines at the end are no samples
+        rows.pop()
+    if len(rows) < 4:
+        raise InputError(path, f"has {max(len(rows) - 1, 0)} rows", "give at least three")
+    header, body = rows[0], rows[1:]
+    required = [s.name for s in signals]
+    _check_header(path, header, required, known)
+    samples = np.full((len(body), len(header)), np.nan)
+    optional = _optional(header, body, required)
+    for i, row in enumerate(body):
+        if len(row) != len(header):
+            raise InputError(
+                path, f"row {i + 2} has {len(row)} cells, the header {len(header)}",
+                "the file is truncated or damaged: export it again",
+            )  # fmt: skip
+        for k, cell in enumerate(row):
+            if cell == "" and header[k] in optional:
+                continue
+            try:
+                samples[i, k] = float(cell)
+            except ValueError:
+                samples[i, k] = np.nan
+            if not np.isfinite(samples[i, k]):
+                raise InputError(
+                    path, f"row {i + 2}, column {header[k]}: {cell!r} is not a finite number",
+                    "correct the cell (only a marker may be empty, where it was occluded)",
+                )  # fmt: skip
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
+    for name in required:
+        _check_magnitude(path, name, columns[name])
+    return columns
+
+
+def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
+    for name in required:
+        if name not in header:
+            raise InputError(path, f"column {name} is missing", _column_remedy(name, header))
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(path, f"column {name!r} stands twice", "remove one of the two")
+        if name not in required and name not in known and unit_of(name) is None:
+            raise InputError(
+                path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
+            )
+
+
+def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
+    """Columns whose cells may be empty; the tip's only where nothing at all saw it."""
+    names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
+    tip = [header.index(name) for name in tip_names() if name in header]
+    unseen = not any(row[k] for row in body for k in tip if k < len(row))
+    return names | set(tip_names()) if unseen else names
+
+
+def _column_remedy(name: str, header: Sequence[str]) -> str:
+    stem = name.rsplit("_", 1)[0]
+    alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
+    if alike:
+        return f"convert column {alike[0]!r} to the SI unit and call it {name}"
+    return "add it, or use 'python -m models import' to map your columns"
+
+
+def _check_magnitude(path: Path, name: str, column: Array) -> None:
+    limit, suspect = _COLUMN_RANGE.get(name.rsplit("_", 1)[1], (np.inf, ""))
+    beyond = np.flatnonzero(np.abs(column) > limit)
+    if len(beyond):
+        raise InputError(
+            path, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not plausible",
+            f"convert it if it is in {suspect}",
+        )  # fmt: skip
+
+
+def _check_time(trial: Trial) -> None:
+    steps = np.diff(trial.time_s)
+    mean = trial.step_s
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
+        raise InputError(
+            trial.path,
+            f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
+            "resample to a uniform step with 'python -m models import --as table'",
+        )

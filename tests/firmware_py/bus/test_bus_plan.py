@@ -1,0 +1,160 @@
+"""The wire's budget against published times, and the choice that the servos' answers leave."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_py.bus.bus_plan import available_s, plain, plans, require_any, require_time
+from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.loopback import LoopbackTransport
+from firmware_py.bus.registers import LEGACY_PRO, PRO_P, X_SERIES, Register
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.errors import InputError
+from firmware_py.realtime.clock import SimClock
+
+LEGACY, PRO_A, XM = 54024, 54025, 1020
+
+
+@pytest.mark.parametrize(
+    # FACTS, section 2: sync read and sync write, A/P block, default return delay of 500 µs.
+    ("baud", "published_ms"),
+    [
+        (57_600, (10.05, 15.24, 25.6)),
+        (1_000_000, (1.05, 1.82, 3.36)),
+        (3_000_000, (0.68, 1.27, 2.45)),
+        (4_000_000, (0.64, 1.21, 2.34)),
+    ],
+)
+def test_the_plain_plan_takes_the_published_time(baud, published_ms):
+    calculated_ms = [plain(plans(PRO_P, n, baud)).total_s * 1e3 for n in (1, 2, 4)]
+    assert calculated_ms == pytest.approx(published_ms, rel=5e-3)
+
+
+def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
+    words = r"robot\.toml: 4 servos at 57,600 baud need 25\.6 ms .*use ≥ 1 Mbaud"
+    with pytest.raises(InputError, match=words):
+        require_any(plans(PRO_P, 4, 57_600), available_s(0.017, 0.008), "robot.toml")
+
+
+@given(
+    table=st.sampled_from([LEGACY_PRO, PRO_P, X_SERIES]),
+    servos=st.integers(1, 20),
+    baud=st.sampled_from([57_600, 1_000_000, 4_000_000]),
+    delay_s=st.floats(0.0, 508e-6),
+)
+def test_the_first_plan_is_the_fastest_and_the_plain_one_is_always_there(
+    table, servos, baud, delay_s
+):
+    found = plans(table, servos, baud, delay_s)
+    assert found[0].total_s == min(plan.total_s for plan in found)
+    assert plain(found).block == table.feedback
+    if servos == 1 or not table.fast_sync_read:  # a common packet saves nothing for one
+        assert not found[0].fast
+    elif delay_s > 100e-6:
+        assert found[0].fast
+    for plan in found:  # indirect addresses in RAM would show zeros after a reboot
+        assert not plan.indirect or table.indirect.address < table.ram_start
+
+
+@given(baud=st.sampled_from([57_600, 115_200, 1_000_000]), budget_s=st.floats(1e-4, 0.03))
+def test_a_rate_that_the_refusal_names_is_enough(baud, budget_s):
+    plan = plain(plans(PRO_P, 3, baud))
+    try:
+        require_time(plan, budget_s, "robot.toml")
+    except InputError as refusal:
+        assert plan.total_s > budget_s
+        if "Mbaud" in refusal.remedy:
+            rate = float(refusal.remedy.split("≥ ")[1].split(" Mbaud")[0]) * 1e6
+            assert plan._replace(baud=int(rate)).total_s <= budget_s
+    else:
+        assert plan.total_s <= budget_s
+
+
+class PickyWire(LoopbackTransport):
+    """Servos that do not know one instruction, or refuse to be written in one place."""
+
+    def __init__(self, models, clock, deaf_to=None, locked=None):
+        super().__init__(models)
+        self.clock, self.deaf_to, self.locked = clock, deaf_to, locked
+
+    def _execute(self, packet):
+        address = packet[8] | packet[9] << 8
+        if packet[7] != self.deaf_to and not (packet[7] == 3 and address == self.locked):
+            super()._execute(packet)
+
+    def read(self, size, deadline_ns):
+        data = super().read(size, deadline_ns)
+        if size and not data:
+            self.clock.sleep_until(deadline_ns)
+        return data
+
+
+def connect(number, servos, **traits):
+    clock, models = SimClock(), {k: MODELS[number] for k in range(1, servos + 1)}
+    wire = PickyWire(models, clock, **traits)
+    setups = [ServoSetup(k, model, -0.6, 0.6) for k, model in models.items()]
+    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    bus.connect()
+    return bus, wire, clock
+
+
+@pytest.mark.parametrize(
+    ("number", "servos", "traits", "name"),
+    [
+        (LEGACY, 1, {}, "sync read, indirect"),
+        (LEGACY, 2, {}, "sync read, indirect"),
+        (LEGACY, 2, {"locked": 49}, "sync read"),
+        (PRO_A, 1, {}, "sync read, indirect"),
+        (PRO_A, 2, {}, "fast sync read, indirect"),
+        (PRO_A, 2, {"deaf_to": 0x8A}, "sync read, indirect"),
+        (PRO_A, 2, {"locked": 168}, "fast sync read"),
+        (PRO_A, 2, {"locked": 168, "deaf_to": 0x8A}, "sync read"),
+        (XM, 1, {}, "sync read"),
+        (XM, 2, {}, "fast sync read"),
+        (XM, 2, {"deaf_to": 0x8A}, "sync read"),
+    ],
+)
+def test_the_fastest_plan_that_the_servos_answer_is_used(number, servos, traits, name):
+    bus, wire, clock = connect(number, servos, **traits)
+    assert bus.plan.name == name
+    for servo in range(1, servos + 1):
+        wire.put(servo, Register.PRESENT_POSITION, 1000 * servo)
+        wire.put(servo, Register.PRESENT_CURRENT, -7 * servo)
+    assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.OK
+    model = MODELS[number]
+    joints = np.arange(1, servos + 1)
+    assert bus.angle_rad == pytest.approx([model.angle_rad(1000 * j) for j in joints])
+    assert bus.current_a == pytest.approx([model.current_a(-7 * j) for j in joints])
+
+
+def test_indirect_addresses_that_are_right_are_not_written_again():
+    _, wire, clock = connect(PRO_A, 2)
+    writes = []
+    store = wire._store
+    wire._store = lambda id_, address, data: (writes.append(address), store(id_, address, data))
+    setups = [ServoSetup(k, MODELS[PRO_A], -0.6, 0.6) for k in (1, 2)]
+    DynamixelBus(wire, setups, clock, period_s=0.017).connect()
+    assert 168 not in writes
+
+
+@pytest.mark.parametrize("block", [0, 1])
+def test_a_refusal_or_alert_inside_the_common_packet_is_seen(block):
+    bus, wire, clock = connect(PRO_A, 2)
+
+    def tampered(error):
+        def read(size, deadline_ns):
+            data = list(LoopbackTransport.read(wire, size, deadline_ns))
+            if data and data[4] == 254:
+                data[8 + block * (len(data) - 8) // 2] = error
+                crc = wire._packets.updateCRC(0, data, len(data) - 2)
+                data[-2:] = [crc & 0xFF, crc >> 8]
+            return bytes(data)
+
+        return read
+
+    wire.read = tampered(7)
+    assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.REFUSED
+    wire.read = tampered(0x80)
+    assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.ALERT

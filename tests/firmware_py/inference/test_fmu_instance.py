@@ -1,0 +1,197 @@
+"""The robot's stepper against FMPy on the same unit, and what it refuses."""
+
+import platform
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.signals import PERIOD_S
+from fmu.fmpy_instance import Archive
+from fmu.fmu_builder import build_unit
+from fmu.parity import varying_steps_s
+from models.plant.step_model import names
+from tests.fmu.toy import pendulum
+
+INPUTS = ["torque_nm", "payload_kg"]
+OUTPUTS = ["tip_x_m", "tip_z_m", "torque_filtered_nm", "steps", "mass_kg", "time"]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return build_unit(pendulum(), tmp_path_factory.mktemp("unit") / "pendulum.fmu")
+
+
+@pytest.fixture
+def unit(path):
+    with FmuInstance(path) as unit:
+        yield unit
+
+
+def _inputs(count):
+    return np.column_stack([np.sin(0.1 * np.arange(count)), np.full(count, 0.7)])
+
+
+def test_steps_equal_fmpys_bit_by_bit(unit, path):
+    u, steps_s = _inputs(120), varying_steps_s(120)
+    with Archive(path) as archive, archive.instance() as instance:
+        expected = instance.run(INPUTS, u, steps_s, OUTPUTS)
+    inputs, outputs = unit.channel(INPUTS), unit.channel(OUTPUTS)
+    for k, step_s in enumerate(steps_s):
+        inputs.values[:] = u[k]
+        inputs.send()
+        unit.step(step_s)
+        outputs.receive()
+        np.testing.assert_array_equal(outputs.values, expected[k + 1])
+    assert unit.time_s == expected[-1, -1]
+
+
+def test_what_is_set_before_the_first_step_shapes_the_first_state(unit):
+    unit.set(["parameters.rest_rad", "parameters.length_m"], [0.5, 1.0])
+    unit.set(["payload_kg"], [0.0])
+    assert unit.get(["tip_x_m"])[0] == pytest.approx(np.sin(0.5), abs=1e-12)
+
+
+def test_a_truth_is_read_as_one_or_zero(unit):
+    unit.set(["parameters.rest_rad"], [0.1])
+    assert unit.get(["in_range", "parameters.rest_rad"]).tolist() == [1.0, 0.1]
+    unit.set(["parameters.rest_rad"], [1.5])
+    assert unit.get(["in_range"])[0] == 0.0
+
+
+def test_reset_begins_anew(unit):
+    def run():
+        unit.set(INPUTS, [1.0, 0.2])
+        for _ in range(25):
+            unit.step(PERIOD_S)
+        return unit.get(OUTPUTS)
+
+    first = run()
+    unit.reset()
+    assert unit.time_s == 0.0
+    np.testing.assert_array_equal(run(), first)
+
+
+def test_the_description_is_read(unit):
+    model = pendulum()
+    length = unit.variables["parameters.length_m"]
+    assert (length.unit, length.causality, length.start) == ("m", "parameter", 0.8)
+    assert [n for n, v in unit.variables.items() if v.causality == "output"] == names(model.outputs)
+
+
+def test_a_refused_call_tells_why_and_the_unit_goes_on(unit):
+    with pytest.raises(FmuRefusal, match=r"torque_nm .* not a finite number"):
+        unit.set(["torque_nm"], [np.nan])
+    with pytest.raises(FmuRefusal, match="length_m = 9 lies outside"):
+        unit.set(["parameters.length_m"], [9.0])
+    with pytest.raises(FmuRefusal, match="step of 0 s"):
+        unit.step(0.0)
+    unit.step(PERIOD_S)
+
+
+def test_unknown_names_are_refused(unit):
+    with pytest.raises(InputError, match="no variable torque_2_nm"):
+        unit.channel(["torque_2_nm"])
+    with pytest.raises(InputError, match="in_range is no Float64"):
+        unit.channel(["in_range"])
+
+
+def test_a_tick_allocates_nothing_that_stays(unit):
+    inputs, outputs = unit.channel(INPUTS), unit.channel(["tip_x_m", "steps"])
+
+    def ticks(count):
+        for _ in range(count):
+            inputs.values[0] = 0.5
+            inputs.send()
+            unit.step(PERIOD_S)
+            outputs.receive()
+
+    ticks(50)
+    tracemalloc.start()
+    ticks(50)
+    before = tracemalloc.get_traced_memory()[0]
+    ticks(500)
+    after = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert after - before < 500  # bytes: less than one a tick
+
+
+def _changed(source, target, change):
+    with zipfile.ZipFile(source) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    change(files)
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return target
+
+
+def _edit(old, new):
+    def change(files):
+        files["modelDescription.xml"] = files["modelDescription.xml"].replace(old, new)
+
+    return change
+
+
+def _no_elf(files):
+    files[next(n for n in files if n.endswith(".so"))] = b"no library"
+
+
+def _lacking(files):
+    name = next(n for n in files if n.endswith(".so"))
+    files[name] = files[name].replace(b"fmi3DoStep\0", b"fmi3DoStop\0")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (_edit(b'fmiVersion="3.0"', b'fmiVersion="2.0"'), "is of FMI 2.0"),
+        (_edit(b'instantiationToken="{', b'instantiationToken="{0'), "token is of another unit"),
+        (_edit(b"<CoSimulation", b"<ModelExchange"), "not for Co-Simulation"),
+        (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMI unit"),
+        (lambda files: files.pop("modelDescription.xml"), "is no FMI unit"),
+        (lambda files: files.update({"../../evil.so": b""}), "outside itself"),
+        (_edit(b'valueReference="1"', b'valueReference="one"'), "is no FMI unit"),
+        (_no_elf, "does not load"),
+        (_lacking, "lacks fmi3DoStep"),
+    ],
+)
+def test_a_damaged_unit_is_refused(path, tmp_path, change, sentence):
+    with pytest.raises(InputError, match=sentence):
+        FmuInstance(_changed(path, tmp_path / "bad.fmu", change))
+
+
+def test_a_missing_file_and_a_truncated_one_are_refused(path, tmp_path):
+    with pytest.raises(InputError, match="is missing"):
+        FmuInstance(tmp_path / "none.fmu")
+    (tmp_path / "half.fmu").write_bytes(path.read_bytes()[:4000])
+    with pytest.raises(InputError, match="is no FMI unit"):
+        FmuInstance(tmp_path / "half.fmu")
+
+
+def test_a_flipped_byte_is_refused(path, tmp_path):
+    """In the compressed description, so that it is found on reading and not by luck."""
+    with zipfile.ZipFile(path) as archive:
+        entry = archive.getinfo("modelDescription.xml")
+    data = bytearray(path.read_bytes())
+    data[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF
+    (tmp_path / "flipped.fmu").write_bytes(data)
+    with pytest.raises(InputError, match="is no FMI unit"):
+        FmuInstance(tmp_path / "flipped.fmu")
+
+
+def test_a_machine_without_a_binary_is_named(path, monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(InputError, match=r"no binary for riscv64-linux, only for x86_64-linux"):
+        FmuInstance(path)
+
+
+def test_nothing_is_left_behind(path, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    with FmuInstance(path) as unit:
+        assert list(tmp_path.iterdir()) == []
+        unit.step(PERIOD_S)

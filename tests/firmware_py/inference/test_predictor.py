@@ -1,0 +1,114 @@
+"""The predictor and the lagged estimator on the robot, against where they were trained."""
+
+import gc
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.estimator import LaggedEstimator, NoEstimator, load_estimator
+from firmware_py.inference.predictor import OnnxPredictor
+
+
+@pytest.fixture
+def predictor(toy_bundle):
+    return OnnxPredictor(toy_bundle / "predictor.onnx", 1)
+
+
+def test_answers_what_the_training_room_would(predictor, toy_study):
+    rows = toy_study.training.features("observer")[::50]
+    for row in rows:
+        answer = predictor.predict(row[:1], row[1:2], row[2])
+        expected = toy_study.predictor.predict(row[None])[0]
+        np.testing.assert_allclose(answer.tip_m, expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            answer.half_width_m, toy_study.predictor.half_width(row[None])[0], rtol=0, atol=1e-9
+        )
+        assert answer.in_range is True
+
+
+def test_range_ends_at_the_bounds_that_the_manifest_names(predictor, toy_bundle):
+    features = read_manifest(toy_bundle).features
+    low, high = (np.array([getattr(q, end) for q in features]) for end in ("minimum", "maximum"))
+
+    def ask(row):
+        return predictor.predict(row[:1], row[1:2], row[2])
+
+    assert ask(low).in_range and ask(high).in_range and ask((low + high) / 2).in_range
+    for i in range(3):
+        for bound, away in ((low, -np.inf), (high, np.inf)):
+            outside = bound.copy()
+            outside[i] = np.nextafter(bound[i], away)
+            assert not ask(outside).in_range
+            at = ask(bound).tip_m.copy()
+            outside[i] += np.sign(away)
+            np.testing.assert_array_equal(ask(outside).tip_m, at)  # clipped
+        missing = (low + high) / 2
+        missing[i] = np.nan
+        answer = ask(missing)
+        assert not answer.in_range
+        assert np.isnan(answer.half_width_m).all()
+
+
+def test_a_tick_leaves_nothing_allocated(predictor):
+    angle_rad, current_a = np.array([0.1]), np.array([0.4])
+    answer = predictor.predict(angle_rad, current_a, 0.002)
+    tracemalloc.start()
+    try:
+        sizes = []
+        for _ in range(6):
+            for _ in range(500):
+                predictor.predict(angle_rad, current_a, 0.002)
+            gc.collect()
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    # The interpreter's pools grow now and then; what leaks grows every time.
+    assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
+    assert predictor.predict(angle_rad, current_a, 0.002) is answer
+
+
+@pytest.mark.parametrize("content", [b"", b"not a graph", None])
+def test_a_damaged_graph_is_named(tmp_path, toy_bundle, content):
+    path = tmp_path / "predictor.onnx"
+    whole = (toy_bundle / "predictor.onnx").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    with pytest.raises(InputError, match=r"predictor\.onnx"):
+        OnnxPredictor(path, 1)
+
+
+def test_a_missing_graph_and_a_graph_of_another_robot_are_named(toy_bundle, tmp_path):
+    with pytest.raises(InputError, match="missing"):
+        OnnxPredictor(tmp_path / "predictor.onnx", 1)
+    with pytest.raises(InputError, match="inputs and outputs"):
+        OnnxPredictor(toy_bundle / "predictor.onnx", 2)
+    with pytest.raises(InputError, match="inputs and outputs"):
+        OnnxPredictor(toy_bundle / "lagged.onnx", 1)
+
+
+def test_lagged_estimator_runs_like_the_regression_over_the_whole_trial(
+    toy_bundle, toy_study, toy_trials
+):
+    manifest = read_manifest(toy_bundle)
+    estimator = LaggedEstimator(toy_bundle / "lagged.onnx", manifest.lag_ticks, manifest.dof)
+    for trial in toy_trials(1)[:2]:  # the second run must not remember the first
+        estimator.reset()
+        estimates = [
+            estimator.update(angle_rad, current_a, 0.017)
+            for angle_rad, current_a in zip(trial.angle_rad, trial.current_a, strict=True)
+        ]
+        expected = toy_study.lagged.estimate(trial)
+        np.testing.assert_allclose([e.di for e in estimates], expected, rtol=0, atol=1e-9)
+        assert all(math.isnan(e.payload_kg) for e in estimates)
+
+
+def test_estimators_are_loaded_by_name(toy_bundle):
+    assert isinstance(load_estimator("lagged", toy_bundle, 1, (0, 4, 8, 16)), LaggedEstimator)
+    none = load_estimator("none", toy_bundle, 1, ())
+    assert isinstance(none, NoEstimator)
+    assert none.update(np.zeros(1), np.zeros(1), 0.017).di == 0.0
+    with pytest.raises(InputError, match="crystal ball"):
+        load_estimator("crystal ball", toy_bundle, 1, ())

@@ -1,0 +1,259 @@
+"""From the loop's socket to a file and back, with the recorder slow, dead or cut off."""
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from firmware_py.errors import InputError
+from firmware_py.log.recorder import recording
+from firmware_py.log.recording import read_recording, tick_schema
+from firmware_py.log.sinks import McapSink, TickEncoder
+from firmware_py.log.telemetry import SocketTelemetry
+from firmware_py.signals import PERIOD_S, tick_dtype, tick_signals
+
+ROOT = Path(__file__).parents[3]
+PR_SET_CHILD_SUBREAPER = 36
+MAGIC, CHUNK = b"\x89MCAP0\r\n", 6
+
+
+def ticks(count, dof=2):
+    """Records with every bit pattern that a log must keep, from a fixed seed."""
+    rng = np.random.default_rng(7)
+    records = np.zeros(count, tick_dtype(dof))
+    for name in records.dtype.names:
+        if records.dtype[name].kind == "i":
+            records[name] = rng.integers(-(2**62), 2**62, count)
+        else:
+            records[name] = rng.standard_normal(count) * 10.0 ** rng.integers(-12, 6, count)
+    records["time_s"] = 0.017 * np.arange(count)
+    records["payload_kg"][::3] = np.nan
+    records["di"][1::3], records["di"][2::3] = np.inf, -np.inf
+    records["current_1_a"][::2] = -0.0
+    return records
+
+
+def put_all(telemetry, records):
+    """Hand over every record, waiting where the recorder is behind."""
+    telemetry._send.__self__.settimeout(60)
+    for record in records:
+        telemetry.put(memoryview(record.tobytes()))
+
+
+def write(path, records, dof=2, metadata=None):
+    encode = TickEncoder(dof, 10**18)
+    sink = McapSink(str(path), dof, {"dof": str(dof)} | (metadata or {}))
+    for record in records:
+        sink.write(*encode(record.tobytes()))
+    sink.finish()
+
+
+def assert_same(columns, records):
+    for name in records.dtype.names:
+        assert columns[name].dtype == records[name].dtype, name
+        assert np.array_equal(columns[name], records[name], equal_nan=True), name
+        assert np.array_equal(np.signbit(columns[name]), np.signbit(records[name])), name
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_what_the_loop_sends_is_read_back_to_the_bit(tmp_path, dof):
+    records, path = ticks(300, dof), tmp_path / "new" / "run.mcap"
+    with recording(path, dof, 10**18, {"config": "{}"}) as telemetry:
+        put_all(telemetry, records)
+    log = read_recording(path)
+    assert log.complete
+    assert log.metadata == {"dof": str(dof), "config": "{}"}
+    assert_same(log.columns, records)
+    assert telemetry.drops == 0
+
+
+def test_the_file_declares_every_column_with_its_unit(tmp_path):
+    from mcap.reader import make_reader
+
+    write(tmp_path / "run.mcap", ticks(3))
+    with open(tmp_path / "run.mcap", "rb") as stream:
+        (schema, channel, message), *_ = make_reader(stream).iter_messages()
+    assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+    properties = json.loads(schema.data)["properties"]
+    assert list(properties) == [s.name for s in tick_signals(2)] == list(json.loads(message.data))
+    assert properties["angle_1_rad"]["unit"] == "rad"
+    assert json.loads(schema.data) == tick_schema(2)
+
+
+class Whole:
+    """A log of several chunks: its ticks, its bytes, and where each chunk ends with how many."""
+
+    def __init__(self, records, data, ends):
+        self.records, self.data, self.ends = records, data, ends
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    records = ticks(200)
+    write(path, records)
+    data, ends, position = path.read_bytes(), [], len(MAGIC)
+    while position < len(data) - len(MAGIC):  # by the MCAP specification: opcode, length, content
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        position += 9 + length
+        if opcode == CHUNK:
+            ends.append(position)
+    with path.open("rb") as stream:
+        chunks = [c for c in StreamReader(stream, emit_chunks=True).records if isinstance(c, Chunk)]
+    counts = [sum(isinstance(r, Message) for r in breakup_chunk(chunk)) for chunk in chunks]
+    assert len(ends) == len(counts) > 3
+    assert sum(counts) == len(records)
+    return Whole(records, data, [*zip(ends, np.cumsum(counts).tolist(), strict=True)])
+
+
+def assert_cut_is_read(directory, whole, cut, tail):
+    """A file cut at `cut` and followed by `tail` gives every whole chunk, and says it was cut."""
+    path, content = directory / "cut.mcap", whole.data[:cut] + tail
+    path.write_bytes(content)
+    # The tail may begin with what was there: an LZ4 frame ends in zeros.
+    pairs = enumerate(zip(content, whole.data, strict=False))
+    intact = next((k for k, (now, was) in pairs if now != was), min(len(content), len(whole.data)))
+    expected = max((count for end, count in whole.ends if end <= intact), default=0)
+    if not expected:
+        with pytest.raises(InputError, match=r"cut\.mcap"):
+            read_recording(path)
+        return
+    log = read_recording(path)
+    assert not log.complete
+    assert len(log.columns["tick"]) == expected
+    assert_same(log.columns, whole.records[:expected])
+
+
+TAILS = {"nothing": b"", "zeros": bytes(4096), "litter": bytes(range(256)) * 4}
+"""What a file system may leave behind the cut."""
+
+
+@pytest.mark.parametrize("tail", TAILS.values(), ids=TAILS)
+def test_a_log_cut_off_at_a_seam_is_read_up_to_its_last_whole_chunk(tmp_path, whole, tail):
+    size = len(whole.data)
+    seams = [0, len(MAGIC), *(end for end, _ in whole.ends), size - len(MAGIC)]
+    for cut in {seam + offset for seam in seams for offset in (-1, 0, 1, 8, 9, 10)} & {
+        *range(size)
+    }:
+        assert_cut_is_read(tmp_path, whole, cut, tail)
+
+
+@given(data=st.data())
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_log_cut_off_at_any_byte_is_read_up_to_its_last_whole_chunk(tmp_path, whole, data):
+    cut = data.draw(st.integers(0, len(whole.data) - 1))
+    tail = data.draw(st.one_of(st.sampled_from(list(TAILS.values())), st.binary(max_size=64)))
+    assert_cut_is_read(tmp_path, whole, cut, tail)
+
+
+def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
+    path, encode = tmp_path / "run.mcap", TickEncoder(2, 10**18)
+    sink = McapSink(str(path), 2, {"dof": "2"})
+    on_disk = [0]
+    for record in np.zeros(100, tick_dtype(2)):  # no record is shorter than zeros
+        sink.write(*encode(record.tobytes()))
+        with contextlib.suppress(InputError):  # as long as no chunk is full
+            on_disk.append(len(read_recording(path).columns["tick"]))
+    assert max(np.diff(on_disk)) * PERIOD_S <= 0.5
+    assert on_disk[-1] > 70
+
+
+def test_the_file_is_complete_though_the_loop_was_killed(tmp_path):
+    path = tmp_path / "run.mcap"
+    code = f"""
+import os, signal
+from pathlib import Path
+from firmware_py.log.recorder import recording
+from tests.firmware_py.log.test_recorder import put_all, ticks
+with recording(Path({str(path)!r}), 2, 10**18, {{}}) as telemetry:
+    put_all(telemetry, ticks(50))
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    libc = ctypes.CDLL(None)
+    libc.prctl(PR_SET_CHILD_SUBREAPER, 1)  # the orphaned recorder becomes ours to wait for
+    try:
+        killed = subprocess.run([sys.executable, "-c", code], cwd=ROOT)
+        assert killed.returncode == -signal.SIGKILL
+        _, status = os.waitpid(-1, 0)
+    finally:
+        libc.prctl(PR_SET_CHILD_SUBREAPER, 0)
+    assert status == 0
+    log = read_recording(path)
+    assert log.complete
+    assert_same(log.columns, ticks(50))
+
+
+def test_a_recorder_that_stands_still_or_dies_costs_drops_and_nothing_else():
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    telemetry = SocketTelemetry(ours)
+    record = memoryview(bytes(tick_dtype(2).itemsize))
+    for _ in range(10_000):  # far beyond what any socket queues; it must not block
+        telemetry.put(record)
+    queued = 10_000 - telemetry.drops
+    assert 0 < queued < 10_000
+    theirs.recv(4096)
+    telemetry.put(record)
+    assert telemetry.drops == 10_000 - queued, "there was room again"
+    theirs.close()
+    telemetry.put(record)
+    assert telemetry.drops == 10_000 - queued + 1
+    ours.close()
+
+
+def test_a_log_that_cannot_be_written_is_refused_before_the_start(tmp_path, capfd):
+    (tmp_path / "run.mcap").mkdir()
+    with (
+        pytest.raises(InputError, match=r"run\.mcap: cannot be written \(Is a directory\)"),
+        recording(tmp_path / "run.mcap", 1, 0, {}),
+    ):
+        pytest.fail("the loop must not start")
+    assert capfd.readouterr().err == "", "the sentence is the error's"
+
+
+@pytest.mark.parametrize("package", ["mcap", "lz4"])
+def test_without_the_extra_one_sentence_says_what_to_do(tmp_path, monkeypatch, package):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else name)
+    with (
+        pytest.raises(
+            InputError, match=r"pip install 'dropstitch\[record\]', or set record = false"
+        ),
+        recording(tmp_path / "run.mcap", 1, 0, {}),
+    ):
+        pytest.fail("the loop must not start")
+
+
+@pytest.mark.parametrize("content", [b"", b"time_s,angle\n", bytes(1000)])
+def test_a_file_that_is_no_log_is_refused(tmp_path, content):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="log"):
+        read_recording(path)
+
+
+def test_a_missing_log_is_refused(tmp_path):
+    with pytest.raises(InputError, match="missing"):
+        read_recording(tmp_path / "none.mcap")
+
+
+def test_the_loops_process_never_imports_the_writer():
+    code = (
+        "import sys, firmware_py.commands.run, firmware_py.loop\n"
+        "ours = {name.split('.')[0] for name in sys.modules}\n"
+        "sys.exit(bool(ours & {'mcap', 'lz4', 'foxglove'}))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -1,0 +1,182 @@
+"""The supervisor: when it degrades, stops, ends and starts anew."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
+
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.errors import InputError
+from firmware_py.safety.states import TRANSITIONS, SafetyState
+from firmware_py.safety.supervisor import SafetySupervisor
+
+
+@pytest.mark.parametrize(("ticks", "stops"), [(1, False), (2, False), (3, True)])
+def test_stale_data_degrades_and_then_stops(ticks, stops):
+    supervisor = started()
+    for _ in range(ticks):
+        state = check(supervisor, status=BusStatus.TIMEOUT)
+    assert state is (SafetyState.STOPPING if stops else SafetyState.DEGRADED)
+    assert supervisor.stale_ticks == ticks
+    assert ("no fresh data" in supervisor.reason) is stops
+    if not stops:
+        assert check(supervisor) is SafetyState.RUNNING
+        assert supervisor.stale_ticks == 0
+
+
+def test_missed_slots_count_as_stale_ticks():
+    supervisor = started()
+    assert check(supervisor, status=BusStatus.CORRUPT) is SafetyState.DEGRADED
+    assert check(supervisor, status=BusStatus.CORRUPT, missed=1) is SafetyState.STOPPING
+
+
+@pytest.mark.parametrize(("missed", "stops"), [(1, False), (2, False), (3, True)])
+def test_a_long_stall_stops_the_robot(missed, stops):
+    assert (check(started(), missed=missed) is SafetyState.STOPPING) is stops
+
+
+def test_a_hardware_error_stops_at_once_and_is_named():
+    supervisor = started()
+    assert check(supervisor, status=BusStatus.ALERT, alert=0b100) is SafetyState.STOPPING
+    assert supervisor.tripped
+    assert "overheating" in supervisor.reason
+
+
+@given(st.floats(-0.9, 0.9), st.floats(-0.4, 0.4))
+def test_a_controlled_stop_slows_down_holds_and_ends(rate, at):
+    supervisor = started(at=at)
+    supervisor._velocity[0] = rate
+    supervisor.request_stop("enough")
+    assert supervisor.state is SafetyState.STOPPING
+    positions = [at]
+    while supervisor.state is SafetyState.STOPPING:
+        positions.append(first_goal_after(supervisor, math.nan))
+        assert len(positions) < 200
+    rates = np.diff(positions) / EXACT_S
+    decelerations = -np.diff(np.abs([rate, *rates])) / EXACT_S
+    assert np.all((decelerations >= -1e-9) & (decelerations <= 8.0 + 1e-9))
+    still = np.flatnonzero(rates)[-1] if rates.any() else -1
+    assert (len(rates) - 1 - still) * EXACT_S == 0.5, "held for hold_s"
+    assert supervisor.state is SafetyState.OFF
+    assert not supervisor.tripped
+
+
+def test_a_controlled_stop_does_not_leave_the_limits():
+    supervisor = started(at=0.49)
+    supervisor._velocity[0] = 0.9
+    supervisor.request_stop("enough")
+    while supervisor.state is SafetyState.STOPPING:
+        assert 0.49 <= first_goal_after(supervisor, 0.0) <= 0.5
+
+
+def test_the_first_reason_stands():
+    supervisor = started()
+    check(supervisor, status=BusStatus.ALERT, alert=1)
+    supervisor.request_stop("SIGTERM")
+    assert "input voltage" in supervisor.reason
+    assert supervisor.tripped
+
+
+@pytest.mark.parametrize(
+    ("at", "refused"), [(0.5, False), (0.5 + 1e-6, True), (-0.6, True), (math.nan, True)]
+)
+def test_a_robot_that_stands_outside_its_limits_does_not_start(at, refused):
+    supervisor = SafetySupervisor(LIMITS, 1, EXACT_S)
+    if refused:
+        with pytest.raises(InputError, match="by hand"):
+            supervisor.arm(np.array([at]))
+        assert supervisor.state is SafetyState.STARTING
+    else:
+        supervisor.arm(np.array([at]))
+
+
+@pytest.mark.parametrize(("missed", "stops"), [(11, False), (12, False), (13, True)])
+def test_slots_missed_one_at_a_time_at_their_limit(missed, stops):
+    supervisor = started()
+    for _ in range(missed):
+        check(supervisor, missed=1)
+    assert (supervisor.state is SafetyState.STOPPING) is stops
+    assert ("too slow" in supervisor.reason) is stops
+
+
+@pytest.mark.parametrize("punctual", [0, 1, 2])
+def test_a_punctual_tick_makes_up_for_one_missed_slot(punctual):
+    supervisor = started()
+    for _ in range(punctual + 1):  # the first finds nothing to make up for
+        check(supervisor)
+    for _ in range(12):
+        check(supervisor, missed=1)
+    assert supervisor.state is SafetyState.RUNNING
+    for _ in range(punctual):
+        check(supervisor)
+    for _ in range(punctual):
+        check(supervisor, missed=1)
+    assert supervisor.state is SafetyState.RUNNING
+    check(supervisor, missed=1)
+    assert supervisor.state is SafetyState.STOPPING
+
+
+def test_a_robot_whose_port_is_back_starts_with_a_clean_slate():
+    supervisor = started()
+    check(supervisor, missed=2)
+    for _ in range(3):
+        check(supervisor, status=BusStatus.PORT_GONE)
+    first_goal_after(supervisor, 0.0)
+    while supervisor.state is not SafetyState.OFF:
+        supervisor.admit(np.zeros(1))
+    supervisor.restart()
+    assert (supervisor.state, supervisor.reason, supervisor.tripped) == (
+        SafetyState.STARTING,
+        "",
+        False,
+    )
+    assert supervisor.stale_ticks == 0
+    supervisor.arm(np.array([0.3]))
+    supervisor.start()
+    for _ in range(12):
+        assert check(supervisor, angle=0.3, missed=1) is SafetyState.RUNNING
+
+
+def test_the_machine_makes_no_step_that_is_not_drawn():
+    steps = {(t.source, t.target) for t in TRANSITIONS}
+    assert (SafetyState.STARTING, SafetyState.RUNNING) not in steps
+    with pytest.raises(ValueError, match="STARTING does not lead to RUNNING"):
+        SafetySupervisor(LIMITS, 1, EXACT_S).start()
+    with pytest.raises(ValueError, match="RUNNING does not lead to STARTING"):
+        started().restart()
+    reached = {SafetyState.STARTING}
+    for _ in SafetyState:
+        reached |= {t.target for t in TRANSITIONS if t.source in reached}
+    assert reached == set(SafetyState)
+
+
+def test_without_a_time_to_hold_the_torque_goes_off_at_rest():
+    supervisor = started(msgspec.structs.replace(LIMITS, hold_s=0.0))
+    supervisor.request_stop("enough")
+    first_goal_after(supervisor, 0.0)
+    assert supervisor.state is SafetyState.OFF
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_restarted_robot_is_at_rest(sign):
+    supervisor = started()
+    first_goal_after(supervisor, *(0.5 * EXACT_S * k for k in range(1, 4)))
+    supervisor.request_stop("enough")
+    while supervisor.state is not SafetyState.OFF:
+        supervisor.admit(np.zeros(1))
+    supervisor.restart()
+    supervisor.arm(np.zeros(1))
+    supervisor.start()
+    supervisor.rebase(np.zeros(1))
+    first_goal_after(supervisor, sign * EXACT_S)  # at the limits of rate and acceleration
+    assert supervisor.state is SafetyState.RUNNING
+
+
+def test_a_fresh_supervisor_has_nothing_to_complain_about():
+    fresh = SafetySupervisor(LIMITS, 1, EXACT_S)
+    assert (fresh.state, fresh.reason, fresh.tripped) == (SafetyState.STARTING, "", False)
+    assert fresh.stale_ticks == 0

@@ -1,0 +1,184 @@
+"""The commands from outside: results, exit codes and one sentence for each mistake."""
+
+import csv
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from firmware_py.signals import tip_names
+from fmu.__main__ import main
+from models.shared.kinematics import base_corners_m
+from models.trials.trial_files import Trial, TrialMeta, write_trial
+
+
+@pytest.fixture(scope="module")
+def twin(bundle_1dof, tmp_path_factory):
+    path = tmp_path_factory.mktemp("twin") / "twin.fmu"
+    assert main(["build", str(bundle_1dof), "--out", str(path)]) == 0
+    return path
+
+
+def _rewritten(source, target, change):
+    """Copy of a unit with `change` applied to its files (name to bytes)."""
+    with zipfile.ZipFile(source) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    change(files)
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return target
+
+
+def _read(path):
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["simulate", str(twin), "--out", str(out), "--payload", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 512
+    columns = _read(out / "result.csv")
+    assert columns["time_s"][-1] == pytest.approx(511 * 0.017)
+    assert np.degrees(np.abs(columns["goal_1_rad"])).max() == pytest.approx(30.0, abs=0.01)
+    assert set(columns["payload_kg"]) == {2.0}
+    goal, angle = columns["goal_1_rad"], columns["angle_1_rad"]
+    likeness = [np.corrcoef(goal[: 512 - lag], angle[lag:])[0, 1] for lag in range(60)]
+    assert max(likeness) > 0.99  # the servo follows its goal within a second
+    assert "<svg" in (out / "result.svg").read_text()[:500]
+
+
+def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
+    di = {}
+    for payload in ("0", "2"):
+        out = tmp_path / payload
+        assert main(["simulate", str(twin), "--out", str(out), "--payload", payload]) == 0
+        di[payload] = _read(out / "result.csv")["di"].mean()
+    assert di["2"] > di["0"]
+
+
+def _trial_of(columns, directory):
+    """A trial whose servo and tip are a run's, with the markers of a straight link."""
+    angle_rad = columns["angle_1_rad"][:, None]
+    markers_m = np.concatenate(
+        [base_corners_m(angle_rad, 0.06 + 0.95 * row / 4, 0.15) for row in (1, 2, 3, 4)], axis=1
+    )
+    named = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
+    kept = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
+    trial = Trial(
+        "run",
+        TrialMeta(
+            dof=1, payload_kg=1.0, pressure_pa=41.3e3, trial=1, motion="sinusoid", source="twin",
+            period_s=4.352, amplitude_rad=0.5236, base_offset_m=0.06, link_length_m=0.95,
+            link_width_m=0.15, rest_samples=1,
+        ),
+        {name: columns[name] for name in kept}
+        | dict(zip(named, markers_m.reshape(len(angle_rad), 48).T, strict=True)),
+    )  # fmt: skip
+    return write_trial(trial, directory)
+
+
+def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
+    """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--payload", "1"]) == 0
+    trial = str(_trial_of(_read(tmp_path / "result.csv"), tmp_path))
+    observer = tmp_path / "observer.fmu"
+    assert main(["build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
+    capsys.readouterr()
+    options = ["--out", str(tmp_path / "again"), "--trial", trial, "--json"]
+    assert main(["simulate", str(twin), *options]) == 0
+    rms = json.loads(capsys.readouterr().out)["rms"]
+    for name in ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m"):
+        assert rms[name] < 1e-9
+    known = ["--set", "parameters.payload_known_kg=1"]
+    assert main(["simulate", str(observer), *options, *known]) == 0
+    rms = json.loads(capsys.readouterr().out)["rms"]
+    assert rms["payload_kg"] == 0.0
+    assert rms["tip_x_m"] < 0.005
+
+
+def test_a_trial_that_does_not_fit_is_refused(tmp_path, bundle_1dof, twin, capsys):
+    assert main(["simulate", str(twin), "--out", str(tmp_path)]) == 0
+    path = _trial_of(_read(tmp_path / "result.csv"), tmp_path)
+    toml = path.with_suffix(".toml")
+    columns = path.read_text().replace("goal_1_rad,angle_1_rad,current_1_a", "x_rad,y_rad,z_a", 1)
+    path.write_text(columns)
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert "column goal_1_rad is missing" in capsys.readouterr().err
+    toml.unlink()
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert "run.toml: is missing" in capsys.readouterr().err
+
+
+def test_a_parameter_is_set_before_the_start(twin, tmp_path, capsys):
+    options = ["simulate", str(twin), "--out", str(tmp_path), "--set"]
+    assert main([*options, "parameters.link_mass_kg=1e6"]) == 2
+    assert "parameters.link_mass_kg = 1e+06 lies outside" in capsys.readouterr().err
+    assert main([*options, "parameters.nonsense=1"]) == 2
+    assert main([*options, "parameters.link_mass_kg=heavy"]) == 2
+    assert "'heavy' is no number" in capsys.readouterr().err
+
+
+def test_check_fails_a_unit_whose_binary_lacks_a_function(twin, tmp_path, capsys):
+    def hide(files):
+        name = next(n for n in files if n.endswith(".so"))
+        files[name] = files[name].replace(b"fmi3GetClock\0", b"fmi3GotClock\0")
+
+    assert main(["check", str(_rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
+    assert "misses fmi3GetClock" in capsys.readouterr().out
+
+
+def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
+    def strip(files):
+        xml = files["modelDescription.xml"].decode()
+        before, after = xml.split('name="current_1_a"')
+        after = after.replace(' unit="A"', "", 1)
+        files["modelDescription.xml"] = f'{before}name="current_1_a"{after}'.encode()
+
+    assert main(["check", str(_rewritten(twin, tmp_path / "bare.fmu", strip))]) == 1
+    assert "missing on current_1_a" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [(None, "is missing"), (b"no zip", "is no FMI unit"), ("no description", "is no FMI unit")],
+)
+def test_check_refuses_what_is_no_unit(tmp_path, capsys, content, sentence):
+    path = tmp_path / "unit.fmu"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("readme.txt", content)
+    assert main(["check", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert "Traceback" not in error
+
+
+def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
+    bundle, out = str(bundle_1dof), str(tmp_path / "unit.fmu")
+    cases = {
+        "--out: is missing": ["build", bundle],
+        "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "unit.zip")],
+        "manifest.json: is missing": ["build", str(tmp_path), "--out", out],
+        "cannot be read": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
+        "the robot steps FMI 3.0": ["build", bundle, "--unit", "observer", "--fmi", "2"],
+    }
+    for sentence, arguments in cases.items():
+        assert main(arguments) == 2
+        error = capsys.readouterr().err
+        assert sentence in error
+        assert error.count("\n") == 1
+
+
+def test_build_refuses_a_damaged_predictor(bundle_1dof, tmp_path, capsys):
+    directory = tmp_path / "bundle"
+    shutil.copytree(bundle_1dof, directory)
+    (directory / "predictor.onnx").write_bytes(b"damaged")
+    assert main(["build", str(directory), "--out", str(tmp_path / "unit.fmu")]) == 2
+    assert "does not match the hash" in capsys.readouterr().err

@@ -1,0 +1,61 @@
+import re
+import zipfile
+
+import fmpy
+import pytest
+from fmpy.validation import validate_fmu
+
+from fmu.interface import interface_of
+from fmu.model_description import describe
+from fmu.si_units import DISPLAY_UNITS
+
+
+def test_fmpy_finds_no_problem(toy_unit):
+    assert validate_fmu(str(toy_unit)) == []
+
+
+def test_variables_are_those_of_the_table(toy_unit, toy):
+    """What FMPy reads back is what the interface table says, value by value."""
+    description = fmpy.read_model_description(str(toy_unit))
+    read = {v.name: v for v in description.modelVariables}
+    table = interface_of(toy).variables
+    assert list(read) == [v.name for v in table]
+    for v in table:
+        found = read[v.name]
+        assert (found.valueReference, found.causality, found.variability) == (
+            v.reference, v.causality, v.variability,
+        )  # fmt: skip
+        assert found.type == (
+            v.type if description.fmiVersion[0] == "3" or v.type == "Boolean" else "Real"
+        )
+        if v.type == "Float64":
+            assert found.unit == v.unit
+            shown = DISPLAY_UNITS.get(v.unit)
+            assert found.displayUnit == (shown.name if shown else None)
+        if v.causality in ("input", "parameter"):
+            assert float(found.start) == v.start
+            assert (float(found.min), float(found.max)) == (v.minimum, v.maximum)
+
+
+def test_dates_are_valid_and_the_zip_holds_documents(toy_unit):
+    with zipfile.ZipFile(toy_unit) as archive:
+        xml = archive.read("modelDescription.xml").decode()
+        page = archive.read("documentation/index.html").decode()
+        licence = archive.read("documentation/licenses/license.txt").decode()
+    date = re.search(r'generationDateAndTime="([^"]+)"', xml).group(1)
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", date)
+    assert "A pendulum &amp; &lt;a counter&gt;." in page
+    assert "Apache License" in licence
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_dependencies_are_counted_as_the_version_counts(toy, fmi):
+    """FMI 2.0 counts from 1 and leaves parameters out of the outputs' knowns."""
+    xml = describe(interface_of(toy), fmi, "{t}", "", "2026-01-01T00:00:00Z").decode()
+    tip = next(v.reference for v in interface_of(toy).variables if v.name == "tip_x_m")
+    length = next(v.reference for v in interface_of(toy).variables if "length" in v.name)
+    expected = {
+        2: f'<Unknown index="{tip + 1}" dependencies="" />',
+        3: f'<Output valueReference="{tip}" dependencies="{length}" />',
+    }
+    assert expected[fmi] in xml

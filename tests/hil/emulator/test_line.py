@@ -1,0 +1,351 @@
+"""The wire's timing, and the three transports spoken to by programs that know nothing of it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+
+import dynamixel_sdk as sdk
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_py.bus.bus_plan import plans
+from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.register_access import SETUP_TIMEOUT_NS
+from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.transport import SocketTransport
+from firmware_py.realtime.clock import DeadlineClock, SimClock
+from hil.emulator import packets
+from hil.emulator.line import (
+    USB_PACKET_BYTES,
+    Line,
+    VirtualTransport,
+    pty_endpoint,
+    serve,
+    socket_endpoint,
+)
+from hil.emulator.packets import BROADCAST, Instruction, Parser
+from hil.faults import FaultPlan, parse_rates
+
+MS = 1_000_000
+
+
+def bus_on(wire, clock, number=54025, ids=(1, 2)) -> DynamixelBus:
+    servos = [ServoSetup(servo_id, MODELS[number], -1.0, 1.0) for servo_id in ids]
+    return DynamixelBus(wire, servos, clock, period_s=0.017)
+
+
+@pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000])
+@pytest.mark.parametrize("servos", [1, 2, 4])
+def test_every_plan_takes_the_wire_time_that_was_calculated(chain_of, baud, servos):
+    """The line plays packets bit by bit; the plan counts bytes on paper."""
+    ids = tuple(range(1, servos + 1))
+    for plan in plans(MODELS[54025].table, servos, baud):
+        line, block = Line(chain_of(54025, ids, baud=baud), latency_s=0.0), plan.block
+        answers = line.receive(0, packets.sync_read(ids, block.address, block.size, fast=plan.fast))
+        assert sum(len(data) for _, data in answers) == plan.answer_bytes
+        assert answers[-1][0] * 1e-9 == pytest.approx(plan.read_s, rel=1e-4)
+        line.receive(answers[-1][0], packets.sync_write(564, {i: bytes(4) for i in ids}))
+        assert line._free_ns * 1e-9 == pytest.approx(plan.total_s, rel=1e-4)
+
+
+def test_the_latency_timer_hands_bytes_over_at_its_ticks(chain_of):
+    ping = packets.encode(1, Instruction.PING)
+    prompt = Line(chain_of(), latency_s=0.0).receive(0, ping)
+    timed = Line(chain_of(), latency_s=16e-3).receive(0, ping)
+    assert timed == [(16 * MS, prompt[0][1])]
+    assert Line(chain_of(), latency_s=1e-3).receive(0, ping)[0][0] == 1 * MS
+
+
+def test_a_full_adapter_does_not_wait_for_its_timer(chain_of):
+    answers = Line(chain_of(), latency_s=16e-3).receive(0, packets.read(1, 0, 100))
+    assert len(answers[0][1]) == USB_PACKET_BYTES
+    # Instruction 14 bytes, return delay, 62 bytes, at 10 µs each.
+    assert answers[0][0] == (14 + 62) * 10_000 + 500_000
+    assert answers[1][0] == answers[0][0] + 16 * MS, "the timer starts anew"
+    [status] = Parser().feed(b"".join(data for _, data in answers))
+    assert len(status.parameters) == 101
+
+
+@given(st.lists(st.integers(0, 60 * MS), max_size=20), st.sampled_from([0.0, 1e-3, 16e-3]))
+def test_no_answer_is_readable_before_it_is_on_the_wire(chain_of, gaps, latency):
+    line = Line(chain_of(1020), latency_s=latency)
+    now = 0
+    for gap in gaps:
+        now += gap
+        [(release_ns, data)] = line.receive(now, packets.read(1, 126, 10))
+        earliest = now + (14 + len(data)) * 10_000 + 500_000
+        assert earliest <= release_ns <= earliest + latency * 1e9
+        now = release_ns
+
+
+@pytest.mark.parametrize("number", sorted(MODELS))
+def test_our_bus_drives_the_virtual_line(chain_of, number):
+    clock = SimClock()
+    chain = chain_of(number, (1, 2))
+    bus = bus_on(VirtualTransport(Line(chain), clock), clock, number)
+    bus.connect()
+    assert bus.torque(True) == BusStatus.OK
+    goal = np.array([0.4, -0.3])
+    for _ in range(60):
+        clock.advance(17 * MS)
+        assert bus.read(clock.now_ns() + 10 * MS) == BusStatus.OK
+        assert bus.write(goal, clock.now_ns() + 10 * MS) == BusStatus.OK
+    half_pulse = 0.5 * MODELS[number].rad_per_pulse
+    np.testing.assert_allclose(bus.angle_rad, goal, rtol=0, atol=2.01 * half_pulse)
+    np.testing.assert_allclose(chain.physics.angle_rad, goal, rtol=0, atol=1.01 * half_pulse)
+
+
+@pytest.mark.parametrize("angle", [-131073 * 2 * np.pi / 1_003_846])
+def test_a_goal_that_needs_stuffing_arrives(chain_of, angle):
+    clock = SimClock()
+    chain = chain_of(54025)
+    bus = bus_on(VirtualTransport(Line(chain), clock), clock, ids=(1,))
+    bus.connect()
+    bus.torque(True)
+    bus.write(np.array([angle]), clock.now_ns() + 10 * MS)
+    clock.advance(1 * MS)
+    assert chain.servos[0].goal_rad == pytest.approx(angle, abs=1e-9)
+
+
+def test_a_virtual_run_is_the_same_twice(chain_of):
+    def run() -> bytes:
+        clock, log = SimClock(), []
+        plan = FaultPlan({"lost": 0.1, "corrupt": 0.1, "noise": 0.1}, seed=3)
+        bus = bus_on(VirtualTransport(Line(chain_of(54024, (1, 2))), clock), clock, 54024)
+        bus.connect()
+        bus._port._wire._line.faults = plan
+        bus.torque(True)
+        for k in range(200):
+            status = bus.read(clock.now_ns() + 8 * MS)
+            bus.write(np.array([0.001 * k, -0.002 * k]), clock.now_ns() + 8 * MS)
+            log.append((status, clock.now_ns(), *bus.angle_rad, *bus.current_a))
+            clock.sleep_until((k + 1) * 17 * MS + 10**9)
+        return repr(log).encode()
+
+    assert run() == run()
+
+
+@pytest.mark.parametrize("kind", ["lost", "late", "truncated", "corrupt", "duplicated", "noise"])
+def test_each_fault_befalls_what_it_says_and_never_becomes_data(chain_of, kind):
+    clock = SimClock()
+    line = Line(chain_of(54025))
+    bus = bus_on(VirtualTransport(line, clock), clock, ids=(1,))
+    bus.connect()
+    bus.torque(True)
+    bus.write(np.array([0.5]), clock.now_ns() + 8 * MS)
+    for _ in range(60):
+        clock.advance(17 * MS)
+        assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK
+    truth = bus.angle_rad.copy()
+    line.faults = FaultPlan({kind: 1.0}, seed=1)
+    status = bus.read(clock.now_ns() + 8 * MS)
+    assert line.faults.injected[kind] == (1 if kind in {"duplicated", "noise"} else 2)
+    assert status.fresh == (kind in {"duplicated", "noise"})
+    np.testing.assert_array_equal(bus.angle_rad, truth)
+    line.faults = FaultPlan()
+    clock.advance(17 * MS)
+    assert bus.read(clock.now_ns() + 8 * MS) == BusStatus.OK, "the next tick is not disturbed"
+
+
+class Scripted(FaultPlan):
+    """Does to one status packet after the other what stands in a list, then nothing."""
+
+    def __init__(self, *fates):
+        super().__init__()
+        self.fates = list(fates)
+
+    def apply(self, frame):
+        return self.fates.pop(0)(frame) if self.fates else [(0, frame)]
+
+
+FATES = {
+    "lost": lambda frame: [],
+    "damaged": lambda frame: [(0, frame[:-1] + bytes([frame[-1] ^ 1]))],
+    "cut": lambda frame: [(0, frame[:-3])],
+    "late": lambda frame: [(5 * MS, frame)],
+    "late by a period": lambda frame: [(17 * MS, frame)],
+    "good": lambda frame: [(0, frame)],
+}
+
+
+@pytest.mark.parametrize("kind", ["lost", "damaged", "cut", "late", "late by a period"])
+@pytest.mark.parametrize("number", sorted(MODELS))
+def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(chain_of, number, kind):
+    clock = SimClock()
+    chain = chain_of(number, (1, 2))
+    line = Line(chain)
+    bus = bus_on(VirtualTransport(line, clock), clock, number)
+    bus.connect()
+    clock.sleep_until(10**9)
+    bus.torque(True)
+    goal_rad = np.zeros(2)
+    for tick in range(1, 41):
+        clock.sleep_until(10**9 + 17 * MS * tick)
+        line.faults = Scripted(FATES[kind]) if tick % 5 == 2 else FaultPlan()
+        start_ns = clock.now_ns()
+        status = bus.read(start_ns + 8 * MS)
+        measured_rad = [s.model.angle_rad(s.get(Register.PRESENT_POSITION)) for s in chain.servos]
+        assert bus.angle_rad.tolist() == measured_rad, "by the read just made"
+        goal_rad += 0.01
+        bus.write(goal_rad, start_ns + 17 * MS)
+        assert status == (BusStatus.RETRIED if tick % 5 == 2 else BusStatus.OK)
+        assert clock.now_ns() - start_ns <= 8 * MS
+
+
+def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(chain_of):
+    """Late by 5 ms for good: both answers of the first read come while the second waits."""
+    clock = SimClock()
+    line = Line(chain_of(54024, (1, 2)))
+    bus = bus_on(VirtualTransport(line, clock), clock, 54024)
+    bus.connect()
+    bus.torque(True)
+    line.faults = Scripted(*[FATES["late"]] * 40)
+    for tick in range(10):
+        clock.sleep_until(10**9 + 17 * MS * tick)
+        assert bus.read(clock.now_ns() + 8 * MS) is BusStatus.RETRIED
+        assert clock.now_ns() == 10**9 + 17 * MS * tick + 8 * MS, "the second was waited for"
+
+
+@pytest.mark.parametrize(
+    ("fates", "expected"),
+    [
+        (("good", "lost", "lost", "good"), BusStatus.RETRIED),
+        (("lost", "good", "good", "damaged"), BusStatus.RETRIED),
+        (("good", "lost", "good", "lost"), BusStatus.TIMEOUT),
+        (("damaged", "good", "damaged", "good"), BusStatus.CORRUPT),
+    ],
+)
+def test_two_reads_make_one_measurement_where_every_servo_answered_one(chain_of, fates, expected):
+    clock = SimClock()
+    line = Line(chain_of(54024, (1, 2)))
+    bus = bus_on(VirtualTransport(line, clock), clock, 54024)
+    bus.connect()
+    bus.torque(True)
+    before_rad = bus.angle_rad.copy()
+    bus.write(np.array([0.2, 0.3]), clock.now_ns() + 8 * MS)
+    clock.advance(1000 * MS)
+    line.faults = Scripted(*(FATES[fate] for fate in fates))
+    assert bus.read(clock.now_ns() + 8 * MS) is expected
+    if expected.fresh:
+        assert bus.angle_rad == pytest.approx([0.2, 0.3], abs=1e-3)
+    else:
+        np.testing.assert_array_equal(bus.angle_rad, before_rad)
+
+
+class LateOnce(VirtualTransport):
+    """Its first answer to a write comes when the program has written again and asks on."""
+
+    late_ns = SETUP_TIMEOUT_NS + MS // 2
+
+    def write(self, data: bytes) -> int:
+        count = super().write(data)
+        if data[7] == Instruction.WRITE and self.late_ns:
+            [(time_ns, order, answer)] = self._pending
+            self._pending = [(time_ns + self.late_ns, order, answer)]
+            self.late_ns = 0
+        return count
+
+
+def test_a_late_answer_to_a_write_is_not_taken_for_data(chain_of):
+    clock = SimClock()
+    chain = chain_of(54024)
+    bus = bus_on(LateOnce(Line(chain), clock), clock, 54024, ids=(1,))
+    bus.connect()  # as data, the CRC of the late answer would be a hardware error
+    assert bus.firmware_versions == (chain.servos[0].get(Register.FIRMWARE_VERSION),)
+
+
+def test_fault_rates_are_met():
+    plan = FaultPlan({"lost": 0.2, "late": 0.1}, seed=5)
+    frame = packets.status(1, 0, bytes(10))
+    results = [plan.apply(frame) for _ in range(5000)]
+    lost = sum(r == [] for r in results)
+    late = sum(len(r) == 1 and r[0][0] > 0 for r in results)
+    # Five standard deviations of a binomial count.
+    assert abs(lost - 1000) < 5 * (5000 * 0.2 * 0.8) ** 0.5
+    assert abs(late - 500) < 5 * (5000 * 0.1 * 0.9) ** 0.5
+    assert sum(r == [(0, frame)] for r in results) == 5000 - lost - late
+
+
+@pytest.mark.parametrize("word", ["nonsense=0.1", "lost", "lost=x", "lost=1.5", "late=-1"])
+def test_a_fault_that_cannot_be_is_refused(word):
+    with pytest.raises(Exception, match="--faults"):
+        parse_rates([word])
+
+
+class Served:
+    """A line served by a process of its own until the block ends."""
+
+    def __init__(self, line, endpoint) -> None:
+        self._line, self._endpoint = line, endpoint
+        self._stop_r, self._stop_w = os.pipe()
+
+    def __enter__(self) -> str:
+        self._context = self._endpoint(self._stop_r)
+        name, accept = self._context.__enter__()
+
+        def work() -> None:
+            while (fd := accept()) is not None and serve(self._line, fd, self._stop_r):
+                pass
+
+        self._process = multiprocessing.get_context("fork").Process(target=work)
+        self._process.start()
+        return name
+
+    def __exit__(self, *exc) -> None:
+        os.write(self._stop_w, b"x")
+        self._process.join()
+        self._context.__exit__(*exc)
+        os.close(self._stop_r)
+        os.close(self._stop_w)
+
+
+def test_the_official_sdk_untouched_talks_to_the_pty(chain_of, patient):
+    with Served(Line(chain_of(54024, (1, 2)), latency_s=0.0), lambda _: pty_endpoint()) as name:
+        port, handler = sdk.PortHandler(name), sdk.PacketHandler(2.0)
+        assert port.openPort() and port.setBaudRate(1_000_000)
+        try:
+            assert patient(handler.ping, port, 1) == (54024, sdk.COMM_SUCCESS, 0)
+            assert sorted(patient(handler.broadcastPing, port)[0]) == [1, 2]
+            for servo_id in (1, 2):
+                done = patient(handler.write1ByteTxRx, port, servo_id, 562, 1)
+                assert done == (sdk.COMM_SUCCESS, 0)
+            assert patient(handler.read1ByteTxRx, port, 1, 562) == (1, sdk.COMM_SUCCESS, 0)
+            refused = patient(handler.write4ByteTxRx, port, 1, 611, 1)
+            assert refused == (sdk.COMM_SUCCESS, sdk.protocol2_packet_handler.ERRNUM_ACCESS)
+            group = sdk.GroupSyncWrite(port, handler, 596, 4)
+            for servo_id, goal in ((1, 41_827), (2, 1000)):
+                assert group.addParam(servo_id, goal.to_bytes(4, "little"))
+            assert group.txPacket() == sdk.COMM_SUCCESS
+            reader = sdk.GroupSyncRead(port, handler, 596, 4)
+            assert reader.addParam(1) and reader.addParam(2)
+            assert patient(reader.txRxPacket) == sdk.COMM_SUCCESS
+            assert [reader.getData(i, 596, 4) for i in (1, 2)] == [41_827, 1000]
+        finally:
+            port.closePort()
+
+
+def test_our_bus_drives_the_socket(chain_of, tmp_path):
+    clock = DeadlineClock()
+    path = tmp_path / "line"
+    with Served(Line(chain_of(54025, (1, 2))), lambda stop: socket_endpoint(path, stop)) as name:
+        for _ in range(2):  # a program may come back
+            bus = bus_on(SocketTransport(name.removeprefix("unix:"), clock), clock)
+            bus.connect()
+            assert bus.torque(True) == BusStatus.OK
+            for _ in range(5):
+                assert bus.write(np.array([0.2, 0.1]), clock.now_ns() + 10**9) == BusStatus.OK
+                assert bus.read(clock.now_ns() + 10**9) == BusStatus.OK
+            assert bus.angle_rad.all()
+            bus.close()
+    assert not path.exists()
+
+
+def test_a_broadcast_reaches_everyone_and_is_not_answered(chain_of):
+    line = Line(chain_of(54025, (1, 2)))
+    assert line.receive(0, packets.write(BROADCAST, 512, b"\x01")) == []
+    assert [s.torque_on for s in line.chain.servos] == [True, True]

@@ -1,0 +1,123 @@
+"""The robot's loop against the laboratory: reproducible, the laboratory's own, and hiding hurts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.errors import InputError
+from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.predictor import Prediction
+from firmware_py.summary import Ended
+from hil import sil, sil_artifacts
+from hil.__main__ import main
+from hil.commands.sil import write_results
+from hil.emulator.physics import RigSource
+from hil.emulator.rig_physics import RigPhysics
+
+STEP_S = 1e-3
+
+
+class NoPredictor:
+    """Says that the tip is at the origin."""
+
+    def __init__(self) -> None:
+        self._prediction = Prediction(np.zeros(3), np.ones(1), np.ones(3))
+
+    def predict(self, angle_rad, current_a, di) -> Prediction:
+        return self._prediction
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("bundle")
+    manifest = Manifest(
+        dof=1, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
+        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
+        coefficients={}, files={},
+    )  # fmt: skip
+    write_manifest(directory, manifest)
+    return ModelBundle(directory, manifest, NoEstimator(), NoPredictor())
+
+
+@pytest.fixture
+def options(bundle, tmp_path):
+    return sil.SilOptions(
+        bundle=bundle, model=MODELS[54024], out=tmp_path, line="virtual", seconds=2.0,
+        reality=RigSource(),
+    )  # fmt: skip
+
+
+def test_a_run_is_reproducible_and_its_seed_is_its_variation(options):
+    first, second = sil.run(options), sil.run(options)
+    assert first.summary.ended is Ended.FINISHED
+    assert first.environment["records_sha256"] == second.environment["records_sha256"]
+    other = sil.run(replace(options, reality=RigSource(seed=1)))
+    assert other.environment["records_sha256"] != first.environment["records_sha256"]
+
+
+def test_the_robot_measures_the_laboratory_and_its_tip_belongs_to_the_same_moment(options):
+    """Loop, bus and wire add delay and resolution only: step a laboratory beside them."""
+    result = sil.run(replace(options, latency_s=0.0))
+    servo, beside = MODELS[54024], RigPhysics(RigSource(), 1, options.payload_kg)
+    truth = sil_artifacts.true_tip_m(result.records, result.outcome.truth)
+    goal_rad, now_ns = 0.0, 0
+    for record, tip_m in zip(result.records, truth, strict=True):
+        sample_ns = int(record["deadline_ns"]) + 150_000  # 15 bytes ask
+        beside.advance([goal_rad], (sample_ns - now_ns) * 1e-9)
+        assert abs(beside.angle_rad[0] - record["angle_1_rad"]) <= servo.rad_per_pulse
+        np.testing.assert_allclose(beside.tip_m, tip_m, atol=1e-6)
+        now_ns = sample_ns + 860_000  # return delay, 17 bytes of answer, 19 bring the goal
+        beside.advance([goal_rad], (now_ns - sample_ns) * 1e-9)
+        goal_rad = servo.angle_rad(servo.position_raw(float(record["goal_1_rad"])))
+
+
+def test_what_is_hidden_moves_the_true_tip_and_nothing_else_at_rest():
+    plain, bent = (RigPhysics(RigSource(hidden), 1) for hidden in ({}, {"prebend": 0.05}))
+    for physics in (plain, bent):
+        physics.advance([0.0], 1.0)
+    # Bent evenly, a link leans by half of the bend; its relaxing branches hold some of it back.
+    assert bent.tip_m[0] - plain.tip_m[0] == pytest.approx(0.5 * 0.05 * 0.95, rel=0.15)
+    assert abs(bent.angle_rad[0] - plain.angle_rad[0]) < 1e-3
+
+
+def test_time_that_is_too_short_for_a_step_is_not_lost():
+    apart, together = RigPhysics(RigSource(), 1), RigPhysics(RigSource(), 1)
+    for _ in range(40):
+        apart.advance([0.3], 0.25 * STEP_S)
+    together.advance([0.3], 10 * STEP_S)
+    assert apart.angle_rad[0] == together.angle_rad[0] != 0.0
+
+
+def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
+    options = replace(options, reality=RigSource({"prebend": 0.01}))
+    timing = write_results(sil.run(options), options)
+    assert timing["environment"]["behind_the_servos"] == "laboratory"
+    assert timing["environment"]["hidden"] == {"prebend": 0.01}
+    assert (options.out / "trial" / "sil.csv").is_file()
+    assert json.loads((options.out / "timing.json").read_text())["prediction_error"]["n"] > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"line": "socket"}, "--line virtual"),
+        ({"unit": "twin.fmu"}, "stands in a twin's place"),
+        ({"reality": RigSource({"stiffness_softening": 2.0})}, "--hide stiffness_softening"),
+        ({"reality": RigSource({"stiffness_softening": 0.85}), "payload_kg": 9.0}, "folds"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(options, changes, complaint):
+    with pytest.raises(InputError, match=complaint):
+        sil.run(replace(options, **changes))
+
+
+def test_hiding_in_a_twin_is_refused_in_one_sentence(bundle, tmp_path, capsys):
+    arguments = ["sil", "--bundle", str(bundle.directory), "--out", str(tmp_path)]
+    assert main([*arguments, "--hide", "creep=0.1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,266 @@
+"""The campaign of faults: it injects what it says, sees what happens, and can fail."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from firmware_py.bus import feedback
+from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.inference.bundle import Manifest, ModelBundle
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.predictor import Prediction
+from hil.emulator import packets
+from hil.emulator.packets import BROADCAST, Instruction, Packet
+from hil.faults import fault_docs, fault_verdict, virtual_case
+from hil.faults.campaign import cases_of
+from hil.faults.case_robot import CaseRobot
+from hil.faults.fault_table import RECOVERED, ROWS, Must, Row
+from hil.faults.fault_verdict import FaultCase, judge
+from hil.faults.injection import SERVO_FAULTS, WIRE_FAULTS, Injection, Script
+from hil.faults.observation import CaseObservation
+from hil.faults.servo_log import LoggedBus, LoggedServo
+
+LEGACY, PRO_A, PERIOD_S = 54024, 54025, 0.017
+VIRTUAL = [row for row in ROWS if "virtual" in row.lines]
+
+
+class StillPredictor:
+    def predict(self, angle_rad, current_a, di):
+        return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
+
+
+@pytest.fixture
+def rig(chain_of, monkeypatch, tmp_path):
+    """Two joints over a plant that needs no compiler."""
+    plant = type(chain_of().physics)
+
+    class Physics(plant):
+        def __init__(self, unit, dof):
+            super().__init__(dof)
+            self.unit = SimpleNamespace(close=lambda: None)
+
+    monkeypatch.setattr(virtual_case, "UnitPhysics", Physics)
+    manifest = Manifest(
+        dof=2, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
+        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
+        coefficients={}, files={},
+    )  # fmt: skip
+    return CaseRobot(ModelBundle(tmp_path, manifest, NoEstimator(), StillPredictor()), tmp_path)
+
+
+def row_named(fault, how):
+    return next(row for row in ROWS if (row.fault, row.how) == (fault, how))
+
+
+def run(rig, row, number=PRO_A, seed=5):
+    case = FaultCase(row, "virtual", number, seed)
+    return judge(case, virtual_case.run_virtual(rig, row, number, seed), PERIOD_S)
+
+
+@pytest.mark.parametrize("row", VIRTUAL, ids=lambda row: f"{row.fault}, {row.how}")
+def test_every_fault_ends_as_the_table_says(rig, row):
+    for number in row.models:
+        judged = run(rig, row, number)
+        assert judged.verdict == "pass", judged.unsafe + judged.astray
+
+
+def test_the_same_seed_gives_the_same_run_and_another_one_another(rig):
+    row = row_named("bit flip in payload", "both reads of two ticks")
+    first, second, other = (run(rig, row, seed=seed).observation for seed in (1, 1, 2))
+    assert first == second
+    starts = {Script(row.injections, seed).start for seed in range(20)}
+    assert len(starts) > 10
+    assert other.ended == first.ended
+
+
+# --- the campaign can fail -------------------------------------------------------------------
+
+
+def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(rig, monkeypatch):
+    row = row_named("reply late by a period", "once")
+    assert run(rig, row).verdict == "pass"
+    monkeypatch.setattr(feedback, "_DISTINCT_LENGTHS", 1)
+    judged = run(rig, row)
+    assert judged.verdict == "fail"
+    assert any("old data for fresh" in words for words in judged.unsafe)
+
+
+@pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)
+def test_a_bus_that_does_not_read_again_is_found_out(rig, monkeypatch, row):
+    monkeypatch.setattr(DynamixelBus, "_check_replies", only_once)
+    judged = run(rig, row)
+    assert judged.verdict == "fail"
+    assert any("ticks lost, not 0" in words for words in judged.astray)
+
+
+def only_once(bus):
+    """Leave no time for a second read."""
+    bus._feedback.usual_ns = 1_000_000_000
+
+
+def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
+    row = row_named("unplug and replug", "configured to go on")
+    supervisor = virtual_case.drive.__globals__["SafetySupervisor"]
+
+    class Jumping(supervisor):
+        def resume(self):
+            self._limits = self._limits.__class__(rate_rad_s=99.0, acceleration_rad_s2=1e4)
+
+    monkeypatch.setitem(virtual_case.drive.__globals__, "SafetySupervisor", Jumping)
+    judged = run(rig, row)
+    assert any("a goal jumped" in words for words in judged.unsafe)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"unheard_ns": 60_000_001}, "without supervision"),
+        ({"live": True}, "still drives"),
+        ({"live": True, "watched": False, "ended": "killed", "drift_rad": 0.201}, "it moved"),
+        ({"goal_jump_rad": 2.1e-3}, "a goal jumped"),
+        ({"stale_as_fresh": 1}, "old data"),
+        ({"ended": "tripped"}, "not finished"),
+        ({"lost_ticks": 2}, "2 ticks lost"),
+        ({"detected_ticks": None}, "seen in tick None"),
+        ({"detected_ticks": 2}, "seen in tick 2"),
+        ({"replugs": 1}, "went on 1 times"),
+        ({"injected": False}, "never befell"),
+        ({"reason": "another"}, "the reason is"),
+    ],
+)
+def test_each_thing_that_must_hold_is_looked_at(change, words):
+    row = Row("x", "y", Must("finished", 1, 1, "over"), (Injection("lost"),))
+    good = CaseObservation("finished", "the motion is over", detected_ticks=1, lost_ticks=1,
+                       unheard_ns=60_000_000, goal_jump_rad=1.9e-3)  # fmt: skip
+    case = FaultCase(row, "socket", PRO_A, 0)
+    assert judge(case, good, PERIOD_S).verdict == "pass"
+    judged = judge(case, replace(good, **change), PERIOD_S)
+    assert judged.verdict == "fail"
+    assert any(words in complaint for complaint in judged.unsafe + judged.astray)
+
+
+def test_the_host_is_an_excuse_for_the_course_but_not_for_safety():
+    case = FaultCase(Row("x", "y", Must("finished", lost=0)), "socket", PRO_A, 0)
+    seen = CaseObservation("finished", "", lost_ticks=1, misses={"preempted by the host": 1})
+    assert judge(case, seen, PERIOD_S).verdict == "inconclusive"
+    assert judge(replace(case, line="virtual"), seen, PERIOD_S).verdict == "fail"
+    assert judge(case, replace(seen, stale_as_fresh=1), PERIOD_S).verdict == "fail"
+
+
+def test_verdicts_are_counted_and_written():
+    case = FaultCase(Row("x", "y", Must("finished")), "virtual", PRO_A, 0)
+    good, bad = CaseObservation("finished", ""), CaseObservation("tripped", "why")
+    judged = [judge(case, seen, PERIOD_S) for seen in (good, bad)]
+    document = fault_verdict.report(judged, {"faults": 1})
+    assert document["counts"] == {"pass": 1, "fail": 1, "inconclusive": 0}
+    assert (document["verdict"], fault_verdict.exit_code(document)) == ("fail", 1)
+    assert json.loads(json.dumps(document))["cases"][1]["complaints"]
+    suite = ET.fromstring(fault_verdict.junit_xml(judged))
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    assert suite.find("testcase/failure").get("message") == "tripped (why), not finished"
+
+
+# --- what is injected ------------------------------------------------------------------------
+
+FRAME = packets.status(1, 0, bytes(range(10)))
+
+
+@pytest.mark.parametrize("kind", WIRE_FAULTS)
+def test_a_fault_of_the_wire_befalls_its_exchanges_and_no_other(kind):
+    script = Script((Injection(kind, 2, 5e-3),), seed=3)
+    seen = {}
+    for exchange in range(script.start + 4):
+        script.begin_exchange((), exchange)
+        seen[script.exchange] = script.apply(FRAME)
+    hit = [k for k, arrivals in seen.items() if arrivals != [(0, FRAME)]]
+    assert hit == [script.start, script.start + 1]
+    assert script.began_ns == script.start - 1
+
+
+@pytest.mark.parametrize(
+    "kind", [k for k in WIRE_FAULTS if k.startswith("flip") or k == "other id"]
+)
+@pytest.mark.parametrize("seed", range(20))
+def test_a_flipped_bit_leaves_no_intact_answer_of_that_servo(kind, seed):
+    script = Script((Injection(kind, 1000),), seed)
+    for _ in range(script.start):
+        script.begin_exchange((), 0)
+    ((_, damaged),) = script.apply(FRAME)
+    assert len(damaged) == len(FRAME)
+    assert not any(p.intact and p.id == 1 for p in packets.Parser().feed(damaged))
+    if kind != "other id":
+        flipped = int.from_bytes(damaged, "big") ^ int.from_bytes(FRAME, "big")
+        assert flipped.bit_count() == 1
+
+
+# --- the witness -----------------------------------------------------------------------------
+
+
+def watched(chain_of, number, watchdog=3):
+    servo = LoggedServo(MODELS[number])
+    chain = LoggedBus([servo], type(chain_of().physics)(), Script((), 0))
+    servo.put(Register.TORQUE_ENABLE, 1)
+    servo.put(Register.BUS_WATCHDOG, watchdog)
+    return chain, servo
+
+
+@pytest.mark.parametrize(
+    ("number", "watchdog", "unheard_ms", "live"),
+    [(PRO_A, 3, 60, False), (PRO_A, 0, 500, True), (LEGACY, 3, 500, True)],
+)
+def test_a_loop_that_dies_leaves_a_servo_driven_until_its_watchdog_trips(
+    chain_of, number, watchdog, unheard_ms, live
+):
+    chain, _ = watched(chain_of, number, watchdog)
+    chain.execute(Packet(BROADCAST, Instruction.PING, b""), 0)
+    testimony = chain.testify(500_000_000)
+    assert testimony.unheard_ns == unheard_ms * 1_000_000
+    assert (testimony.live, testimony.watched) == (live, number == PRO_A)
+
+
+def test_a_servo_off_the_bus_neither_answers_nor_hears(chain_of):
+    chain, servo = watched(chain_of, PRO_A)
+    SERVO_FAULTS["silent"](servo, 0.0, True)
+    assert chain.execute(Packet(1, Instruction.PING, b""), 10_000_000) == []
+    chain.execute(Packet(BROADCAST, Instruction.PING, b""), 70_000_000)
+    assert servo.watchdog_tripped
+
+
+# --- the table and the document --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["lost reply", "late by 1 ms", "late by 5 ms", "late by 20 ms", "duplicated", "in header",
+     "in length", "in payload", "in CRC", "truncation", "noise", "another id", "one servo silent",
+     "both servos silent", "hardware error", "shutdown", "reboot", "watchdog trip", "unplug",
+     "latency timer 16", "wrong baud", "return delay", "wrong model", "legacy and new PRO",
+     "stuffing", "encoder jump", "current spike", "NaN out of the predictor",
+     "infinity out of the estimator", "taking 30 ms", "recorder dead", "recorder blocked",
+     "full disk", "+1 h", "−1 h", "garbage-collector", "stall of 5 ms", "stall of 20 ms",
+     "stall of 100 ms", "SIGTERM", "SIGKILL", "bundle swapped", "together"],
+)  # fmt: skip
+def test_every_fault_that_was_asked_for_is_in_the_table(words):
+    assert any(words in row.fault for row in ROWS)
+
+
+def test_the_document_is_drawn_from_the_code():
+    text = fault_docs.DOCUMENT.read_text(encoding="utf-8")
+    assert fault_docs.drawn(text) == text, "run python -m hil.faults.fault_docs"
+    assert text.count("<!-- end:") == 2
+
+
+def test_in_real_time_a_row_runs_once():
+    cases = cases_of(2, ("virtual", "socket", "process"), range(3))
+    assert len({(c.row, c.line) for c in cases}) < len(cases)
+    real = [(c.row, c.line) for c in cases if c.line != "virtual"]
+    assert len(set(real)) == len(real)
+    assert all(c.row.joints == 1 for c in cases_of(1, ("virtual",), range(1)))

@@ -1,0 +1,118 @@
+"""Patterns of the plant's own error: found in noise, whitened away, absent where not measured."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from models.gap.estimation import gauss_newton
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.model_discrepancy import (
+    MOST,
+    ModelDiscrepancy,
+    discrepancy_of,
+    patterns_of,
+)
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.residuals.residuals import Group, group_key
+from models.gap.residuals.spectrum import kept
+from models.gap.search.null_distribution import LEAST, NullDistribution, calibrate
+from models.plant.plant import read_plant
+
+COUNT, STEP_S = 200, 0.017
+SIZE = kept(COUNT, STEP_S)
+PAYLOADS_KG = np.array([0.0, 1.0])
+
+
+@pytest.fixture
+def trials(make_trial):
+    return [make_trial(np.zeros(COUNT), payload_kg=p, trial=n) for p in (0.0, 1.0) for n in (1, 2)]
+
+
+@pytest.fixture
+def group(trials):
+    return Group(group_key(trials[0]), (0, 1, 2, 3), ("x",), SIZE)
+
+
+def planted(rng, links=60, sizes=(30.0, 15.0)):
+    """Unit noise with two patterns, each link's amplitude drawn anew."""
+    patterns = np.linalg.qr(rng.standard_normal((2 * SIZE, len(sizes))))[0].T
+    amplitude = rng.standard_normal((links, len(sizes))) * sizes
+    rows = amplitude @ patterns + rng.standard_normal((links, 2 * SIZE))
+    return patterns, rows.reshape(links, 2, 1, SIZE)
+
+
+def test_planted_patterns_are_found_with_their_size():
+    patterns, rows = planted(np.random.default_rng(0))
+    found = patterns_of(rows, np.ones((1, SIZE))).reshape(MOST, -1)
+    sizes = np.linalg.norm(found, axis=1)
+    assert sizes[:2] == pytest.approx([30.0, 15.0], rel=0.35)
+    assert sizes[2:].max() < 2.0
+    for k in (0, 1):
+        assert abs(found[k] @ patterns[k]) / sizes[k] > 0.98
+
+
+def test_rows_follow_the_payload_and_vanish_for_another_motion(trials, group):
+    table = np.stack([np.full((1, SIZE), 1.0), np.full((1, SIZE), 3.0)])[None]
+    known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), table)
+    assert known.rows(group, trials)[0, :, 0, 0].tolist() == [1.0, 1.0, 3.0, 3.0]
+    other = Group("another", group.trials, group.signals, SIZE)
+    assert not known.rows(other, trials).any()
+    assert not known.rows(Group(group.key, group.trials, ("y",), SIZE), trials).any()
+
+
+@dataclass
+class Still:
+    """A problem that is never simulated."""
+
+    plant: object
+    trials: list
+    groups: list
+    knobs: tuple = ()
+
+    def as_counted(self, group, spectra):
+        return spectra
+
+
+def test_what_could_be_a_pattern_counts_less_and_all_else_as_before(trials, group, monkeypatch):
+    rng = np.random.default_rng(1)
+    patterns, _ = planted(rng)
+    table = (10 * patterns[:1]).reshape(1, 2, 1, SIZE)
+    known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), table)
+    hz = np.array([0.0, 1e3])
+    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)})
+    problem = Still(read_plant(), trials, [group])
+    monkeypatch.setattr(gauss_newton, "discrepancy_of", lambda plant: None)
+    plain = GaussNewton(problem, floor)
+    monkeypatch.setattr(gauss_newton, "discrepancy_of", lambda plant: known)
+    aware = GaussNewton(problem, floor)
+    pattern = known.rows(group, trials)[0]
+    elsewhere = rng.standard_normal(pattern.shape)
+    elsewhere -= pattern * np.sum(pattern * elsewhere) / np.sum(pattern**2)
+    size = np.sum(plain.whitened([pattern])[0] ** 2)
+    assert size == pytest.approx(200.0, rel=1e-6)  # two repetitions of a pattern of length 10
+    assert np.sum(aware.whitened([pattern])[0] ** 2) == pytest.approx(size / (1 + size))
+    assert np.allclose(aware.whitened([elsewhere])[0], plain.whitened([elsewhere])[0])
+
+
+def test_other_loads_have_none_and_the_links_file_holds_the_studys_motion():
+    known = discrepancy_of(read_plant())
+    assert known is not None and "1dof sinusoid" in known.key
+    assert np.isfinite(known.table).all() and known.table.shape[0] == MOST
+    assert np.all(np.diff(known.payload_kg) > 0)
+
+
+def test_prices_rise_with_what_an_effect_shows_without_a_gap():
+    rng = np.random.default_rng(2)
+    rows = [{"quiet": abs(q), "loud": 6 * abs(s)} for q, s in rng.standard_normal((400, 2))]
+    found = calibrate(rows, [1.0] * 400)
+    assert found["scatter"]["quiet"] == pytest.approx(1.0, abs=0.1)
+    assert found["scatter"]["loud"] == pytest.approx(6.0, rel=0.1)
+    assert found["threshold"] == LEAST
+    null = NullDistribution(found["threshold"], found["explained"], found["scatter"])
+    assert null.least(["loud"]) == pytest.approx(6 * LEAST, rel=0.1)
+    assert null.least(["quiet", "loud"]) ** 2 == pytest.approx(
+        null.least(["quiet"]) ** 2 + null.least(["loud"]) ** 2
+    )
+    passed = sum(any(d > null.least([e]) for e, d in row.items()) for row in rows)
+    assert passed <= 0.02 * len(rows)

@@ -1,0 +1,61 @@
+"""The gap located: nothing in noise, the right cell in a residual that has one."""
+
+import numpy as np
+import pytest
+
+from models.gap.residuals.localisation import locate, sentence
+from models.gap.residuals.residuals import Group, group_key
+from models.gap.residuals.spectrum import kept, transform
+
+COUNT, STEP_S = 512, 0.017
+
+
+@pytest.fixture
+def trials(make_trial):
+    angle = 0.5 * np.sin(2 * np.pi * STEP_S * np.arange(COUNT) / 4.352)
+    return [
+        make_trial(angle, payload_kg=payload, trial=n, name=f"{payload:g}_{n}")
+        for payload in (0.0, 2.0)
+        for n in (1, 2)
+    ]
+
+
+def group_of(trials):
+    signals = ("angle_1_rad", "tip_x_m")
+    return Group(group_key(trials[0]), tuple(range(len(trials))), signals, kept(COUNT, STEP_S))
+
+
+def noise(rng, group):
+    return rng.standard_normal((len(group.trials), len(group.signals), group.coefficients))
+
+
+def test_noise_alone_is_seldom_located(trials):
+    group = group_of(trials)
+    found = [
+        any(
+            c.significant for c in locate([group], trials, [noise(np.random.default_rng(s), group)])
+        )
+        for s in range(20)
+    ]
+    assert sum(found) <= 4  # one in twenty is expected; five or more have a chance below 0.3 %
+
+
+def test_a_lag_on_the_return_is_said_so(trials):
+    group = group_of(trials)
+    rng = np.random.default_rng(1)
+    angle = trials[0].angle_rad[:, 0]
+    back = (angle > 0.05) & (np.gradient(angle) < 0)
+    rows = noise(rng, group)
+    for a, trial in enumerate(trials):
+        rows[a, 1] += transform(6.0 * trial.meta.payload_kg * back, STEP_S)
+    cells = locate([group], trials, [rows])
+    top = next(c for c in cells if c.factor == "stroke")
+    assert top.significant
+    assert (top.signal, top.level) == ("tip_x_m", "return from positive angles")
+    text = sentence(cells)
+    assert "return from positive angles" in text
+    assert "growing with payload" in text
+
+
+def test_agreement_is_said_so():
+    assert sentence([]) == "Simulation and measurement agree within the noise floor."

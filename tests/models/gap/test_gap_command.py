@@ -1,0 +1,28 @@
+"""The command refuses what it cannot use, in one sentence."""
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from models.__main__ import main
+from models.gap.diagnosis import diagnose
+from models.trials.trial_files import TrialSet
+
+
+def test_missing_trials_are_refused(tmp_path, capsys):
+    code = main(["gap", str(tmp_path / "none"), "--plant", "models/plant/nominal.toml",
+                 "--out", str(tmp_path / "out")])  # fmt: skip
+    assert code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_effect_cannot_be_left_out(plant, trials_of):
+    with pytest.raises(InputError, match="choose from"):
+        diagnose(plant, trials_of(plant, 2, (0.0,), 1), leave_out=["friction"])
+
+
+def test_one_and_two_joints_are_not_mixed(plant, make_trial):
+    trials = TrialSet((make_trial(np.zeros((80, 1))), make_trial(np.zeros((80, 2)))))
+    with pytest.raises(InputError, match="one and of two joints"):
+        diagnose(plant, trials)

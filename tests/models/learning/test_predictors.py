@@ -1,0 +1,192 @@
+"""Predictors, folds, distances and the power form against independent computations."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.linear_model import LinearRegression
+from sklearn.preprocessing import PolynomialFeatures
+
+from models.learning.power_form import power_form
+from models.learning.predictors import GuardedPredictor, Polynomial, polynomial_pipeline, predict
+from models.learning.validation import (
+    block_folds,
+    euclidean_distance_m,
+    payload_folds,
+    r_squared,
+    split_rows,
+)
+
+SIZES = st.tuples(st.integers(1, 5), st.integers(1, 6), st.integers(0, 2**32 - 1))
+
+
+def random_polynomial(n, degree, rng, outputs=3):
+    exponents = [e for e in itertools.product(range(degree + 1), repeat=n) if sum(e) <= degree]
+    return Polynomial(
+        scale=rng.uniform(0.3, 3.0, n),
+        offset=rng.uniform(-0.5, 0.5, n),
+        exponents=np.array(exponents),
+        coefficients=rng.standard_normal((len(exponents), outputs)),
+    )
+
+
+@given(SIZES)
+@settings(max_examples=40, deadline=None)
+def test_power_form_equals_the_monomials(size):
+    n, degree, seed = size
+    rng = np.random.default_rng(seed)
+    polynomial = random_polynomial(n, degree, rng)
+    points = (rng.uniform(-1, 1, (50, n)) - polynomial.offset) / polynomial.scale
+    rows, bias, weights = power_form(polynomial)
+    expected = polynomial(points)
+    difference = ((points @ rows + bias) ** degree) @ weights - expected
+    assert np.abs(difference).max() < 1e-11 * max(1.0, np.abs(expected).max())
+
+
+@given(SIZES)
+@settings(max_examples=25, deadline=None)
+def test_polynomial_reads_what_scikit_learn_fitted(size):
+    n, degree, seed = size
+    rng = np.random.default_rng(seed)
+    features = rng.uniform(-2, 5, (3000, n))
+    targets = rng.standard_normal((3000, 2))
+    pipeline = polynomial_pipeline(degree).fit(features, targets)
+    polynomial = Polynomial.of(pipeline)
+    assert polynomial.degree == degree
+    np.testing.assert_allclose(
+        polynomial(features[:50]), predict(pipeline, features[:50]), atol=1e-10
+    )
+
+
+def test_coefficients_in_si_units_are_those_of_the_papers_equation():
+    rng = np.random.default_rng(1)
+    features = np.column_stack([rng.uniform(-0.5, 0.5, 500), rng.uniform(0, 0.01, 500)])
+    angle, di = features.T
+    targets = np.column_stack([0.3 + 2 * angle - 7 * angle * di, 5 * di**2])
+    beta = Polynomial.of(polynomial_pipeline(2).fit(features, targets)).in_si_units()
+    assert list(beta)[:3] == [(0, 0), (1, 0), (0, 1)]
+    np.testing.assert_allclose(beta[0, 0], [0.3, 0], atol=1e-9)
+    np.testing.assert_allclose(beta[1, 0], [2, 0], atol=1e-9)
+    np.testing.assert_allclose(beta[1, 1], [-7, 0], atol=1e-7)
+    np.testing.assert_allclose(beta[0, 2], [0, 5], rtol=1e-4, atol=1e-4)
+
+
+def test_unscaled_fit_loses_rank_that_the_scaled_fit_keeps():
+    """Why the pipeline scales: degrees beside a DI of 0.01, at degree 6 (FACTS §4)."""
+    rng = np.random.default_rng(2)
+    features = np.column_stack(
+        [rng.uniform(-30, 30, 2000), rng.uniform(-3, 3, 2000), rng.uniform(0, 0.01, 2000)]
+    )
+    targets = np.sin(features @ [0.05, 0.3, 100.0])[:, None]
+    raw = PolynomialFeatures(6, include_bias=False).fit_transform(features)
+    unscaled = targets - LinearRegression().fit(raw, targets).predict(raw)
+    scaled = targets - predict(polynomial_pipeline(6).fit(features, targets), features)
+    assert np.sqrt(np.mean(unscaled**2)) > 10 * np.sqrt(np.mean(scaled**2))
+
+
+def some_folds(count, parts=5):
+    rows = np.random.default_rng(0).permutation(count)
+    return [(np.setdiff1d(rows, part), part) for part in np.array_split(rows, parts)]
+
+
+def guarded(n=3, degree=2, seed=0, noise=None, count=400):
+    rng = np.random.default_rng(seed)
+    features = rng.uniform(-1, 1, (count, n)) * np.array([0.5, 3.0, 0.01])[:n]
+    noise = rng.standard_normal if noise is None else noise
+
+    def truth(x):
+        return np.column_stack([x[:, 0] ** 2, x.sum(axis=1), 100 * x[:, 0] * x[:, -1]])
+
+    targets = truth(features) + 0.002 * noise((count, 3))
+    predictor = GuardedPredictor.fit(degree, features, targets, some_folds(count))
+    return predictor, features, truth
+
+
+@pytest.mark.parametrize("law", ["normal", "heavy tails"])
+def test_interval_covers_95_percent_of_fresh_data(law):
+    covered = []
+    for seed in range(40):
+        rng = np.random.default_rng(1000 + seed)
+        noise = rng.standard_normal if law == "normal" else lambda s, r=rng: r.standard_t(3, s)
+        predictor, features, truth = guarded(seed=seed, noise=noise)
+        fresh = rng.uniform(features.min(axis=0), features.max(axis=0), (400, 3))
+        actual = truth(fresh) + 0.002 * noise((400, 3))
+        inside = np.abs(actual - predictor.predict(fresh)) <= predictor.half_width(fresh)
+        covered.append(inside.mean())
+    assert 0.94 < np.mean(covered) < 0.965
+
+
+def test_leverage_is_that_of_the_quadratic_regression():
+    predictor, features, _ = guarded()
+    z = features * predictor.leverage.scale + predictor.leverage.offset
+    phi = PolynomialFeatures(2).fit_transform(z)
+    hat = phi @ np.linalg.solve(phi.T @ phi, phi.T)
+    np.testing.assert_allclose(predictor.leverage(features)[:, 0], np.diag(hat), rtol=1e-4)
+    assert np.sum(np.diag(hat)) == pytest.approx(phi.shape[1])
+
+
+def test_interval_widens_outside_the_training_data():
+    predictor, features, _ = guarded()
+    inside = predictor.half_width(features).max(axis=0)
+    assert np.all(predictor.half_width(3 * features[:20] / np.abs(features[:20]) * 0.5) > inside)
+
+
+def test_guard_clips_and_reports_the_range():
+    predictor, features, _ = guarded()
+    upper = features.max(axis=0)
+    at, beyond = upper[None], (upper + np.array([1e-12, 0, 0]))[None]
+    assert predictor.in_range(at)[0] and not predictor.in_range(beyond)[0]
+    np.testing.assert_array_equal(predictor.predict(upper[None] + 5), predictor.predict(at))
+    assert not predictor.in_range(np.array([[np.nan, 0, 0]]))[0]
+
+
+def test_blocks_hold_out_every_row_once_and_never_train_within_the_gap():
+    time_s = np.concatenate([0.017 * np.arange(512), 0.3 + 0.017 * np.arange(490)])
+    run = np.repeat([0, 1], [512, 490])
+    folds = block_folds(run, time_s)
+    assert len(folds) == 5
+    held_out = np.concatenate([test for _, test in folds])
+    assert sorted(held_out) == list(range(len(run)))
+    for train, test in folds:
+        for number in (0, 1):
+            trained, tested = time_s[train[run[train] == number]], time_s[test[run[test] == number]]
+            assert np.ptp(tested) == pytest.approx(
+                np.ptp(time_s[run == number]) / 5, abs=0.035
+            )  # two samples
+            apart = np.abs(trained[:, None] - tested).min(axis=1)
+            assert apart.min() >= 1.0 - 1e-9
+
+
+def test_payload_folds_never_train_on_the_payload_they_test():
+    payload_kg = np.repeat([0.0, 0.5, 2.0], [4, 3, 5])
+    folds = payload_folds(payload_kg)
+    assert [set(payload_kg[test]) for _, test in folds] == [{0.0}, {0.5}, {2.0}]
+    for train, test in folds:
+        assert not set(payload_kg[train]) & set(payload_kg[test])
+        assert len(train) + len(test) == 12
+
+
+def test_euclidean_distance_by_hand():
+    actual_m = np.array([[0.0, 0, 0], [1, 1, 1], [0.1, 0.2, 0.3]])
+    predicted_m = np.array([[0.003, 0.004, 0], [1, 1, 0.988], [0.1, 0.2, 0.3]])
+    distance_m = euclidean_distance_m(actual_m, predicted_m)
+    np.testing.assert_allclose(distance_m, [0.005, 0.012, 0.0], atol=1e-15)
+    assert distance_m.mean() == pytest.approx((0.005 + 0.012) / 3)
+
+
+def test_rows_are_split_by_payload_and_by_phase_only_where_it_varies():
+    payload_kg = np.array([0.0, 0.5, 0.5, 2.0])
+    parts = split_rows(payload_kg, np.zeros(4))
+    assert list(parts) == ["pooled", "0", "0.5", "2"]
+    assert parts["0.5"].tolist() == [False, True, True, False]
+    parts = split_rows(payload_kg, np.array([0, np.pi / 2, 0, 0]))
+    assert parts["phase_90deg"].tolist() == [False, True, False, False]
+
+
+def test_r_squared_is_one_for_the_truth_and_zero_for_the_mean():
+    actual = np.array([1.0, 2.0, 4.0])
+    assert r_squared(actual, actual) == 1.0
+    assert r_squared(actual, np.full(3, actual.mean())) == pytest.approx(0.0)
+    assert r_squared(actual, -actual) < 0

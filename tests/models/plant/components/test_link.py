@@ -1,0 +1,253 @@
+"""The link against mechanics worked out here: energy, modes, statics, marker geometry."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+from scipy.stats import foldnorm
+
+from models.plant.components.link import folded
+from models.plant.plant import read_plant
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.step_model import names
+from models.shared.kinematics import base_rotation
+
+STEP_S = 0.017
+LINEAR = {
+    "root_limit_moment_nm": 80.0,
+    **{f"{what}_{j}": 0.0 for what in ("hysteresis_share", "creep_share") for j in (1, 2)},
+    **{f"directional_stiffness_{j}": 0.0 for j in (1, 2)},
+}
+
+
+def values(changes=()):
+    plant = read_plant().with_values({**LINEAR, **dict(changes)})
+    return plant, {n: q.value for n, q in plant.parameters.items()}
+
+
+def place(model, changes):
+    x = np.zeros(len(model.states))
+    for name, value in changes.items():
+        x[names(model.states).index(name)] = value
+    return x
+
+
+def mass_points(q, payload_kg, angle, root, span):
+    """Masses and positions (n, 2) of the planar link, the span cut into fine slices."""
+    length, at = q["link_length_m"], q["span_position"] * q["link_length_m"]
+    s = (np.arange(400) + 0.5) / 400 * length
+    turn = np.where(s < at, angle + root, angle + root + span)
+
+    def point(along):
+        first = min(along, at)
+        rest = along - first
+        return np.array([
+            q["base_offset_m"] * np.sin(angle) + first * np.sin(angle + root)
+            + rest * np.sin(angle + root + span),
+            q["base_offset_m"] * np.cos(angle) + first * np.cos(angle + root)
+            + rest * np.cos(angle + root + span),
+        ])  # fmt: skip
+
+    positions = np.array([point(along) for along in s] + [point(length)])
+    masses = np.append(np.full(len(s), q["link_mass_kg"] / len(s)), q["tip_mass_kg"] + payload_kg)
+    assert len(turn) == len(s)
+    return masses, positions
+
+
+def potential(q, payload_kg, angle, root, span):
+    """Energy of gravity and springs (the integrals of the torques in chain.py)."""
+    masses, positions = mass_points(q, payload_kg, angle, root, span)
+    limit, k_root = q["root_limit_moment_nm"], q["root_stiffness_1_nm_rad"]
+    fold = limit / (6 * q["fold_rad"] ** 5)
+    return (
+        q["gravity_m_s2"] * masses @ positions[:, 1]
+        + limit**2 / k_root * (np.sqrt(1 + (k_root * root / limit) ** 2) - 1)
+        + q["span_stiffness_1_nm_rad"] * span**2 / 2
+        + fold * (root**6 + span**6)
+    )
+
+
+def kinetic(q, payload_kg, bends, rates, step=1e-6):
+    ahead, behind = (
+        mass_points(q, payload_kg, 0.0, *(np.array(bends) + sign * step * np.array(rates)))
+        for sign in (1, -1)
+    )
+    velocity = (ahead[1] - behind[1]) / (2 * step)
+    return 0.5 * ahead[0] @ np.sum(velocity**2, axis=1)
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
+def test_energy_never_grows_unforced(payload_kg):
+    plant, q = values()
+    model = plant.step_model(1, "driven")
+    x = place(model, {"root_bend_1_rad": 0.05, "span_bend_1_rad": -0.03, "step_s": STEP_S})
+    p, u = model.parameter_values(), np.array([0.0, payload_kg])
+    energies = []
+    for _ in range(60):
+        state = dict(zip(names(model.states), x, strict=True))
+        bends = state["root_bend_1_rad"], state["span_bend_1_rad"]
+        rates = state["root_bend_rate_1_rad_s"], state["span_bend_rate_1_rad_s"]
+        energies.append(
+            potential(q, payload_kg, 0.0, *bends) + kinetic(q, payload_kg, bends, rates)
+        )
+        x = model.advance(x, u, p, STEP_S)
+    lost = -np.diff(energies)
+    assert (lost > -1e-6).all()
+    assert lost.sum() > 0.2 * (energies[0] - potential(q, payload_kg, 0.0, 0.0, 0.0))
+
+
+def test_what_energy_is_lost_the_dampers_took():
+    plant, q = values()
+    model = plant.step_model(1, "driven")
+    x = place(model, {"root_bend_1_rad": 0.05, "step_s": STEP_S})
+    at = [names(model.states).index(f"{hinge}_bend_rate_1_rad_s") for hinge in ("root", "span")]
+    damping = np.array([q["root_damping_1_nm_s_rad"], q["span_damping_1_nm_s_rad"]])
+    powers, p, step_s = [], model.parameter_values(), 5e-4
+    for _ in range(400):
+        powers.append(damping @ x[at] ** 2)
+        x = model.advance(x, np.array([0.0, 1.0]), p, step_s)
+    powers.append(damping @ x[at] ** 2)
+    bends = x[[k - 1 for k in at]]
+    now = potential(q, 1.0, 0.0, *bends) + kinetic(q, 1.0, bends, x[at])
+    lost = potential(q, 1.0, 0.0, 0.05, 0.0) - now
+    assert lost == pytest.approx(np.trapezoid(powers, dx=step_s), rel=1e-3)
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 1.0, 2.0])
+def test_modes_are_those_of_the_linear_equations(payload_kg):
+    plant, q = values()
+    model = plant.step_model(1, "driven")
+    x, u = ca.MX.sym("x", len(model.states)), ca.DM([0.0, payload_kg])
+    slope = ca.Function("a", [x], [ca.jacobian(model.rate(x, u, model.parameter_values()), x)])
+    matrix = np.asarray(slope(place(model, {"step_s": STEP_S})))
+    own = [names(model.states).index(n) for n in
+           ("root_bend_1_rad", "span_bend_1_rad",
+            "root_bend_rate_1_rad_s", "span_bend_rate_1_rad_s")]  # fmt: skip
+    found = np.linalg.eigvals(matrix[np.ix_(own, own)])
+    mass = np.array([
+        [kinetic(q, payload_kg, (0, 0), np.add(a, b)) - kinetic(q, payload_kg, (0, 0), a)
+         - kinetic(q, payload_kg, (0, 0), b) for b in np.eye(2)] for a in np.eye(2)
+    ])  # fmt: skip
+    d = 1e-4
+    stiffness = np.array([
+        [sum(s * t * potential(q, payload_kg, 0.0, *(s * d * a + t * d * b))
+             for s in (1, -1) for t in (1, -1)) / (4 * d * d) for b in np.eye(2)]
+        for a in np.eye(2)
+    ])  # fmt: skip
+    damping = np.diag([q["root_damping_1_nm_s_rad"], q["span_damping_1_nm_s_rad"]])
+    inverse = np.linalg.inv(mass)
+    expected = np.linalg.eigvals(
+        np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
+    )
+    assert np.allclose(np.sort_complex(found), np.sort_complex(expected), rtol=2e-4)
+    assert 0.5 < np.abs(found).min() / (2 * np.pi) < 6  # the first mode, FACTS §6
+
+
+@pytest.mark.parametrize(("angle", "payload_kg"), [(0.3, 0.0), (-0.5, 1.0), (0.5, 2.0)])
+def test_sag_is_where_the_potential_is_least(angle, payload_kg):
+    plant, q = values({"root_damping_1_nm_s_rad": 5.0, "span_damping_1_nm_s_rad": 5.0})
+    model = plant.step_model(1, "driven")
+    p, u = model.parameter_values(), np.array([angle, payload_kg])
+    x = np.asarray(model.initial(u, p)).ravel()
+    for _ in range(300):
+        x = model.advance(x, u, p, STEP_S)
+    tip = np.asarray(model.output(x, u, p)).ravel()[-3:]
+
+    def slope(bends, d=1e-5):
+        return [
+            (potential(q, payload_kg, angle, *(bends + d * e))
+             - potential(q, payload_kg, angle, *(bends - d * e))) / (2 * d)
+            for e in np.eye(2)
+        ]  # fmt: skip
+
+    _, positions = mass_points(q, payload_kg, angle, *fsolve(slope, np.zeros(2)))
+    assert np.allclose(tip[[0, 2]], positions[-1], atol=2e-5)
+
+
+def test_a_symmetric_link_moves_symmetrically():
+    plant, _ = values()
+    model = plant.step_model(1, "twin")
+    goal = 0.5 * np.sin(1.44 * STEP_S * np.arange(120))
+    one, other = (
+        model.simulate(np.column_stack([sign * goal, np.full(120, 1.5)]), STEP_S)
+        for sign in (1, -1)
+    )
+    column = {name: k for k, name in enumerate(names(model.outputs))}
+    for name, sign in {"tip_x_m": -1, "tip_z_m": 1, "di": 1, "current_1_a": -1}.items():
+        assert np.allclose(one[:, column[name]], sign * other[:, column[name]], atol=1e-9), name
+
+
+def test_both_planes_are_alike():
+    plant, _ = values()
+    one, two = plant.step_model(1, "twin"), plant.step_model(2, "twin")
+    goal = 0.3 * np.sin(1.44 * STEP_S * np.arange(80))
+    still, load = np.zeros(80), np.full(80, 1.0)
+    alone = one.simulate(np.column_stack([goal, load]), STEP_S)
+    first = two.simulate(np.column_stack([goal, still, load]), STEP_S)
+    second = two.simulate(np.column_stack([still, goal, load]), STEP_S)
+    assert np.allclose(alone[:, -3:], first[:, -3:], atol=1e-9)
+    assert np.allclose(first[:, [-3, -1, -4]], second[:, [-2, -1, -4]], atol=1e-9)
+
+
+def arc_markers(q, angle, root, span):
+    """Markers (16, 3) and base corners (4, 3) of a link whose span bends like a cantilever."""
+    turn = base_rotation(np.atleast_2d(angle))[0]
+    section = turn @ base_rotation(np.atleast_2d(root))[0]
+    half, length = q["link_width_m"] / 2, q["link_length_m"]
+    corners = np.array([[sx * half, sy * half, 0] for sy in (1, -1) for sx in (1, -1)])
+    base = np.add(corners, [0, 0, q["base_offset_m"]])
+    centre, rows, fine = turn @ [0, 0, q["base_offset_m"]], [], 200
+    for k in range(4 * fine):
+        sigma = (k + 0.5) / (4 * fine)
+        bent = section @ base_rotation(np.atleast_2d((2 * sigma - sigma**2) * np.array(span)))[0]
+        centre = centre + bent[:, 2] * length / (4 * fine)
+        if (k + 1) % fine == 0:
+            sigma = (k + 1) / (4 * fine)
+            bent = (
+                section @ base_rotation(np.atleast_2d((2 * sigma - sigma**2) * np.array(span)))[0]
+            )
+            rows.append(centre + corners @ bent.T)
+    return np.array(rows), base @ turn.T
+
+
+@pytest.mark.parametrize(
+    ("root", "span"), [((0.03, 0.0), (0.04, 0.0)), ((-0.05, 0.02), (-0.03, 0.04))]
+)
+def test_the_index_is_that_of_markers_on_bent_edges(root, span):
+    plant, q = values({"marker_noise_m": 0.0})
+    model = plant.step_model(2, "twin")
+    state = {f"{hinge}_bend_{j}_rad": bend[j - 1]
+             for hinge, bend in (("root", root), ("span", span)) for j in (1, 2)}  # fmt: skip
+    angle = np.array([0.2, -0.1])
+    x = place(model, state | {"joint_1_rad": 0.2, "joint_2_rad": -0.1})
+    y = np.asarray(model.output(x, [0.2, -0.1, 0.0], model.parameter_values())).ravel()
+    rows, base = arc_markers(q, angle, root, span)
+    lengths = np.linalg.norm(np.diff(np.concatenate([base[None], rows]), axis=0), axis=2)
+    segment = q["link_length_m"] / 4
+    expected = np.mean(np.abs(lengths - segment)) / segment
+    assert y[names(model.outputs).index("di")] == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (0.3, 1.0), (-2.0, 0.5), (4.0, 1e-3)])
+def test_noise_folds_as_the_folded_normal_distribution_does(mean, deviation):
+    expected = foldnorm.mean(abs(mean) / deviation, scale=deviation)
+    assert float(folded(ca.DM(mean), ca.DM(deviation))) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "twin"), (1, "observer"),
+                                           (2, "observer")])  # fmt: skip
+def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
+    """Also for a link that cannot carry its load and folds."""
+    plant = read_plant()
+    model = plant.step_model(dof, unit)
+    compiled = CompiledModel(model)
+    rng = np.random.default_rng(dof)
+    u = bench.inputs(model, 200, payload_kg=3.0)
+    for _ in range(40):
+        changes = {
+            v.name: rng.uniform(v.minimum, v.maximum)
+            for v in model.parameters
+            if plant.parameters[v.name].role != "fixed"
+        }
+        y = compiled.simulate(u, STEP_S, model.parameter_values(changes))
+        assert np.isfinite(y).all(), changes

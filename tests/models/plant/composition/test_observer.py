@@ -1,0 +1,146 @@
+"""The observer on the plant's own runs: payload and index come back, whatever the step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.plant.plant import read_plant
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.step_model import names
+
+STEP_S, PERIOD_S, REST = 0.017, 4.352, 40
+HALF = REST + 128
+
+
+@pytest.fixture(scope="module")
+def units():
+    plant = read_plant().with_values(
+        {"root_limit_moment_nm": 40.0}
+        | {f"directional_stiffness_{j}": 0.15 for j in (1, 2)}
+        | {f"hysteresis_share_{j}": 0.3 for j in (1, 2)}
+    )
+    return {
+        (dof, unit): CompiledModel(plant.step_model(dof, unit))
+        for dof in (1, 2)
+        for unit in ("twin", "observer")
+    }
+
+
+def goal(count, amplitude_rad):
+    moving_s = STEP_S * np.maximum(np.arange(count) - REST, 0)
+    return -amplitude_rad * np.sin(2 * np.pi / PERIOD_S * moving_s)
+
+
+def twin_run(units, dof, payload_kg, amplitude_rad=0.52, count=REST + 400, changes=()):
+    compiled = units[dof, "twin"]
+    columns = [goal(count, amplitude_rad)] * dof + [np.full(count, payload_kg)]
+    p = compiled.model.parameter_values(dict(changes))
+    y = compiled.simulate(np.column_stack(columns), STEP_S, p)
+    return y[:, : 2 * dof], dict(zip(names(compiled.model.outputs), y.T, strict=True))
+
+
+def observe(units, dof, measured, changes=()):
+    compiled = units[dof, "observer"]
+    p = compiled.model.parameter_values(dict(changes))
+    y = compiled.simulate(measured[1:], STEP_S, p, compiled.start(measured[0], p))
+    return dict(zip(names(compiled.model.outputs), y.T, strict=True))
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("payload_kg", [0.0, 0.7, 2.0])
+def test_payload_and_index_come_back(units, dof, payload_kg):
+    measured, true = twin_run(units, dof, payload_kg)
+    found = observe(units, dof, measured)
+    assert np.abs(found["payload_kg"][HALF:] - payload_kg).max() < 0.05
+    error = (found["di"] - true["di"])[HALF:]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(true["di"][HALF:])
+    tip = sum((found[f"tip_{a}_m"] - true[f"tip_{a}_m"])[HALF:] ** 2 for a in "xyz")
+    assert np.sqrt(np.mean(tip)) < 0.003
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_its_long_internal_steps_cost_no_accuracy(units, dof):
+    measured, _ = twin_run(units, dof, 2.0, count=REST + 150)
+    model = units[dof, "observer"].model
+    fine = CompiledModel(replace(model, max_substep_s=2.5e-4))
+    exact = observe({(dof, "observer"): fine}, dof, measured)
+    found = observe(units, dof, measured)
+    for axis in "xyz":
+        assert np.abs(found[f"tip_{axis}_m"] - exact[f"tip_{axis}_m"]).max() < 5e-5
+    assert np.abs(found["di"] - exact["di"]).max() < 5e-6
+
+
+def test_friction_that_differs_from_the_plants_is_not_taken_for_payload(units):
+    more = {"coulomb_friction_1_nm": 1.2 * 4.5}
+    measured, _ = twin_run(units, 1, 1.0, changes=more)
+    assert observe(units, 1, measured)["payload_kg"][HALF:] == pytest.approx(1.0, abs=0.06)
+
+
+def test_noise_and_quantisation_of_the_servo_do_not_matter(units):
+    rng = np.random.default_rng(5)
+    measured, true = twin_run(units, 1, 1.5)
+    quantum = np.array([2 * np.pi / 501_923, 0.016113])
+    noisy = np.round((measured + [0, 1] * rng.normal(0, 0.03, measured.shape)) / quantum) * quantum
+    found = observe(units, 1, noisy)
+    assert np.abs(found["payload_kg"][HALF:] - 1.5).max() < 0.06
+    assert np.corrcoef(found["di"][HALF:], true["di"][HALF:])[0, 1] > 0.995
+
+
+def test_nothing_is_learnt_at_rest(units):
+    """Dry friction holds the arm: the current says nothing of the payload."""
+    rng = np.random.default_rng(6)
+    still = np.column_stack([np.full(600, 0.2), rng.normal(0.4, 0.05, 600)])
+    payload_kg = observe(units, 1, still)["payload_kg"]
+    assert np.abs(payload_kg - payload_kg[0]).max() < 0.02
+
+
+def test_what_was_learnt_is_kept_at_rest(units):
+    measured, _ = twin_run(units, 1, 2.0)
+    rest = np.tile(np.add(measured[-1], [0.0, 0.3]), (300, 1))
+    payload_kg = observe(units, 1, np.concatenate([measured, rest]))["payload_kg"]
+    assert payload_kg[-1] == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_known_payload_is_used(units):
+    measured, true = twin_run(units, 1, 2.0)
+    found = observe(units, 1, measured, {"payload_known_kg": 2.0})
+    assert (found["payload_kg"] == 2.0).all()
+    assert np.abs(found["di"] - true["di"]).max() < 2e-4
+
+
+def test_the_estimate_is_causal(units):
+    measured, _ = twin_run(units, 1, 1.0)
+    other = measured.copy()
+    other[250:] = 0.0
+    one, two = observe(units, 1, measured), observe(units, 1, other)
+    for signal in one:
+        assert np.array_equal(one[signal][:250], two[signal][:250])
+
+
+def test_steps_may_be_missed(units):
+    """Every fifth sample is lost: the step is then twice as long."""
+    measured, true = twin_run(units, 1, 1.5)
+    model = units[1, "observer"].model
+    p = model.parameter_values()
+    x, last = np.asarray(model.initial(measured[0], p)).ravel(), 0
+    rows = []
+    for k in range(1, len(measured)):
+        if k % 5 == 0:
+            continue
+        x = model.advance(x, measured[k], p, (k - last) * STEP_S)
+        last = k
+        rows.append((k, *np.asarray(model.output(x, measured[k], p)).ravel()))
+    rows = np.array([row for row in rows if row[0] >= HALF])
+    seen = true["di"][rows[:, 0].astype(int)]
+    assert np.abs(rows[:, -1] - 1.5).max() < 0.15
+    assert np.sqrt(np.mean((rows[:, 1] - seen) ** 2)) < 0.1 * np.std(seen)
+
+
+@pytest.mark.parametrize("garbage", [1e6, -1e6])
+def test_wild_currents_leave_the_payload_within_its_bounds(units, garbage):
+    measured, _ = twin_run(units, 1, 1.0, count=REST + 200)
+    measured[100:110, 1] = garbage
+    payload_kg = observe(units, 1, measured)["payload_kg"]
+    assert np.isfinite(payload_kg).all()
+    assert (payload_kg >= 0).all() and (payload_kg <= 3).all()

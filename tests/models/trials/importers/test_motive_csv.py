@@ -1,0 +1,156 @@
+import json
+
+import numpy as np
+import pytest
+
+from models.trials.trial_files import read_trial
+
+
+def write_motive(path, time_s, markers_m, *, version="1.23", units="Meters", space="Global"):
+    """A Motive export: y up, a rigid body in front, expected and measured markers, gaps blank."""
+    per_metre = {"Meters": 1, "Centimeters": 100, "Millimeters": 1000}[units]
+    body = ["Rigid Body"] * 8
+    expected, measured = ["Rigid Body Marker"] * 64, ["Marker"] * 48
+    names = [f"Link:M{i:02d}" for i in range(1, 17)]
+    four = [n for n in names for _ in range(4)]
+    three = [n for n in names for _ in range(3)]
+    head = [
+        ["Format Version", version, "Take Name", "Take 1", "Capture Frame Rate", "240.000000",
+         "Rotation Type", "Quaternion", "Length Units", units, "Coordinate Space", space],
+        [],
+        ["", "Type", *body, *expected, *measured],
+        ["", "Name", *["Link"] * 8, *four, *three],
+        ["", "ID", *['"1"'] * 120],
+        ["", "", *["Rotation"] * 4, *["Position"] * 3, "Error Per Marker",
+         *[*["Position"] * 3, "Marker Quality"] * 16, *["Position"] * 48],
+        ["Frame", "Time (Seconds)", "X", "Y", "Z", "W", "X", "Y", "Z", "",
+         *["X", "Y", "Z", ""] * 16, *["X", "Y", "Z"] * 16],
+    ]  # fmt: skip
+    if version == "1.2":
+        del head[4]  # the rows differ between versions: readers must not count lines
+    else:
+        head.insert(5, ["", "Parent", *[""] * 120])
+    motive_m = per_metre * np.stack([markers_m[..., 0], markers_m[..., 2], -markers_m[..., 1]], -1)
+    lines = [",".join(row) for row in head]
+    for frame, (time, row) in enumerate(zip(time_s, motive_m, strict=True)):
+        cells = [str(frame), f"{time:.6f}", *["0.1"] * 8]
+        cells += [c for _ in range(16) for c in ("9", "9", "9", "1")]  # the solver's expectation
+        cells += ["" if np.isnan(v) else f"{v:.7f}" for v in row.ravel()]
+        lines.append(",".join(cells))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("version", "units"), [("1.23", "Meters"), ("1.2", "Millimeters"), ("1.25", "Centimeters")]
+)
+def test_an_export_merged_with_a_servo_log_becomes_the_true_trial(
+    session, servo_csv, write_map, run, check, tmp_path, version, units
+):
+    log, columns = servo_csv
+    file = write_motive(
+        tmp_path / "take.csv", session.mocap_s, session.markers_m, version=version, units=units
+    )
+    map_ = write_map(session.dof, columns=columns)
+    code, out, err = run(file, "--as", "motive", "--servo", log, "--map", map_, "--json")
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["offset_s"] == pytest.approx(session.offset_s, abs=2e-4)
+    assert result["correlation"] > 0.9999
+    trial = read_trial(result["trial"])
+    assert trial.step_s == pytest.approx(0.017)
+    assert trial.meta.dof == session.dof and trial.meta.source == "measured"
+    check(trial, session.servo_true_s[0], session.dof, 3e-4)  # 0.2 ms at 1.6 m/s
+    moved = np.abs(trial.goal_rad - trial.goal_rad[0]).max(axis=1) > 1e-3
+    assert trial.meta.rest_samples == np.argmax(moved) > (0.5 - 0.2) / 0.017
+
+
+def test_a_blank_cell_is_an_occluded_marker(session, servo_csv, write_map, run, tmp_path, check):
+    log, columns = servo_csv
+    markers_m = session.markers_m.copy()
+    markers_m[300:330, 6] = np.nan
+    markers_m[300:600, 12] = np.nan  # one corner of the tip: the other diagonal still has it
+    file = write_motive(tmp_path / "take.csv", session.mocap_s, markers_m)
+    map_ = write_map(session.dof, columns=columns)
+    code, _, err = run(file, "--as", "motive", "--servo", log, "--map", map_)
+    assert code == 0, err
+    trial = read_trial(tmp_path / "trials" / "take.csv")
+    check(trial, session.servo_true_s[0], session.dof, 3e-4)
+    gone = np.isnan(trial.markers_m[:, :, 0])
+    assert gone[:, 6].sum() == pytest.approx(30 / 240 / 0.017, abs=2)
+    assert gone[:, 12].sum() == pytest.approx(300 / 240 / 0.017, abs=2)
+    assert gone.any(axis=0).sum() == 2
+
+
+def test_a_tip_unseen_for_long_is_refused_and_for_short_is_bridged(
+    session, servo_csv, write_map, run, refused, tmp_path, check
+):
+    log, columns = servo_csv
+    map_ = write_map(session.dof, columns=columns)
+    markers_m = session.markers_m.copy()
+    markers_m[300:312, 12:] = np.nan  # 50 ms
+    file = write_motive(tmp_path / "take.csv", session.mocap_s, markers_m)
+    assert run(file, "--as", "motive", "--servo", log, "--map", map_)[0] == 0
+    check(read_trial(tmp_path / "trials" / "take.csv"), session.servo_true_s[0], session.dof, 4e-3)
+    markers_m[300:348, 12:] = np.nan  # 200 ms
+    write_motive(file, session.mocap_s, markers_m)
+    assert "tip is unseen for 0.2" in refused(file, "--as", "motive", "--servo", log, "--map", map_)
+
+
+def test_markers_are_mapped_by_name(session, servo_csv, write_map, run, refused, tmp_path, check):
+    log, columns = servo_csv
+    file = write_motive(tmp_path / "take.csv", session.mocap_s, session.markers_m)
+    file.write_text(file.read_text().replace("Link:M", "Arm:Marker 0"))
+    arguments = (file, "--as", "motive", "--servo", log, "--map")
+    assert "Arm:Marker 001" in refused(*arguments, write_map(session.dof, columns=columns))
+    names = {f"m{i:02d}": f"Arm:Marker {i:03d}" for i in range(1, 17)}
+    map_ = write_map(session.dof, columns=columns, markers=names)
+    assert run(*arguments, map_)[0] == 0
+    check(read_trial(tmp_path / "trials" / "take.csv"), session.servo_true_s[0], session.dof, 3e-4)
+
+
+def test_a_foreign_frame_is_laid_on_the_rest_pose(
+    session, servo_csv, write_map, run, tmp_path, check
+):
+    log, columns = servo_csv
+    yaw = np.radians(130)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    moved_m = session.markers_m @ turn.T + [1.5, -0.4, 0.8]
+    file = write_motive(tmp_path / "take.csv", session.mocap_s, moved_m)
+    for frame in (
+        {"align": "rest"},
+        {"yaw_deg": -130.0, "origin_m": [1.5, -0.4, 0.8]},
+    ):
+        map_ = write_map(session.dof, columns=columns, frame=frame)
+        code, _, err = run(file, "--as", "motive", "--servo", log, "--map", map_)
+        assert code == 0, err
+        trial = read_trial(tmp_path / "trials" / "take.csv")
+        check(trial, session.servo_true_s[0], session.dof, 3e-4)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("Format Version", "Version", "is no Motive export"),
+        ("Length Units,Meters", "Length Units,Feet", "Length Units is 'Feet'"),
+        ("Space,Global", "Space,Local", "Coordinate Space is Local"),
+        ("Frame,Time (Seconds)", "Frame,Time", "lacks"),
+        (",Name,", ",Label,", "lacks its"),
+        ("\nFrame,", "\nFrames,", "no row that begins with Frame"),
+        ("0,0.000000,0.1", "0,0.000000,oops", "cell 3: 'oops' is not a number"),
+        ("\n3,0.012500,", "\n3,0.001000,", "time does not increase after sample 3"),
+    ],
+)
+def test_a_damaged_export_gets_one_sentence(session, write_map, refused, tmp_path, old, new, what):
+    file = write_motive(tmp_path / "take.csv", session.mocap_s[:9], session.markers_m[:9])
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    sentence = refused(file, "--as", "motive", "--map", write_map(session.dof))
+    assert what in sentence and "take.csv" in sentence
+
+
+def test_a_truncated_export_is_refused(session, write_map, refused, tmp_path):
+    file = write_motive(tmp_path / "take.csv", session.mocap_s[:9], session.markers_m[:9])
+    file.write_text(file.read_text()[:-300])
+    assert "truncated" in refused(file, "--as", "motive", "--map", write_map(session.dof))

@@ -1,0 +1,133 @@
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from firmware_py.errors import InputError
+from models.shared.kinematics import base_corners_m
+from models.trials.deformation import DEFINITIONS, deformation_index, lengths_m
+
+LENGTHS = {"edges": 16, "base_to_marker": 16, "all_pairs": 120}
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_errors():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def occlude(trial, rows, *markers):
+    for marker in markers:
+        for axis in "xyz":
+            trial.columns[f"m{marker:02d}_{axis}_m"][rows] = np.nan
+    return trial
+
+
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_rigid_motion_does_not_deform(make_trial, swing_rad, definition):
+    trial = make_trial(swing_rad)
+    assert lengths_m(trial, definition).shape == (len(trial), LENGTHS[definition])
+    assert deformation_index(trial, definition) == pytest.approx(0, abs=1e-14)
+
+
+def test_every_angle_is_a_rigid_motion(make_trial):
+    @settings(max_examples=30)
+    @given(arrays(float, (6, 2), elements=st.floats(-1.2, 1.2)))
+    def check(angle_rad):
+        assert deformation_index(make_trial(angle_rad)) == pytest.approx(0, abs=1e-13)
+
+    check()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("definition", ["edges"])
+def test_one_per_cent_of_stretch_is_an_index_of_one_per_cent(
+    make_trial, swing_rad, definition, sign
+):
+    stretch = np.ones(len(swing_rad))
+    stretch[3:] += sign * 0.01
+    index = deformation_index(make_trial(swing_rad, stretch=stretch), definition)
+    assert index[:3] == pytest.approx(0, abs=1e-14)
+    assert index[3:] == pytest.approx(0.01)
+
+
+def test_scaling_the_whole_cloud_scales_all_pairs(make_trial, swing_rad):
+    trial = make_trial(swing_rad)
+    for name in trial.columns:
+        if name[0] == "m":
+            trial.columns[name][3:] *= 1.01
+    assert deformation_index(trial, "all_pairs")[3:] == pytest.approx(0.01)
+
+
+def test_the_index_is_equation_1_written_out(make_trial, swing_rad):
+    rng = np.random.default_rng(1)
+    trial = make_trial(swing_rad)
+    for name in trial.columns:
+        if name[0] == "m":
+            trial.columns[name] += 0.003 * rng.standard_normal(len(trial))
+    corners = base_corners_m(trial.angle_rad, 0.06, 0.15)
+    row, expected = 40, 0.0
+    for corner in range(4):
+        for k in range(4):
+
+            def length(r, corner=corner, k=k):
+                end = trial.markers_m[r, 4 * k + corner]
+                start = trial.markers_m[r, 4 * (k - 1) + corner] if k else corners[r, corner]
+                return np.sqrt(np.sum((end - start) ** 2))
+
+            rest = (length(0) + length(1) + length(2)) / 3
+            expected += abs(rest - length(row)) / rest / 16
+    assert deformation_index(trial)[row] == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_reference_is_taken_at_rest_only(make_trial, swing_rad):
+    stretch = np.ones(len(swing_rad))
+    stretch[10:] = 1.05
+    calm = deformation_index(make_trial(swing_rad, stretch=stretch))
+    stretch[30:] = 1.5
+    wild = deformation_index(make_trial(swing_rad, stretch=stretch))
+    assert wild[:30] == pytest.approx(calm[:30], abs=1e-15)
+
+
+def test_the_mean_runs_over_the_lengths_that_are_seen(make_trial, swing_rad):
+    stretch = np.ones(len(swing_rad))
+    stretch[3:] = 1.01
+    trial = make_trial(swing_rad, stretch=stretch)
+    rows = slice(20, 25)
+    occlude(trial, rows, 6, 11)  # two lengths each
+    assert np.isnan(lengths_m(trial)[rows]).sum(axis=1).tolist() == [4] * 5
+    assert deformation_index(trial)[3:] == pytest.approx(0.01)
+    # a deformation that nobody sees must not be counted, one that is seen counts 1/12 more
+    trial.columns["m16_x_m"][20] += 1.0
+    seen = np.abs(lengths_m(trial)[20, 15] / lengths_m(trial)[0, 15] - 1)
+    assert deformation_index(trial)[20] == pytest.approx((11 * 0.01 + seen) / 12)
+
+
+def test_a_row_without_any_marker_is_nan(make_trial, swing_rad):
+    trial = occlude(make_trial(swing_rad), slice(30, 31), *range(1, 17))
+    index = deformation_index(trial)
+    assert np.flatnonzero(np.isnan(index)).tolist() == [30]
+
+
+def test_much_occlusion_is_warned_of_and_a_little_is_not(make_trial, swing_rad):
+    deformation_index(occlude(make_trial(swing_rad), slice(40, 50), 5))
+    trial = occlude(make_trial(swing_rad), slice(10, None), 5, 6)
+    with pytest.warns(UserWarning, match=r"2\d% of the lengths are occluded"):
+        deformation_index(trial)
+
+
+def test_a_length_unseen_at_rest_has_no_reference(make_trial, swing_rad):
+    trial = occlude(make_trial(swing_rad), slice(0, 3), 13)
+    with pytest.raises(InputError, match=r"length 13 of 16 \('edges'\) is occluded in all 3 rest"):
+        deformation_index(trial)
+    trial = occlude(make_trial(swing_rad), slice(0, 2), 13)  # seen in one rest row: enough
+    assert deformation_index(trial) == pytest.approx(0, abs=1e-14)
+
+
+def test_without_rest_there_is_no_reference(make_trial, swing_rad):
+    with pytest.raises(InputError, match="rest_samples is 0"):
+        deformation_index(make_trial(swing_rad, rest_samples=0))
