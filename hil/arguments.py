@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from firmware_py.bus.servo_models import MODELS
-from hil.faults import KINDS
+from hil.emulator.line_faults import KINDS
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:

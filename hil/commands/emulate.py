@@ -17,8 +17,8 @@ from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 from hil.arguments import add_line_arguments
 from hil.emulator.emulator import Specification, serve_forever
+from hil.emulator.line_faults import parse_rates
 from hil.emulator.twin_fmu import build_twin
-from hil.faults import parse_rates
 
 EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
 

@@ -26,8 +26,8 @@ from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from firmware_py.summary import Ended
 from hil import sil, sil_artifacts
 from hil.arguments import add_line_arguments
+from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
-from hil.faults import parse_rates
 from hil.timing import tick_budget, timing_verdict
 from hil.timing.hdr_histogram import write_hgrm
 from hil.timing.timeline import write_timeline

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,39 +17,13 @@ from firmware_py.bus.registers import Register
 from hil.emulator import packets
 from hil.emulator.emulated_servo import EmulatedServo
 from hil.emulator.packets import BROADCAST, Instruction, Packet, StatusError
+from hil.emulator.physics import Physics
 
 Array = NDArray[np.float64]
 _SHORTEST_VELOCITY_STEP_S = 5e-4
 _LEVEL_OF_INSTRUCTION: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
 """Status return level that an instruction needs to be answered; 2 where it is not listed."""
 _SYNCHRONOUS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ, Instruction.SYNC_WRITE)
-
-
-class Physics(Protocol):
-    """The plant behind the servos, their own closed loops included.
-
-    Attributes
-    ----------
-    dof : int
-        Number of joints, one servo each.
-    angle_rad, current_a : ndarray, shape (dof,)
-        State at the end of the last step.
-    tip_m : ndarray, shape (3,)
-        End effector in the world frame, which no servo can see.
-    """
-
-    dof: int
-    angle_rad: Array
-    current_a: Array
-
-    @property
-    def tip_m(self) -> Array:
-        """End effector at the end of the last step."""
-        ...
-
-    def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """Let `step_s` pass with constant goals, one per joint."""
-        ...
 
 
 class Reply(NamedTuple):

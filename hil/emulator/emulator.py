@@ -25,11 +25,12 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import RealTimeOptions, real_time
 from firmware_py.realtime.timing import KernelCounters
-from hil.emulator.emulated_bus import EmulatedBus, Physics
+from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
+from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
-from hil.emulator.physics import FmuPhysics, RigSource, open_physics
-from hil.faults import FaultPlan
+from hil.emulator.line_faults import FaultPlan
+from hil.emulator.physics import Physics, RigSource
 from hil.timing.host import Releases
 
 PRIORITY: Final = 60
@@ -125,6 +126,21 @@ class TruthLog:
     def truth(self) -> Truth:
         """Everything noted so far."""
         return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
+
+
+def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) -> Physics:
+    """The twin in a .fmu file, or a rig, in its initial state.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    if isinstance(source, Path):
+        return FmuPhysics(source, dof, payload_kg)
+    from hil.emulator.rig_physics import RigPhysics  # imported here because it loads MuJoCo
+
+    return RigPhysics(source, dof, payload_kg)
 
 
 def assemble(specification: Specification) -> tuple[Line, TruthLog]:

@@ -27,8 +27,8 @@ from typing import Final, NamedTuple
 
 from firmware_py.realtime.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
+from hil.emulator.line_faults import FaultPlan
 from hil.emulator.packets import Parser
-from hil.faults import FaultPlan
 
 BITS_PER_BYTE: Final = 10
 """Eight data bits between start and stop bit."""

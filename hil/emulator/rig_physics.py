@@ -28,7 +28,7 @@ _TIP_ROW = slice(12, 16)
 
 
 class RigPhysics:
-    """The laboratory as `hil.emulator.emulated_bus.Physics`.
+    """The laboratory as `hil.emulator.physics.Physics`.
 
     It settles at zero and then runs in its own steps: angle, current and tip belong to one moment,
     the start of the last whole step, which is at most two steps ago. The tip is the true one; what
@@ -68,7 +68,7 @@ class RigPhysics:
         return np.asarray(self._lab.markers_m[_TIP_ROW].mean(axis=0))
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """See `hil.emulator.emulated_bus.Physics.advance`."""
+        """See `hil.emulator.physics.Physics.advance`."""
         self._lab.send(np.asarray(goal_rad))
         self._until_s += step_s
         self._run()

@@ -22,7 +22,7 @@ from firmware_py.realtime.timing import Counters
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import RunSummary
-from hil.emulator.emulated_bus import Physics
+from hil.emulator.physics import Physics
 from hil.faults.fault_table import Row
 from hil.faults.host_faults import FaultyEstimator, FaultyPredictor, Host
 from hil.faults.observation import CaseOutcome, Columns

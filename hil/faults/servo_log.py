@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.registers import Register
-from hil.emulator.emulated_bus import EmulatedBus, Physics, Reply
+from hil.emulator.emulated_bus import EmulatedBus, Reply
 from hil.emulator.emulated_servo import EmulatedServo
 from hil.emulator.packets import Instruction, Packet, StatusError
+from hil.emulator.physics import Physics
 
 Array = NDArray[np.float64]
 _HUSHED_ID: Final = 255

@@ -19,8 +19,8 @@ from typing import Any, Final
 
 from firmware_py.realtime.clock import RealTimeOptions, real_time
 from hil.emulator.emulator import PRIORITY
+from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
-from hil.emulator.physics import FmuPhysics
 from hil.faults.case_robot import servos_of
 from hil.faults.fault_table import Row
 from hil.faults.injection import Script

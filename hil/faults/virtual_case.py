@@ -11,8 +11,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.transport import Transport
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import SimClock
+from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, VirtualTransport
-from hil.emulator.physics import FmuPhysics
 from hil.faults.case_robot import CaseRobot, drive, goals_of, lean, robot_config, servos_of
 from hil.faults.fault_table import Row
 from hil.faults.host_faults import FaultyTransport, Host, SteppedClock

@@ -12,8 +12,9 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from models.gap.residuals.spectrum import Array
+Array = NDArray[np.float64]
 
 WIDTH: Final = 420
 BEFORE, AFTER, QUIET, INK = "#b4532a", "#1d6a96", "#8a94a0", "#1f2933"

@@ -14,7 +14,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
 from websockets.sync.client import connect
 
 from firmware_py.config import LiveConfig
@@ -22,6 +21,7 @@ from firmware_py.errors import InputError
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
 from firmware_py.summary import Ended
+from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
 from tests.firmware_py.test_loop import make
 
 ANYWHERE = ("127.0.0.1", 0)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, first_goal_after, started
 
 from firmware_py.motion import KINDS, Motion
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
+from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, first_goal_after, started
 
 PERIOD_S = 0.017
 angles = st.floats(-0.4, 0.4)

@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, TIP, check, first_goal_after, started
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
@@ -15,6 +14,14 @@ from firmware_py.motion import KINDS, Motion
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor, check_motion
+from tests.firmware_py.safety.supervised import (
+    EXACT_S,
+    LIMITS,
+    TIP,
+    check,
+    first_goal_after,
+    started,
+)
 
 PERIOD_S = 0.017
 INSIDE, AT, OUTSIDE = -1e-6, 0.0, 1e-6

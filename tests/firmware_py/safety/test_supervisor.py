@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.safety.states import TRANSITIONS, SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
+from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
 
 
 @pytest.mark.parametrize(("ticks", "stops"), [(1, False), (2, False), (3, True)])

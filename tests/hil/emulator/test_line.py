@@ -28,8 +28,8 @@ from hil.emulator.line import (
     serve,
     socket_endpoint,
 )
+from hil.emulator.line_faults import FaultPlan, parse_rates
 from hil.emulator.packets import BROADCAST, Instruction, Parser
-from hil.faults import FaultPlan, parse_rates
 
 MS = 1_000_000
 

@@ -18,8 +18,8 @@ from firmware_py.inference.bundle import Manifest, ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from hil.emulator import packets
+from hil.emulator.line_faults import fault_docs, fault_verdict, virtual_case
 from hil.emulator.packets import BROADCAST, Instruction, Packet
-from hil.faults import fault_docs, fault_verdict, virtual_case
 from hil.faults.campaign import cases_of
 from hil.faults.case_robot import CaseRobot
 from hil.faults.fault_table import RECOVERED, ROWS, Must, Row

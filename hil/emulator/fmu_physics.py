@@ -1,0 +1,71 @@
+"""The twin behind the emulated servos: an FMU, stepped through ctypes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.signals import tip_names
+
+Array = NDArray[np.float64]
+
+
+class FmuPhysics:
+    """A twin as `hil.emulator.physics.Physics`.
+
+    Parameters
+    ----------
+    path : Path
+        The .fmu file.
+    dof : int
+        Number of joints that it must have.
+    payload_kg : float
+        Mass at the tip.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, is no twin, or is one of other joints.
+    """
+
+    def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
+        self.unit = FmuInstance(path)
+        goals = [name for name in self.unit.variables if name.startswith("goal_")]
+        if not goals:
+            raise InputError(path, "takes no goals", "build it with --unit twin")
+        if len(goals) != dof:
+            raise InputError(
+                path, f"has {len(goals)} joints, {dof} are needed", "name the unit of the same dof"
+            )
+        self.dof = dof
+        joints = range(1, dof + 1)
+        self._goals = self.unit.channel([f"goal_{j}_rad" for j in joints])
+        names = [*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints)]
+        self._state = self.unit.channel(names)
+        self._tip = self.unit.channel(tip_names())
+        self.angle_rad, self.current_a = self._state.values[:dof], self._state.values[dof:]
+        self.unit.set(["payload_kg"], [payload_kg])
+        self.unit.start()
+        self._state.receive()
+
+    @property
+    def tip_m(self) -> Array:
+        """End effector in the world frame, shape (3,)."""
+        self._tip.receive()
+        return self._tip.values
+
+    def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
+        """See `hil.emulator.physics.Physics.advance`."""
+        self._goals.values[:] = goal_rad
+        self._goals.send()
+        self.unit.step(step_s)
+        self._state.receive()
+
+    def parameter(self, name: str) -> float:
+        """Value of a plant parameter."""
+        return float(self.unit.get([f"parameters.{name}"])[0])
