@@ -43,8 +43,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the campaign, judge, write."""
-    from hil.faults import fault_verdict
     from hil.emulator.twin_fmu import build_twin
+    from hil.faults import fault_verdict
     from hil.faults.campaign import cases_of, facts, run_campaign
     from hil.faults.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS

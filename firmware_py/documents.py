@@ -1,0 +1,76 @@
+"""JSON documents that machines write and read: one struct each, with a version and a schema.
+
+A document is a `Document`: a frozen msgspec struct whose first field is the version of its form.
+It is read and written by one module only, through `read_document` and `write_document`; its JSON
+Schema stands in `docs/schema/`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+T = TypeVar("T", bound="Document")
+
+
+class Document(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of every document.
+
+    Attributes
+    ----------
+    schema : int
+        Version of the form, `VERSION` of the class. A change that an old reader would misread
+        raises it.
+    """
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = ""
+    """Command that writes the document: the remedy where one is of another version."""
+
+    schema: int
+
+
+def read_document(path: Path, kind: type[T]) -> T:
+    """Read a document.
+
+    Parameters
+    ----------
+    path : Path
+        JSON file.
+    kind : type
+        Struct that it must hold.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, of another version, or does not hold this document.
+    """
+    remedy = f"write it anew with {kind.MADE_BY}"
+    try:
+        raw = msgspec.json.decode(path.read_bytes())
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read", remedy) from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is no JSON document ({error})", remedy) from error
+    version = raw.get("schema") if isinstance(raw, dict) else None
+    if version != kind.VERSION:
+        found = "has no schema version" if version is None else f"has schema version {version}"
+        raise InputError(path, f"{found}, this release reads version {kind.VERSION}", remedy)
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(path, f"does not fit its schema ({error})", remedy) from error
+
+
+def write_document(path: Path, document: Document) -> None:
+    """Write a document as indented JSON; a float that is no number becomes null."""
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
+
+
+def schema_of(kind: type[Document]) -> dict[str, Any]:
+    """The JSON Schema of a document (draft 2020-12)."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | msgspec.json.schema(kind)
