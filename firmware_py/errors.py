@@ -4,7 +4,7 @@
 
     DropstitchError                 anything that we raise on purpose
     ├── InputError                  the user's file, option or set-up is wrong (exit 2)
-    ├── UnitRefusal                 an FMI unit refused a call; it stands where it stood
+    ├── FmuRefusal                 an FMI unit refused a call; it stands where it stood
     └── SafetyTrip                  the supervisor stopped the robot; holds the last ticks (exit 1)
 
 Inside the loop a fault is a value (`firmware_py.bus.servo_bus.BusStatus`), never an exception.

@@ -140,7 +140,7 @@ class FmuInstance:
 
         Raises
         ------
-        UnitRefusal
+        FmuRefusal
             If the call fails.
         """
         if getattr(self._library, name)(self._instance, *arguments) > _FMI_WARNING:

@@ -18,8 +18,8 @@ from firmware_py.inference.bundle import Manifest, ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from hil.emulator import packets
-from hil.emulator.line_faults import fault_docs, fault_verdict, virtual_case
 from hil.emulator.packets import BROADCAST, Instruction, Packet
+from hil.faults import fault_docs, fault_verdict, virtual_case
 from hil.faults.campaign import cases_of
 from hil.faults.case_robot import CaseRobot
 from hil.faults.fault_table import RECOVERED, ROWS, Must, Row
@@ -47,7 +47,7 @@ def rig(chain_of, monkeypatch, tmp_path):
             super().__init__(dof)
             self.unit = SimpleNamespace(close=lambda: None)
 
-    monkeypatch.setattr(virtual_case, "UnitPhysics", Physics)
+    monkeypatch.setattr(virtual_case, "FmuPhysics", Physics)
     manifest = Manifest(
         dof=2, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
         lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
