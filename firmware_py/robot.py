@@ -1,22 +1,57 @@
-"""Put together what a configuration names: the bundle, the bus, the facts for the log."""
+"""Assembly of a robot from its configuration: bundle, bus, control loop, metadata of the log."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py import __version__
 from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
+from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.predictor import Predictor
+from firmware_py.log.telemetry import Telemetry
+from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
+from firmware_py.realtime.service import Service
+from firmware_py.realtime.timing import Counters
+from firmware_py.safety.supervisor import SafetySupervisor
+
+Array = NDArray[np.float64]
+
+
+class LoopModels(Protocol):
+    """Models that the loop evaluates in every tick; a `ModelBundle` is one.
+
+    Attributes
+    ----------
+    estimator : DeformationEstimator
+        Deformation Index from angle and current.
+    predictor : Predictor
+        Tip from angle, current and DI.
+    """
+
+    @property
+    def estimator(self) -> DeformationEstimator:
+        """Deformation Index from angle and current."""
+        ...
+
+    @property
+    def predictor(self) -> Predictor:
+        """Tip from angle, current and DI."""
+        ...
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
@@ -37,22 +72,103 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
     return bundle
 
 
+def build_bus(
+    config: RobotConfig,
+    transport: Transport,
+    clock: Clock,
+    opener: Callable[[], Transport] | None = None,
+) -> DynamixelBus:
+    """Return the bus that a configuration describes, over an open transport.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Servos, baud rate, timeouts and limits.
+    transport : Transport
+        Byte stream to the servos; the bus closes it.
+    clock : Clock
+        Real or simulated.
+    opener : callable, optional
+        Opens the transport anew; without it a port that has gone stays gone.
+
+    Raises
+    ------
+    InputError
+        If the servos do not share one control table.
+    """
+    return DynamixelBus(
+        transport, config.setups(), clock, period_s=config.period_s,
+        return_delay_s=config.bus.return_delay_s, name=config.bus.port, baud=config.bus.baud,
+        reply_timeout_s=config.bus.reply_timeout_s, opener=opener,
+    )  # fmt: skip
+
+
 @contextlib.contextmanager
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
-    """Open the bus that a configuration describes; torque off and closed at the end."""
+    """Open the bus that a configuration describes; torque off and closed at the end.
+
+    Raises
+    ------
+    InputError
+        If the port cannot be opened.
+    """
 
     def opener() -> Transport:
         return open_transport(config.bus.port, config.bus.baud, clock)
 
-    bus = DynamixelBus(
-        opener(), config.setups(), clock, period_s=config.period_s,
-        return_delay_s=config.bus.return_delay_s, name=config.bus.port, baud=config.bus.baud,
-        reply_timeout_s=config.bus.reply_timeout_s, opener=opener,
-    )  # fmt: skip
+    bus = build_bus(config, opener(), clock, opener)
     try:
         yield bus
     finally:
         bus.close()
+
+
+def build_loop(
+    config: RobotConfig,
+    bundle: LoopModels,
+    bus: ServoBus,
+    clock: Clock,
+    *,
+    goals_rad: Array | None = None,
+    slots: int | None = None,
+    telemetry: Telemetry | None = None,
+    counters: Counters | None = None,
+    service: Service | None = None,
+    keep: int = 4096,
+) -> ControlLoop:
+    """Return the control loop that a configuration describes, ready to run.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Period, timeouts, limits and motion.
+    bundle : LoopModels
+        Estimator and predictor.
+    bus : ServoBus
+        The servos; the caller closes it.
+    clock : Clock
+        The clock of the bus.
+    goals_rad : ndarray, shape (n, dof), optional
+        Goal of each slot; by default the configured motion, made to repeat where `slots` is given.
+    slots : int, optional
+        Slots to run before the controlled stop; the goals repeat. None runs them once.
+    telemetry, counters, service, keep
+        See `firmware_py.loop.ControlLoop`.
+
+    Raises
+    ------
+    InputError
+        If the motion breaks a limit or has another number of joints than the bus.
+    """
+    if goals_rad is None:
+        goals_rad = config.goals_rad(repeated=slots is not None)
+    return ControlLoop(
+        bus, bundle.estimator, bundle.predictor,
+        SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals_rad, clock,
+        slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
+        replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters, service=service,
+        keep=keep,
+    )  # fmt: skip
 
 
 def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) -> dict[str, str]:

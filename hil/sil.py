@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
-from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
@@ -38,8 +37,7 @@ from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock, DeadlineClock, RealTimeOptions, SimClock, real_time
 from firmware_py.realtime.timing import Counters, KernelCounters, NoCounters
-from firmware_py.robot import log_metadata, open_bus
-from firmware_py.safety.supervisor import SafetySupervisor
+from firmware_py.robot import build_bus, build_loop, log_metadata, open_bus
 from firmware_py.summary import RunSummary
 from hil.emulator.emulator import Emulator, EmulatorOutcome, Specification, assemble
 from hil.emulator.line import VirtualTransport
@@ -239,10 +237,7 @@ def _run_virtual(options: SilOptions, specification: Specification) -> SilResult
     clock = SimClock()
     line, truth = assemble(specification)
     config = robot_config(options, "virtual")
-    bus = DynamixelBus(
-        VirtualTransport(line, clock), config.setups(), clock,
-        period_s=config.period_s, name=config.bus.port, baud=config.bus.baud,
-    )  # fmt: skip
+    bus = build_bus(config, VirtualTransport(line, clock), clock)
     loop = _loop(options, config, bus, clock, NoTelemetry(), NoCounters())
     start_s, start_busy_s = time.perf_counter(), time.process_time()
     summary = loop.run()
@@ -328,12 +323,9 @@ def _loop(
     counters: Counters,
 ) -> ControlLoop:
     slots = round(options.seconds / config.period_s)
-    return ControlLoop(
-        bus, options.bundle.estimator, options.bundle.predictor,
-        SafetySupervisor(config.limits_in_force, options.dof, config.period_s),
-        config.goals_rad(repeated=True), clock,
-        slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-        telemetry=telemetry, counters=counters, keep=slots + _STOP_TICKS,
+    return build_loop(
+        config, options.bundle, bus, clock, slots=slots, telemetry=telemetry, counters=counters,
+        keep=slots + _STOP_TICKS,
     )  # fmt: skip
 
 

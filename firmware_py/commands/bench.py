@@ -13,20 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.bus.servo_models import model_named
+from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.estimator import DeformationEstimator, NoEstimator
-from firmware_py.inference.predictor import Prediction, Predictor
-from firmware_py.loop import ControlLoop
-from firmware_py.motion import Motion
-from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.predictor import Prediction
+from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.timing import KernelCounters
-from firmware_py.safety.limits import Limits
-from firmware_py.safety.supervisor import SafetySupervisor
-from firmware_py.signals import PERIOD_S, STAGES
+from firmware_py.robot import LoopModels, build_bus, build_loop
+from firmware_py.signals import STAGES
 
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 
@@ -37,13 +33,20 @@ _MODEL = "H54-200-S500-R"
 
 
 class _NoPredictor:
-    """Answers a fixed tip: the loop without any model."""
+    """Constant tip: the loop without a predictor."""
 
     def __init__(self) -> None:
         self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
 
     def predict(self, angle_rad: object, current_a: object, di: float) -> Prediction:
         return self._prediction
+
+
+class _NoModels:
+    """Neither estimator nor predictor."""
+
+    def __init__(self) -> None:
+        self.estimator, self.predictor = NoEstimator(), _NoPredictor()
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -55,22 +58,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure; the verdict is negative where the own cost breaks its limit."""
-    dof, estimator, predictor = args.dof, *_no_models()
-    if args.bundle is not None:
-        bundle = ModelBundle.load(args.bundle)
-        dof, estimator, predictor = bundle.manifest.dof, bundle.estimator, bundle.predictor
-    clock, limits = DeadlineClock(), Limits()
-    models = {j: model_named(_MODEL) for j in range(1, dof + 1)}
-    setups = [ServoSetup(id_, model, *limits.angle_rad) for id_, model in models.items()]
-    bus = DynamixelBus(LoopbackTransport(models), setups, clock, period_s=PERIOD_S, name="memory")
+    dof, models = _models(args)
+    config = RobotConfig(
+        bundle="", bus=BusConfig(port="memory"), motion=MotionConfig(rest_s=0.0),
+        servos=tuple(ServoConfig(id=joint, model=_MODEL) for joint in range(1, dof + 1)),
+    )  # fmt: skip
+    clock = DeadlineClock()
+    servos = {setup.id: setup.model for setup in config.setups()}
+    bus = build_bus(config, LoopbackTransport(servos), clock)
+    slots = math.ceil(args.seconds / config.period_s)
     with (
         contextlib.closing(KernelCounters()) as counters,
-        real_time(RealTimeOptions()) as refused,
+        real_time(config.real_time) as refused,
     ):
-        summary = ControlLoop(
-            bus, estimator, predictor, SafetySupervisor(limits, dof), Motion(dof=dof).table_rad(),
-            clock, slots=math.ceil(args.seconds / PERIOD_S), counters=counters,
-        ).run()  # fmt: skip
+        summary = build_loop(config, models, bus, clock, slots=slots, counters=counters).run()
     stages = {name: summary.timing.stages[name].summary() for name in (*STAGES, "busy", "own")}
     good = stages["own"]["p99_ns"] <= LIMIT_NS
     lines = [f"{'stage':>10} {'p50':>8} {'p99':>8} {'max':>8}  µs"]
@@ -89,5 +90,8 @@ def run(args: argparse.Namespace) -> int:
     return DONE if good else NEGATIVE
 
 
-def _no_models() -> tuple[DeformationEstimator, Predictor]:
-    return NoEstimator(), _NoPredictor()
+def _models(args: argparse.Namespace) -> tuple[int, LoopModels]:
+    if args.bundle is None:
+        return args.dof, _NoModels()
+    bundle = ModelBundle.load(args.bundle)
+    return bundle.manifest.dof, bundle

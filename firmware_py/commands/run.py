@@ -21,13 +21,11 @@ from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
-from firmware_py.loop import ControlLoop
 from firmware_py.motion import KINDS
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.service import SystemdService
 from firmware_py.realtime.timing import KernelCounters
-from firmware_py.robot import load_bundle, log_metadata, open_bus
-from firmware_py.safety.supervisor import SafetySupervisor
+from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
 from firmware_py.summary import Ended, RunSummary
 
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
@@ -59,12 +57,9 @@ def run(args: argparse.Namespace) -> int:
         telemetry, log = stack.enter_context(_telemetry(config, args, bundle))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
-        loop = ControlLoop(
-            bus, bundle.estimator, bundle.predictor,
-            SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals_rad, clock,
-            slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-            replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters,
-            service=service,
+        loop = build_loop(
+            config, bundle, bus, clock, goals_rad=goals_rad, slots=slots, telemetry=telemetry,
+            counters=counters, service=service,
         )  # fmt: skip
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)

@@ -10,17 +10,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.timing import Counters
+from firmware_py.robot import build_bus, build_loop
 from firmware_py.safety.limits import Limits
-from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import RunSummary
 from hil.emulator.physics import Physics
 from hil.faults.fault_table import Row
@@ -53,6 +51,14 @@ class CaseRobot:
     def dof(self) -> int:
         """Number of joints."""
         return self.bundle.manifest.dof
+
+
+class FaultyModels:
+    """Estimator and predictor of a bundle with the host's faults in them."""
+
+    def __init__(self, bundle: ModelBundle, host: Host) -> None:
+        self.estimator = FaultyEstimator(bundle.estimator, host)
+        self.predictor = FaultyPredictor(bundle.predictor, host)
 
 
 def robot_config(rig: CaseRobot, row: Row, number: int, port: str) -> RobotConfig:
@@ -120,16 +126,10 @@ def drive(
 ) -> tuple[CaseOutcome, Columns]:
     """Run the robot's loop; return how it ended and its ticks by column."""
     try:
-        bus = DynamixelBus(
-            opener(), config.setups(), clock, period_s=config.period_s, name=config.bus.port,
-            reply_timeout_s=config.bus.reply_timeout_s, opener=opener,
-        )  # fmt: skip
-        loop = ControlLoop(
-            bus, FaultyEstimator(rig.bundle.estimator, host),
-            FaultyPredictor(rig.bundle.predictor, host),
-            SafetySupervisor(config.limits_in_force, rig.dof, config.period_s), goals_rad, clock,
-            slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-            replug_s=config.bus.replug_s, counters=counters, keep=2 * slots,
+        bus = build_bus(config, opener(), clock, opener)
+        loop = build_loop(
+            config, FaultyModels(rig.bundle, host), bus, clock, goals_rad=goals_rad, slots=slots,
+            counters=counters, keep=2 * slots,
         )  # fmt: skip
         try:
             summary = loop.run()
