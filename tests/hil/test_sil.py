@@ -230,6 +230,7 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
         ({"payload_kg": -1.0}, "--payload-kg"),
         ({"payload_kg": math.nan}, "--payload-kg"),
         ({"latency_s": -1e-3}, "--latency-ms"),
+        ({"latency_s": 16e-3}, "answers take .* ms, bus.reply_timeout_s allows 8 ms"),
         ({"out": NOMINAL}, "--out"),
         ({"unit": None}, "plant.json"),
         ({"motion": MotionConfig(amplitude_rad=1.2)}, "motion"),

@@ -14,6 +14,7 @@ import os
 from collections import Counter
 
 import dynamixel_sdk as sdk
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,11 +23,9 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
-from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
-from firmware_py.robot import open_bus
+from firmware_py.robot import build_loop, open_bus
 from firmware_py.safety.limits import Limits
-from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 
 REACH_RAD = math.radians(5.0)
@@ -39,6 +38,12 @@ class UprightPredictor:
 
     def predict(self, angle_rad, current_a, di):
         return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
+
+
+class NoModels:
+    """Estimator and predictor that know nothing."""
+
+    estimator, predictor = NoEstimator(), UprightPredictor()
 
 
 class Witness:
@@ -91,12 +96,12 @@ class Rig:
     def loop(self, bus, limits=None, telemetry=None):
         """The robot's own loop over the motion."""
         config = self.config
-        supervisor = SafetySupervisor(limits or config.limits_in_force, config.dof, config.period_s)
-        return ControlLoop(
-            bus, NoEstimator(), UprightPredictor(), supervisor, config.goals_rad(), self.clock,
-            period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-            telemetry=telemetry,
-        )  # fmt: skip
+        goals_rad = config.goals_rad()
+        if limits is not None:
+            config = msgspec.structs.replace(config, limits=limits)
+        return build_loop(
+            config, NoModels(), bus, self.clock, goals_rad=goals_rad, telemetry=telemetry
+        )
 
     def run(self, loop):
         """Run it as the robot does; return its summary."""
