@@ -71,9 +71,12 @@ class CurrentSaturation(Effect):
 
     @classmethod
     def met_at(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Rated limit less the largest current that was held."""
+        """Rated limit less the largest current that was held; 0 where no current was measured."""
         held = np.ones(HELD) / HELD
-        currents = [np.abs(c) for t in trials for c in t.current_a.T]
+        measured = [t for t in trials if "current_1_a" in t.columns]
+        if len(measured) < len(trials) or "current_limit_1_a" not in known:
+            return 0.0
+        currents = [np.abs(c) for t in measured for c in t.current_a.T]
         largest_a = max(float(np.convolve(c, held, "valid").max()) for c in currents)
         return known["current_limit_1_a"] - largest_a
 
