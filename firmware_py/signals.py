@@ -80,7 +80,7 @@ def joint_signals(dof: int) -> tuple[Signal, ...]:
 
 
 def trial_signals(dof: int) -> tuple[Signal, ...]:
-    """Columns of a trial of the link, in order (DESIGN, section 3)."""
+    """Columns of a trial of the link, in order (docs/architecture.md)."""
     return (TIME, *joint_signals(dof), *_TIP, *_MARKERS)
 
 

@@ -20,7 +20,7 @@ from models.trials.trial import Trial, TrialMeta
 
 Array = NDArray[np.float64]
 PRESSURE_PA: Final = 41_300.0
-"""Pressure that the plant's parameters stand for (FACTS §6)."""
+"""Pressure that the plant's parameters stand for (docs/sources.md, "The link")."""
 _FIGURES: Final = (
     "mean_euclidean_distance_m", "rms_m", "p95_m", "max_m", "interval_coverage", "in_range_share",
 )  # fmt: skip

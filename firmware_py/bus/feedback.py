@@ -4,7 +4,7 @@ Where the plan gathers them by indirect addresses, whether each servo still driv
 one that has rebooted, or was stopped by its watchdog, says so in the very next tick.
 
 The zeros that the SDK's group reader returns for a missing reply never appear here: replies are
-taken one by one, which also keeps the alert bit that it drops (FACTS §1).
+taken one by one, which also keeps the alert bit that it drops (docs/sources.md, "Dynamixel SDK").
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The SDK's port and packet handlers, made fit for a deadline.
 
-What is changed and why (FACTS §1, all measured against dynamixel-sdk 4.1.0):
+What is changed and why (docs/sources.md, "Dynamixel SDK"; measured against dynamixel-sdk 4.1.0):
 
 - Reading blocks in the kernel until bytes arrive. As shipped it spins, which burns 13–31 % of a
   processor and under SCHED_FIFO starves the very worker that would deliver the bytes.

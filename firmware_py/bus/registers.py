@@ -1,10 +1,9 @@
 """Control tables as data: which family of servos has which register where.
 
-The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and
-P models. A servo is therefore told apart by its model number (`firmware_py.bus.servo_models`),
-never
-by its name. Addresses are those of the ROBOTIS e-Manual (FACTS §2), which the tables of ROBOTIS'
-own dynamixel-workbench repeat.
+The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and P
+models. A servo is therefore told apart by its model number (`firmware_py.bus.servo_models`), never
+by its name. Addresses are those of the ROBOTIS e-Manual (docs/sources.md, "Control tables"), which
+the tables of ROBOTIS' own dynamixel-workbench repeat.
 """
 
 from __future__ import annotations

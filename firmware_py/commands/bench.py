@@ -1,7 +1,7 @@
 """Measure what a tick costs by itself, paced like the real one, against servos in memory.
 
 Paced matters: between two ticks the caches go cold and the same work costs two to three times
-what a hot loop would show (FACTS §1).
+what a hot loop would show (docs/sources.md, "Dynamixel SDK").
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The way of a tick out of the loop: one packed record to another process, or to nobody.
 
 Logging inside the loop would cost it 8–13.5 ms at worst, in a thread beside it 30–63 ms; a record
-through a non-blocking socket to another process costs 50 µs (FACTS §3). A record that does not
-fit at once is dropped and counted: the loop waits for nobody.
+through a non-blocking socket to another process costs 50 µs (docs/sources.md, "Fixed-rate loop"). A
+record that does not fit at once is dropped and counted: the loop waits for nobody.
 """
 
 from __future__ import annotations

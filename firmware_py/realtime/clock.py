@@ -1,9 +1,9 @@
 """Time for the loop: a clock that waits for absolute deadlines, real or simulated.
 
 Waiting for absolute deadlines keeps the phase: 600 ticks of 17 ms drift by 3 ms in all, against
-1.3–2.1 s with relative sleeping (FACTS §3). `SCHED_FIFO` is worth more than everything else
-against a busy machine, and it is set inside the loop's own thread: a policy for the whole unit
-would promote every helper thread as well.
+1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). `SCHED_FIFO` is worth more
+than everything else against a busy machine, and it is set inside the loop's own thread: a policy
+for the whole unit would promote every helper thread as well.
 """
 
 from __future__ import annotations

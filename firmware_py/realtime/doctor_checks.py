@@ -1,7 +1,8 @@
 """What on this PC would spoil the loop's timing, and how to mend it.
 
-Ranked by what was measured (FACTS §2, §3): the USB latency timer costs up to 16 ms of 17, the
-normal scheduler up to 43 ms under load, paging and the collector hundreds; the rest is smaller.
+Ranked by what was measured (docs/sources.md, "Fixed-rate loop"): the USB latency timer costs up to
+16 ms of 17, the normal scheduler up to 43 ms under load, paging and the collector hundreds; the
+rest is smaller.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faste
 `serve`
 plays it in real time behind a file descriptor, which `pty_endpoint` and `socket_endpoint` provide:
 the first for any Dynamixel program, the second for timing claims (a pseudo-terminal passes through
-a kernel worker that SCHED_FIFO readers starve, FACTS §1).
+a kernel worker that SCHED_FIFO readers starve, docs/sources.md, "Dynamixel SDK").
 
 ::
 

@@ -1,8 +1,8 @@
 """The lagged regressor of DI: what the servo alone can tell, without a model of the link.
 
 A quadratic in angles and currents now and up to 16 ticks (0.27 s) ago. On the motion that it was
-trained on it recovers most of what DI gains; on others less (FACTS §6), which is why the bundle
-prefers the plant observer.
+trained on it recovers most of what DI gains; on others less (docs/sources.md, "DI without motion
+capture"), which is why the bundle prefers the plant observer.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ decomposition), so that
     y = (([1, x] A) ** d) C
 
 needs one Gemm, one to three Mul and one MatMul whatever the number of monomials, where skl2onnx
-itself writes 2 M + 5 nodes for M monomials (FACTS §4). Two models have converters here:
+itself writes 2 M + 5 nodes for M monomials (docs/sources.md, "ONNX").
+Two models have converters here:
 
 `PolynomialGraph`   one polynomial, its inputs clipped into the training box or not
 `GuardedPredictor`  features -> tip_m, in_range, half_width_m, in one graph
@@ -122,7 +123,7 @@ def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
     clipped = graph.clipped(source, model.lower, model.upper)
     graph.polynomial(clipped, Polynomial.of(model.pipeline), "tip", tip)
 
-    count = len(model.lower)  # matrix product instead of a Reduce operator: FACTS §4
+    count = len(model.lower)  # matrix product instead of a Reduce operator: docs/sources.md, "ONNX"
     same = graph.temporary("Equal", [clipped, source], "same")
     same = graph.temporary("Cast", [same], "same_number", to=onnx.TensorProto.DOUBLE)
     ones = graph.constant("ones", np.ones((count, 1)))

@@ -29,7 +29,7 @@ def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function
     casadi.Function
         Of column vectors, with the graph's names: features (n,) -> tip_m (3,), in_range (1,),
         half_width_m (3,). Matrix operations are kept (expanded to scalars, 5 inputs and degree
-        6 make 1.4 MB of C, FACTS §4).
+        6 make 1.4 MB of C, docs/sources.md, "ONNX").
 
     Raises
     ------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from models.learning.predictors import Array, Polynomial
 
 OVERSAMPLING: Final = 1.3
-"""Linear forms per monomial: with some to spare the weights stay small (FACTS §4)."""
+"""Linear forms per monomial: with spare ones the weights stay small (docs/sources.md, "ONNX")."""
 
 
 def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:

@@ -1,7 +1,7 @@
 """Polynomial predictors of the end effector (paper, eq. 2 and 3) and their 95 % interval.
 
 Everything is fitted on inputs scaled to the training box: on raw units scikit-learn's least
-squares cuts singular values that matter (FACTS §4, "Fit scaled").
+squares cuts singular values that matter (docs/sources.md, "ONNX").
 """
 
 from __future__ import annotations

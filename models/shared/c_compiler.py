@@ -1,7 +1,7 @@
 """Compile C to a shared library with the same compiler on every machine (`ziglang` from PyPI).
 
 The flags keep the arithmetic of the source: no contraction of a*b + c into one rounding, so that
-a compiled model equals the interpreted one (FACTS §5). Results are cached by content.
+a compiled model equals the interpreted one (docs/sources.md, "FMI"). Results are cached by content.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rigid kinematics of the base joint: where a straight link would be.
 
 World frame right-handed, z up. Joint 1 turns about y (positive: tip towards +x), joint 2 about
--x and is carried by joint 1 (positive: tip towards +y) (DESIGN, section 2).
+-x and is carried by joint 1 (positive: tip towards +y) (docs/sources.md, "The link").
 """
 
 from __future__ import annotations

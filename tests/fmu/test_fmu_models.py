@@ -40,7 +40,7 @@ def test_the_command_calls_each_unit_sound(built, capsys):
 
 
 def test_variables_are_those_of_the_design(built):
-    """DESIGN, section 3: names and causalities, written out here."""
+    """Names and causalities of docs/architecture.md, written out here."""
     path, parts = built
     joints = range(1, parts.dof + 1)
     measured = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]

@@ -154,7 +154,10 @@ def group_hz(group: Group, trials: Sequence[Trial]) -> Array:
 
 
 def first_guess(signals: Sequence[str], scale: Mapping[str, float]) -> NoiseFloor:
-    """Flat floor of the given errors, twelve samples counting as one (FACTS §8)."""
+    """Flat floor of the given errors, twelve samples counting as one.
+
+    docs/sources.md, "Naming a missing effect".
+    """
     hz = np.array([0.0, 1e3])
     noise = {s: np.full(2, 12 * scale[s] ** 2) for s in signals}
     return NoiseFloor(hz, noise, {s: np.zeros(2) for s in signals}, learned=False)

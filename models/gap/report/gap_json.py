@@ -1,4 +1,4 @@
-"""gap.json: what was found, for machines (DESIGN §3), and the same in words."""
+"""gap.json: what was found, for machines (docs/architecture.md), and the same in words."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ FRAME_SHIFT_M: Final = 0.005
 """Spread of the mocap frame's shift, common to all trials [assumed]."""
 
 SYNC_LIMIT_S: Final = 0.010
-"""Clocks within this count as synchronised (DESIGN §2)."""
+"""Clocks within this count as synchronised (docs/sources.md, "Naming a missing effect")."""
 
 TRIAL_SPREAD: Final = {
     "pressure": 0.01, "friction": 0.05, "eccentricity_m": 0.003, "sync_s": 0.002,

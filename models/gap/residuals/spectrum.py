@@ -1,9 +1,9 @@
 """Residuals as spectra: a cosine transform in which a stationary error is nearly uncorrelated.
 
 The orthonormal DCT-II of a trial of n samples has coefficients at k / (2 n h); those up to
-`LIMIT_HZ` are kept, well above the first mode (FACTS §6: 1.4 to 3.5 Hz). The variance of a
-coefficient is the noise's spectrum at its frequency, which takes care of autocorrelation: a slow
-error fills few coefficients, so it counts as few samples.
+`LIMIT_HZ` are kept, well above the first mode (1.4 to 3.5 Hz; docs/sources.md, "The link"). The
+variance of a coefficient is the noise's spectrum at its frequency, which takes care of
+autocorrelation: a slow error fills few coefficients, so it counts as few samples.
 """
 
 from __future__ import annotations

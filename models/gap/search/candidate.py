@@ -10,7 +10,8 @@ import numpy as np
 from models.gap.estimation.gauss_newton import Point
 
 ALIKE: Final = 3.0
-"""Separation below which two effects cannot be told apart (FACTS §8)."""
+"""Separation below which two effects cannot be told apart
+(docs/sources.md, "Naming a missing effect")."""
 
 
 @dataclass

@@ -83,7 +83,9 @@ def friction_speed(scope: Scope, joint: int) -> Parameter:
 
 
 class Cascade:
-    """P position → PI velocity → current, as the Dynamixel PRO runs it (FACTS §6).
+    """P position → PI velocity → current, as the Dynamixel PRO runs it.
+
+    docs/sources.md, "The servo".
 
     With e = k_p (goal − q) − q̇::
 
@@ -103,21 +105,21 @@ class Cascade:
             result += [
                 Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
                           high=60.0, role="nuisance", description="position loop: rate per error",
-                          source="FACTS §6"),
+                          source='docs/sources.md, "The servo"'),
                 Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
                           high=60.0, role="nuisance", description="current per rate error",
-                          source="FACTS §6: 150 rad/s on the reflected inertia"),
+                          source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
                 Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
                           high=5.0, role="nuisance", description="integral time of the rate error",
                           source="assumed: slower than the position loop"),
                 Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=6.83, low=2.0,
                           high=15.0, description="torque at the output per ampere",
-                          source="FACTS §6"),
+                          source='docs/sources.md, "The servo"'),
                 Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.84, low=0.4,
                           high=2.0, role="nuisance", description="rotor inertia at the output",
-                          source="FACTS §6, recalled"),
+                          source='docs/sources.md, "The servo": recalled'),
                 Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
-                          description="rated current limit", source="FACTS §6"),
+                          description="rated current limit", source='docs/sources.md, "The servo"'),
                 friction_speed(scope, j),
             ]  # fmt: skip
         return tuple(result)

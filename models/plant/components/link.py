@@ -1,7 +1,7 @@
 """The inflatable link as a pseudo-rigid chain: a root hinge, then a span hinge, per plane.
 
 The root hinge is the glued patch, which softens towards a limit moment; the span hinge stands for
-bending and shear of the span. Both bend in two planes (FACTS §6)::
+bending and shear of the span. Both bend in two planes (docs/sources.md, "The link")::
 
     τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
     τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
@@ -50,7 +50,8 @@ class Link:
         """Geometry, masses, and stiffness and damping of each plane."""
         shared = (
             Parameter(name="base_offset_m", unit="m", value=0.06, low=0.0, high=1.0,
-                      description="base plate above the joint axes", source="DESIGN §3"),
+                      description="base plate above the joint axes",
+                      source='docs/sources.md, "The link": assumed'),
             Parameter(name="link_length_m", unit="m", value=0.95, low=0.05, high=10.0,
                       description="length of the link", source="paper, fig. 2"),
             Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
@@ -58,13 +59,14 @@ class Link:
             Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
                       description="gravity, along -z", source="standard gravity"),
             Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
-                      role="nuisance", description="mass of the link", source="FACTS §6, assumed"),
+                      role="nuisance", description="mass of the link",
+                      source='docs/sources.md, "The link": assumed'),
             Parameter(name="tip_mass_kg", unit="kg", value=0.25, low=0.05, high=1.0,
                       role="nuisance", description="hardware at the tip",
-                      source="FACTS §6, assumed"),
+                      source='docs/sources.md, "The link": assumed'),
             Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=12.0, high=80.0,
                       role="nuisance", description="limit moment of the root patch",
-                      source="FACTS §6: 14 to 28 N·m"),
+                      source='docs/sources.md, "The link": 14 to 28 N·m'),
             Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
                       description="bend at which a folded hinge takes the limit moment",
                       source="assumed, far outside the study"),
@@ -76,23 +78,23 @@ class Link:
                       source="plane sections stay plane"),
             Parameter(name="marker_noise_m", unit="m", value=0.00015, low=0.0, high=0.005,
                       role="calibration", description="standard deviation of a marker coordinate",
-                      source="FACTS §6"),
+                      source='docs/sources.md, "The link"'),
         )  # fmt: skip
         result = list(shared)
         for j in scope.joints:
             result += [
                 Parameter(name=f"root_stiffness_{j}_nm_rad", unit="N.m/rad", value=350.0, low=60.0,
                           high=1000.0, role="nuisance", description="stiffness of the root patch",
-                          source="FACTS §6: 80 to 1000 N·m/rad"),
+                          source='docs/sources.md, "The link": 80 to 1000 N·m/rad'),
                 Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=190.0, low=60.0,
                           high=1200.0, role="nuisance", description="stiffness of the span hinge",
-                          source="4/3 EI/L with EI = 135 N·m² (FACTS §6)"),
+                          source='docs/sources.md, "The link": 4/3 EI/L, EI = 135 N·m²'),
                 Parameter(name=f"root_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=1.5, low=0.05,
                           high=5.0, role="nuisance", description="damping of the root patch",
-                          source="FACTS §6: damping ratio 7 to 9 %"),
+                          source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
                 Parameter(name=f"span_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=0.8, low=0.05,
                           high=5.0, role="nuisance", description="damping of the span hinge",
-                          source="FACTS §6: damping ratio 7 to 9 %"),
+                          source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
             ]  # fmt: skip
         return tuple(result)
 

@@ -72,7 +72,7 @@ class DirectionalStiffness(Effect):
     per_joint = (
         Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
                   role="effect", description="share gained for positive bend, lost else",
-                  source="FACTS §6: 0.2 where negative angles deform more"),
+                  source='docs/sources.md, "The link": 0.2, negative angles deform more'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -124,7 +124,7 @@ class PressureLeak(Effect):
     """Stiffness falls with the pressure, K (1 − s)^(t / 10 s), from the start of the run.
 
     Outflow through a small hole is proportional to the pressure left [orifice, laminar], and the
-    stiffness to the pressure (FACTS §6).
+    stiffness to the pressure (docs/sources.md, "The link").
     """
 
     name = "pressure_leak"
@@ -156,7 +156,7 @@ class Hysteresis(Effect):
     per_joint = (
         Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=1.0,
                   role="effect", description="Bouc-Wen share of the root's stiffness",
-                  source="FACTS §6"),
+                  source='docs/sources.md, "The link"'),
     )  # fmt: skip
     shared = (
         Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.005, high=0.1,
@@ -185,21 +185,23 @@ class Hysteresis(Effect):
 class Creep(Effect):
     """Relaxing share of every hinge's stiffness: Maxwell branches (standard linear solids).
 
-    τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T   (FACTS §6)
+    τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
-    Polymers relax over decades of time; one branch fits one period of motion and no other.
+    (docs/sources.md, "The link"). Polymers relax over decades of time; one branch fits one period
+    of motion and no other.
     """
 
     name = "creep"
     needs = ("bend",)
     per_joint = (
         Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
-                  description="relaxing share of the stiffness", source="FACTS §6: 6 to 10 %"),
+                  description="relaxing share of the stiffness",
+                  source='docs/sources.md, "The link": 6 to 10 %'),
     )  # fmt: skip
     shared = (
         Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",
                   description="relaxation time of the middle branch",
-                  source="FACTS §6: branches of 0.3, 5 and 120 s"),
+                  source='docs/sources.md, "The link": branches of 0.3, 5 and 120 s'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

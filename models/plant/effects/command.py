@@ -35,7 +35,7 @@ class DeadTime(Effect):
     per_joint = (
         Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="delay of the goal on its way to the servo's loop",
-                  source="FACTS §2: wire time and return delay, 1 to 26 ms"),
+                  source='docs/sources.md, "Control tables": line time, 1 to 26 ms'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

@@ -85,7 +85,7 @@ class Backlash(Effect):
     per_joint = (
         Parameter(name="backlash_{j}_{angle}", unit="rad", value=0.0, low=0.0, high=0.1,
                   role="effect", description="full play of the gear",
-                  source="FACTS §6: below 6' (0.0017 rad)"),
+                  source='docs/sources.md, "The servo": below 0.0017 rad (6 arc minutes)'),
         Parameter(name="backlash_torque_{j}_{torque}", unit="N.m", value=0.5, low=0.05, high=5.0,
                   description="torque that closes the play",
                   source="numerical: 2 % of the study's peak torque"),

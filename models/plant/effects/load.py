@@ -63,14 +63,15 @@ class AerodynamicDrag(Effect):
 
     The drag on a link grows with the square of the distance from the joint, so that a hinge at
     the share ρ of its reach is bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The same
-    shares in ω make its power −c |ω|³: air only ever takes energy (FACTS §6: ½ρC_d b ω² L⁴/4).
+    shares in ω make its power −c |ω|³: air only ever takes energy (½ρC_d b ω² L⁴/4;
+    docs/sources.md, "The link").
     """
 
     name = "aerodynamic_drag"
     shared = (
         Parameter(name="aerodynamic_drag_{torque}", unit="N.m", value=0.0, low=0.0, high=10.0,
                   role="effect", description="drag torque at 1 rad/s",
-                  source="FACTS §6: 0.02 N·m"),
+                  source='docs/sources.md, "The link": 0.02 N·m'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

@@ -1,9 +1,9 @@
 """Least squares through the simulator: residuals of a unit over trials, with exact derivatives.
 
 A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
-of one: residuals of a reduced model are far from white (FACTS §8). Each free parameter also has a
-prior, its value before the fit with a quarter of its bounds as standard deviation, so that what
-the data cannot show stays where it was.
+of one: residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
+effect"). Each free parameter also has a prior, its value before the fit with a quarter of its
+bounds as standard deviation, so that what the data cannot show stays where it was.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
 """Error that counts as one before anything is known of a signal, by its unit."""
 
 CORRELATED_SAMPLES: Final = 12
-"""Samples that carry the information of one, before anything is known (FACTS §8)."""
+"""Samples that carry the information of one, before anything is known
+(docs/sources.md, "Naming a missing effect")."""
 
 STANDSTILL_RAD_S: Final = 0.1
 """Below this joint rate dry friction may take any value, and the current tells little."""

@@ -1,7 +1,7 @@
 """Run a `StepModel` fast: compiled to C, a whole trial in one call.
 
 The compiled run equals the interpreted `StepModel.simulate` to rounding (CasADi generates the same
-operations; FACTS §5). Libraries are cached by content, so a plant is compiled once.
+operations; docs/sources.md, "FMI"). Libraries are cached by content, so a plant is compiled once.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     step_s = 0.017                     # uniform step of the trial
     plant = "xl330_pendulum.toml"      # beside the map, with the [signals] of a plant not the link
 
-    [trial]                            # the trial's conditions (DESIGN, section 3)
+    [trial]                            # the trial's conditions (docs/architecture.md)
     dof = 1                            # schema, source, rest_samples and period_s may be left out
     payload_kg = 1.0
     motion = { from = "trajectory" }   # what stands once in the file, by its name there

@@ -29,7 +29,10 @@ def to_world(positions_m: dict[str, Array], frame: Frame, default_up: str) -> di
 
 
 def nominal_markers_m(meta: TrialMeta) -> Array:
-    """Markers of the straight, upright link at zero angle, shape (16, 3) (DESIGN, section 3)."""
+    """Markers of the straight, upright link at zero angle, shape (16, 3).
+
+    docs/sources.md, "The link".
+    """
     half = 0.5 * meta.link_width_m
     return np.array(
         [

@@ -18,7 +18,8 @@ LEGACY, PRO_A, XM = 54024, 54025, 1020
 
 
 @pytest.mark.parametrize(
-    # FACTS, section 2: sync read and sync write, A/P block, default return delay of 500 µs.
+    # docs/sources.md, "Control tables": sync read and sync write, A/P block,
+    # default return delay of 500 µs.
     ("baud", "published_ms"),
     [
         (57_600, (10.05, 15.24, 25.6)),

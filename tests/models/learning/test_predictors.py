@@ -74,7 +74,10 @@ def test_coefficients_in_si_units_are_those_of_the_papers_equation():
 
 
 def test_unscaled_fit_loses_rank_that_the_scaled_fit_keeps():
-    """Why the pipeline scales: degrees beside a DI of 0.01, at degree 6 (FACTS §4)."""
+    """Why the pipeline scales: degrees beside a DI of 0.01, at degree 6.
+
+    docs/sources.md, "ONNX".
+    """
     rng = np.random.default_rng(2)
     features = np.column_stack(
         [rng.uniform(-30, 30, 2000), rng.uniform(-3, 3, 2000), rng.uniform(0, 0.01, 2000)]

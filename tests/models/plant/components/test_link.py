@@ -140,7 +140,9 @@ def test_modes_are_those_of_the_linear_equations(payload_kg):
         np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
     )
     assert np.allclose(np.sort_complex(found), np.sort_complex(expected), rtol=2e-4)
-    assert 0.5 < np.abs(found).min() / (2 * np.pi) < 6  # the first mode, FACTS §6
+    assert (
+        0.5 < np.abs(found).min() / (2 * np.pi) < 6
+    )  # the first mode, docs/sources.md, "The link"
 
 
 @pytest.mark.parametrize(("angle", "payload_kg"), [(0.3, 0.0), (-0.5, 1.0), (0.5, 2.0)])
