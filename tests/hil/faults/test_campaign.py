@@ -17,6 +17,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.inference.bundle import Manifest, ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import SafetySupervisor
 from hil.emulator import packets
 from hil.emulator.packets import BROADCAST, Instruction, Packet
 from hil.faults import fault_docs, fault_verdict, virtual_case
@@ -108,13 +110,11 @@ def only_once(bus):
 
 def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
     row = row_named("unplug and replug", "configured to go on")
-    supervisor = virtual_case.drive.__globals__["SafetySupervisor"]
 
-    class Jumping(supervisor):
-        def resume(self):
-            self._limits = self._limits.__class__(rate_rad_s=99.0, acceleration_rad_s2=1e4)
+    def jump(supervisor):
+        supervisor._limits = Limits(rate_rad_s=99.0, acceleration_rad_s2=1e4)
 
-    monkeypatch.setitem(virtual_case.drive.__globals__, "SafetySupervisor", Jumping)
+    monkeypatch.setattr(SafetySupervisor, "resume", jump)
     judged = run(rig, row)
     assert any("a goal jumped" in words for words in judged.unsafe)
 
