@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from firmware_py.console import DONE, emit
 from models.plant.identification.evaluation import evaluation
 from models.plant.plant import read_plant
+from models.plant.provenance import Evaluation
 from models.trials.trial_files import read_trials
 
 EXAMPLE = "python -m models evaluate build/unseen_20deg --plant build/plant.json"
@@ -27,24 +29,28 @@ def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     plant = read_plant(args.plant)
     result = evaluation(plant, read_trials(args.trials, plant.signals))
-    emit(args, result, as_text(result))
+    emit(args, msgspec.to_builtins(result), as_text(result))
     return DONE
 
 
-def as_text(result: dict[str, Any]) -> str:
-    """Tables for people."""
+def as_text(result: Evaluation) -> str:
+    """Tables for people: signals in SI units, end effector in mm."""
     lines = [f"{'signal':14s}{'rms':>12s}{'mean |error|':>14s}  unit"]
     lines += [
-        f"{name:14s}{row['rms']:12.4g}{row['mae']:14.4g}  {row['unit']}"
-        for name, row in result["signals"].items()
+        f"{name:14s}{row.rms:12.4g}{row.mae:14.4g}  {row.unit}"
+        for name, row in result.signals.items()
     ]
-    if result["tip_rms_m"] is not None:
+    if result.tip_rms_m is not None:
         lines += ["", f"{'end effector':14s}{'plant, mm':>12s}{'rigid, mm':>14s}"]
-        for dof, part in result["dof"].items():
-            rows = {f"{load} kg": row for load, row in part["payloads"].items()} | {"all": part}
+        for dof, part in result.dof.items():
+            rows = {f"{load} kg": row for load, row in part.payloads.items()} | {"all": part}
             lines += [
-                f"{dof}DOF {label:9s}{1e3 * row['tip_rms_m']:12.2f}"
-                f"{1e3 * row['rigid_tip_rms_m']:14.2f}"
+                f"{dof}DOF {label:9s}{_millimetres(row.tip_rms_m):>12s}"
+                f"{_millimetres(row.rigid_tip_rms_m):>14s}"
                 for label, row in rows.items()
             ]
     return "\n".join(lines)
+
+
+def _millimetres(length_m: float | None) -> str:
+    return "" if length_m is None else f"{1e3 * length_m:.2f}"

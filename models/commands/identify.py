@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import msgspec
+
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import as_text
 from models.gap.estimation.noise_floor_fit import with_floor
@@ -56,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         "parameters": {
             q.name: {"value": q.value, "error": q.error, "unit": q.unit} for q in found.fitted
         },
-        "held_out": found.held_out,
+        "held_out": msgspec.to_builtins(found.held_out),
     }
     emit(args, data, text)
     return DONE

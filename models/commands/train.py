@@ -20,6 +20,7 @@ import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
+from models.plant.provenance import Provenance
 from models.trials.trial_files import STEP_TOLERANCE, Trial, TrialSet, read_trials
 
 EXAMPLE = (
@@ -166,21 +167,26 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
     return {name: TrialSet(tuple(named[name])) for name in sorted(named)}
 
 
-def refuse_fitted(
-    provenance: Mapping[str, Any], where: Path, tests: Mapping[str, TrialSet]
-) -> None:
-    """Refuse an unseen trial that the plant was fitted on.
+def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str, TrialSet]) -> None:
+    """Refuse an unseen trial that the plant, or a plant before it, was fitted to.
+
+    Parameters
+    ----------
+    provenance : Provenance
+        Of the plant.
+    where : Path or str
+        Plant document, for the message.
+    tests : mapping of str to TrialSet
+        As `name_tests` sorts them; those whose name begins with "unseen" are checked.
 
     Raises
     ------
     InputError
-        If the plant's provenance holds the hash of such a trial, under whatever name.
+        If the provenance holds the hash of such a trial, under whatever name.
     """
-    listed = provenance.get("fitted_trials")
-    fitted = set(listed.values()) if isinstance(listed, Mapping) else set()
     for name, trials in tests.items():
         for t in trials if name.startswith("unseen") else ():
-            if t.sha256() in fitted:
+            if provenance.was_fitted_to(t):
                 raise InputError(
                     where, f"was fitted on {t.name}, a trial of the motion that is to be unseen",
                     "identify without it, or give other trials to --unseen",

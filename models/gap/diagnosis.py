@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
+import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
@@ -28,6 +29,7 @@ from models.gap.search.effect_search import EffectSearch, Report
 from models.gap.search.strength_consistency import StrengthConsistency, constancy
 from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
+from models.plant.provenance import Provenance
 from models.trials.trial_files import TrialSet
 
 Verdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
@@ -210,14 +212,21 @@ def improve(plant: Plant, namer: EffectSearch, naming: Naming, trials: TrialSet)
                 missed = EQUATION.get(EFFECTS[knob.effect].port, 0.03) * values[k]
             parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
             uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
-    provenance = {
-        **{k: v for k, v in plant.provenance.items() if k == "noise_floor"},
-        "parent_sha256": plant.sha256(),
-        "data_sha256": trials.sha256(),
-        "named": list(naming.named),
-        "fitted_trials": [t.name for t in trials],
-    }
+    provenance = Provenance(
+        parent_sha256=plant.sha256(),
+        data_sha256=trials.sha256(),
+        fitted_trials=plant.provenance.fitted_with(trials),
+        named=tuple(naming.named),
+        noise_floor=plant.provenance.noise_floor,
+    )
     name = f"{plant.name.removesuffix(', gap closed')}, gap closed" if naming.named else plant.name
     if not naming.named:
-        return replace(plant, provenance={**plant.provenance, **provenance})
+        kept = msgspec.structs.replace(
+            plant.provenance,
+            parent_sha256=provenance.parent_sha256,
+            data_sha256=provenance.data_sha256,
+            fitted_trials=provenance.fitted_trials,
+            named=(),
+        )
+        return replace(plant, provenance=kept)
     return replace(full.with_values(changed, uncertain), name=name, provenance=provenance)

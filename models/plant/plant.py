@@ -26,11 +26,12 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import msgspec
 import tomli_w
 
+from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from models.plant.components.drives import DRIVES
 from models.plant.components.link import Link
@@ -40,12 +41,12 @@ from models.plant.composition.observer import compose_observer, observer_paramet
 from models.plant.composition.twin import compose_twin
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.parameter import Parameter, Role, check_values
+from models.plant.provenance import Provenance, read_provenance
 from models.plant.scope import Scope
 from models.plant.step_model import StepModel
 from models.trials.trial import SignalRole
 
 Unit = Literal["twin", "observer", "driven"]
-SCHEMA: Final = 1
 LOADS: Final[dict[str, type[Any]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
 """Loads by the name that a plant document gives them."""
 COMPOSERS: Final = {
@@ -55,34 +56,41 @@ NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
 
-class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Drive or load of a plant document, by its kind."""
+
     kind: str
 
 
-class _Name(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class EffectEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Effect of a plant document, by its name in the catalogue."""
+
     name: str
 
 
-class _Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A parameter in the document; what is left out is the part's own."""
+class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Parameter of a plant document; a key that is left out keeps the default of its part."""
 
     value: float
     unit: str | None = None
     bounds: tuple[float, float] | None = None
-    source: str | None = None
     role: Role | None = None
+    source: str | None = None
     error: float | None = None
 
 
-class _Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
+class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A plant file, TOML or JSON; see the module's text."""
+
+    MADE_BY: ClassVar[str] = "python -m models identify"
+
     name: str
-    drive: _Kind
-    load: _Kind
-    effects: list[_Name] = []
-    signals: dict[str, SignalRole] = {}
-    parameters: dict[str, float | _Entry] = {}
-    provenance: dict[str, Any] = {}
+    drive: PartKind
+    load: PartKind
+    effects: list[EffectEntry] = msgspec.field(default_factory=list)
+    signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
+    parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
+    provenance: Provenance = msgspec.field(default_factory=Provenance)
 
 
 @dataclass(frozen=True)
@@ -103,8 +111,8 @@ class Plant:
         What is known of effects that the plant does not hold (yet).
     signals : dict of str to SignalRole
         Columns of a trial where they are not the link's.
-    provenance : dict
-        What it came from: parent hash, data hash, held-out errors.
+    provenance : Provenance
+        Parent, data, fitted trials and held-out errors.
     """
 
     name: str
@@ -114,7 +122,7 @@ class Plant:
     parameters: dict[str, Parameter]
     expected: dict[str, Parameter] = field(default_factory=dict)
     signals: dict[str, SignalRole] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=Provenance)
 
     def step_model(self, dof: int, unit: Unit = "twin") -> StepModel:
         """Compose the plant for stepping.
@@ -181,23 +189,21 @@ class Plant:
 
     def document(self) -> dict[str, Any]:
         """Content of the plant's file, in plain types."""
-        entries = {
-            q.name: {
-                "value": q.value, "unit": q.unit, "bounds": [q.low, q.high], "role": q.role,
-                "source": q.source, **({} if q.error is None else {"error": q.error}),
-            }
-            for q in (*self.parameters.values(), *self.expected.values())
-        }  # fmt: skip
-        return {
-            "schema": SCHEMA,
-            "name": self.name,
-            "drive": {"kind": self.drive},
-            "load": {"kind": self.load},
-            "effects": [{"name": name} for name in self.effects],
-            "signals": {n: msgspec.to_builtins(s) for n, s in self.signals.items()},
-            "parameters": entries,
-            "provenance": self.provenance,
-        }
+        document = PlantDocument(
+            schema=PlantDocument.VERSION,
+            name=self.name,
+            drive=PartKind(self.drive),
+            load=PartKind(self.load),
+            effects=[EffectEntry(name) for name in self.effects],
+            signals=self.signals,
+            parameters={
+                q.name: ParameterEntry(q.value, q.unit, (q.low, q.high), q.role, q.source, q.error)
+                for q in (*self.parameters.values(), *self.expected.values())
+            },
+            provenance=self.provenance,
+        )
+        plain: dict[str, Any] = msgspec.to_builtins(document)
+        return plain
 
     def sha256(self) -> str:
         """Hash of the document, for provenance."""
@@ -208,7 +214,7 @@ class Plant:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         text = (
-            tomli_w.dumps(self.document())
+            tomli_w.dumps(_without_none(self.document()))
             if path.suffix == ".toml"
             else json.dumps(self.document(), indent=1) + "\n"
         )
@@ -228,15 +234,18 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     try:
         text = path.read_text(encoding="utf-8")
         raw = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-        document = msgspec.convert(raw, _Document)
+        table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
+        document = msgspec.convert(raw, PlantDocument)
     except OSError:
         raise InputError(
             path, "cannot be read", "name a plant, e.g. models/plant/nominal.toml"
         ) from None
     except (ValueError, msgspec.ValidationError) as error:
         raise InputError(path, f"is no plant document ({error})", "correct it") from None
-    if document.schema != SCHEMA:
-        raise InputError(path, f"schema is {document.schema}", f"this version reads {SCHEMA}")
+    if document.schema != PlantDocument.VERSION:
+        raise InputError(
+            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
+        )
     for what, kind, known in (
         ("drive", document.drive.kind, DRIVES),
         ("load", document.load.kind, LOADS),
@@ -244,13 +253,20 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
         if kind not in known:
             raise InputError(path, f"{kind!r} is no {what}", "choose from " + ", ".join(known))
     plant = Plant(
-        document.name, document.drive.kind, document.load.kind,
-        tuple(e.name for e in document.effects), {}, {}, document.signals, document.provenance,
-    )  # fmt: skip
+        name=document.name,
+        drive=document.drive.kind,
+        load=document.load.kind,
+        effects=tuple(e.name for e in document.effects),
+        parameters={},
+        signals=document.signals,
+        provenance=read_provenance(path, table),
+    )
     return _complete(plant, path, document.parameters)
 
 
-def _complete(plant: Plant, where: Path | str, entries: Mapping[str, float | _Entry]) -> Plant:
+def _complete(
+    plant: Plant, where: Path | str, entries: Mapping[str, float | ParameterEntry]
+) -> Plant:
     """Plant with every parameter that its parts declare, the document's put over theirs.
 
     A document may also say what it knows of effects that the plant could hold.
@@ -278,8 +294,15 @@ def _complete(plant: Plant, where: Path | str, entries: Mapping[str, float | _En
     return replace(plant, parameters=parameters, expected=expected)
 
 
-def _merge(where: Path | str, q: Parameter, given: float | _Entry) -> Parameter:
-    entry = given if isinstance(given, _Entry) else _Entry(value=float(given))
+def _without_none(value: Any) -> Any:
+    """Plain document without its empty entries, which TOML has no form for."""
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
+    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=float(given))
     if entry.unit is not None and entry.unit != q.unit:
         raise InputError(
             where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from models.gap.estimation.gauss_newton import GaussNewton, Point
@@ -14,13 +15,11 @@ from models.gap.residuals.fit_parameters import nuisance_knobs, trial_knobs
 from models.gap.residuals.residuals import Residuals, group_key
 from models.plant.identification.simulation_fit import SCALE
 from models.plant.plant import Plant
+from models.plant.provenance import FloorRecord
 from models.trials.trial import Trial
 
 ROUNDS: Final = 3
 """Times that floor and trial variation are found in turn."""
-
-KEY: Final = "noise_floor"
-"""Where the plant's provenance holds the floors, by number of joints."""
 
 
 def with_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
@@ -29,13 +28,13 @@ def with_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
     Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
     of two joints get none yet: their sensitivities take minutes.
     """
-    floors: dict[str, Any] = {}
+    floors: dict[str, FloorRecord] = {}
     for dof in sorted({t.meta.dof for t in trials} & {1}):
         own = [t for t in trials if t.meta.dof == dof]
         conditions = {(group_key(t), t.meta.payload_kg) for t in own}
         if len(conditions) < len(own):
-            floors[str(dof)] = write(learn_floor(plant, own))
-    return replace(plant, provenance={**plant.provenance, KEY: floors})
+            floors[str(dof)] = msgspec.convert(write(learn_floor(plant, own)), FloorRecord)
+    return replace(plant, provenance=msgspec.structs.replace(plant.provenance, noise_floor=floors))
 
 
 def learn_floor(plant: Plant, trials: Sequence[Trial]) -> NoiseFloor:
@@ -66,5 +65,5 @@ def fitted(problem: Residuals, floor: NoiseFloor, free: Any) -> Point:
 
 def floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
     """Floor that the plant file carries for a number of joints."""
-    document = plant.provenance.get(KEY, {}).get(str(dof))
-    return read(document) if document else None
+    record = plant.provenance.noise_floor.get(str(dof))
+    return read(msgspec.to_builtins(record)) if record else None

@@ -86,7 +86,7 @@ def errors(
     result = {}
     for signal, row in signal_errors(plant, compared).items():
         size = floor.get(signal, {}).get("rms", np.nan)
-        result[signal] = {"rms": row["rms"], "unit": row["unit"], "floors": row["rms"] / size}
+        result[signal] = {"rms": row.rms, "unit": row.unit, "floors": row.rms / size}
     return result
 
 

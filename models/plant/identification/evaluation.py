@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from firmware_py.errors import InputError
 from models.plant.identification.simulation_fit import measured_signals
 from models.plant.plant import Plant
+from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipError
 from models.plant.simulation.compiled_model import Array, CompiledModel, run_trial
 from models.plant.step_model import names
 from models.shared.kinematics import rigid_tip_m
@@ -59,21 +60,18 @@ def compare(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
     return result
 
 
-def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, dict[str, Any]]:
-    """Per signal the root mean square and mean absolute error over all rows, and its unit."""
+def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, SignalError]:
+    """Errors of each signal over all rows of all trials."""
     units: dict[str, str] = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
         units |= {v.name: v.unit for v in plant.step_model(dof, "twin").outputs}
-    result: dict[str, dict[str, Any]] = {}
+    result = {}
     for signal, unit in units.items():
         parts = [c.error(signal) for c in comparisons if signal in c.simulated]
         if parts:
             error = np.concatenate(parts)
-            result[signal] = {
-                "rms": float(np.sqrt(np.nanmean(error**2))),
-                "mae": float(np.nanmean(np.abs(error))),
-                "unit": unit,
-            }
+            rms, mae = np.sqrt(np.nanmean(error**2)), np.nanmean(np.abs(error))
+            result[signal] = SignalError(float(rms), float(mae), unit)
     return result
 
 
@@ -94,41 +92,49 @@ def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
 
 
-def evaluation(plant: Plant, trials: Iterable[Trial]) -> dict[str, Any]:
-    """Everything that `evaluate --json` prints.
+def evaluation(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
+    """Errors of a plant on trials: what `evaluate --json` prints.
+
+    Parameters
+    ----------
+    plant : Plant
+        To simulate.
+    trials : iterable of Trial
+        Measured, of one or two joints.
 
     Returns
     -------
-    dict
-        `signals`: name → rms, mae, unit; `tip_rms_m`, `rigid_tip_rms_m`; `trials`: how many;
-        `dof`: the same three by number of joints, with `payloads`: payload in kg → tip_rms_m,
-        rigid_tip_rms_m.
+    Evaluation
+        Over all trials, by number of joints, and by payload.
+
+    Raises
+    ------
+    InputError
+        If a trial lacks an input of the plant, or the simulation does not stay finite on it.
     """
     comparisons = compare(plant, trials)
-    result = _summary(plant, comparisons)
-    result["dof"] = {}
+    dofs = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
         own = [c for c in comparisons if c.trial.meta.dof == dof]
         loads = sorted({c.trial.meta.payload_kg for c in own})
-        result["dof"][str(dof)] = _summary(plant, own) | {
-            "payloads": {
-                f"{load:g}": _tip([c for c in own if c.trial.meta.payload_kg == load])
+        dofs[str(dof)] = DofEvaluation(
+            signals=signal_errors(plant, own),
+            trials=len(own),
+            tip_rms_m=tip_rms_m(own),
+            rigid_tip_rms_m=rigid_tip_rms_m(own),
+            payloads={
+                f"{load:g}": _tip_error([c for c in own if c.trial.meta.payload_kg == load])
                 for load in loads
-            }
-        }
-    return result
+            },
+        )
+    return Evaluation(
+        signals=signal_errors(plant, comparisons),
+        trials=len(comparisons),
+        tip_rms_m=tip_rms_m(comparisons),
+        rigid_tip_rms_m=rigid_tip_rms_m(comparisons),
+        dof=dofs,
+    )
 
 
-def _summary(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    return {
-        "signals": signal_errors(plant, comparisons),
-        "trials": len(comparisons),
-        **_tip(comparisons),
-    }
-
-
-def _tip(comparisons: Sequence[Comparison]) -> dict[str, float | None]:
-    return {
-        "tip_rms_m": tip_rms_m(comparisons),
-        "rigid_tip_rms_m": rigid_tip_rms_m(comparisons),
-    }
+def _tip_error(comparisons: Sequence[Comparison]) -> TipError:
+    return TipError(tip_rms_m(comparisons), rigid_tip_rms_m(comparisons))

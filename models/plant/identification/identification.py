@@ -30,6 +30,7 @@ from models.plant.identification.evaluation import evaluation
 from models.plant.identification.simulation_fit import Objective, Solution, solve
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, Plant, Unit
+from models.plant.provenance import Evaluation, Provenance
 from models.plant.scope import Scope
 from models.plant.simulation.compiled_model import Array
 from models.trials.trial import Trial
@@ -63,14 +64,13 @@ class Identification:
         Identified; its provenance holds what this class summarises.
     fitted : tuple of Parameter
         Parameters that the trials determined, with standard errors.
-    held_out : dict
-        `models.plant.identification.evaluation.evaluation` on the held-out trials, or on the
-        fitted ones where none are held out.
+    held_out : Evaluation
+        Errors on the held-out trials, or on the fitted ones where none are held out.
     """
 
     plant: Plant
     fitted: tuple[Parameter, ...]
-    held_out: dict[str, Any]
+    held_out: Evaluation
 
 
 def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None) -> Identification:
@@ -112,15 +112,15 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     found = _mirrored(found, fit.trials)
     errors = evaluation(found, held_out if len(held_out) else fit)
     fitted = tuple(dict.fromkeys((*link, *drive)))
-    provenance = {
-        "parent_sha256": plant.sha256(),
-        "data_sha256": trials.sha256(),
-        "fitted_trials": {t.name: t.sha256() for t in fit},
-        "held_out_trials": [t.name for t in held_out],
-        "fitted_parameters": list(fitted),
-        "residual_rms": rms,
-        "held_out": errors,
-    }
+    provenance = Provenance(
+        parent_sha256=plant.sha256(),
+        data_sha256=trials.sha256(),
+        fitted_trials=plant.provenance.fitted_with(fit),
+        held_out_trials=tuple(t.name for t in held_out),
+        fitted_parameters=fitted,
+        residual_rms=rms,
+        held_out=errors,
+    )
     found = replace(found, name=f"{_stem(plant.name)}, identified", provenance=provenance)
     return Identification(found, tuple(found.parameters[n] for n in fitted), errors)
 

@@ -13,6 +13,7 @@ from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_m
 from models.learning.lagged import LaggedRegressor, lagged_features
 from models.learning.samples import collect
 from models.learning.validation import r_squared
+from models.plant.provenance import FittedTrial, Provenance
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
 from models.study.findings import loop
@@ -180,13 +181,17 @@ def test_phases_are_chosen_among_2dof_trials_only(toy_trials):
         of_phases(trials, [0.0, 45.0], "DIR")
 
 
+def fitted(name, trial):
+    return Provenance(fitted_trials=(FittedTrial(name, trial.sha256()),))
+
+
 def test_an_unseen_trial_that_the_plant_was_fitted_on_is_refused(toy_trials):
     training, held_out = toy_trials(1).split()
     tests = name_tests(training, tuple(held_out))
     seen = tests["unseen_20deg"][0]
-    refuse_fitted({"fitted_trials": {"a": training[0].sha256()}}, "plant.json", tests)
+    refuse_fitted(fitted("a", training[0]), "plant.json", tests)
     with pytest.raises(InputError, match=seen.name):
-        refuse_fitted({"fitted_trials": {"another name": seen.sha256()}}, "plant.json", tests)
+        refuse_fitted(fitted("another name", seen), "plant.json", tests)
 
 
 def test_runs_too_short_for_blocks_are_refused(toy_trials, toy_observer):

@@ -101,4 +101,4 @@ def test_trials_without_repetition_leave_no_floor(plant):
     from models.plant.plant import read_plant
 
     single = with_floor(read_plant(), [])
-    assert "noise_floor" not in single.provenance or not single.provenance["noise_floor"]
+    assert single.provenance.noise_floor == {}

@@ -65,7 +65,7 @@ def test_a_dead_time_is_named_with_its_value_and_added(late):
     assert found.verdict == "closed"
     q = found.improved.parameters["dead_time_1_s"]
     assert abs(q.value - 0.02) < max(4 * q.error, 5e-4)
-    assert found.improved.provenance["parent_sha256"] == found.plant.sha256()
+    assert found.improved.provenance.parent_sha256 == found.plant.sha256()
     assert "dead_time" in found.improved.effects
 
 

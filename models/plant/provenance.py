@@ -1,0 +1,214 @@
+"""Provenance of a plant: its parent, its data, and every trial that its values were fitted to.
+
+The struct is the `provenance` table of a plant document. It is read and written here only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from firmware_py.errors import InputError
+from models.trials.trial import Trial
+
+__all__ = [
+    "DofEvaluation",
+    "Evaluation",
+    "FittedTrial",
+    "FloorRecord",
+    "Provenance",
+    "SignalError",
+    "TipError",
+    "read_provenance",
+]
+
+_WRITE_AGAIN = "write the plant again with 'python -m models identify' or 'python -m models gap'"
+
+
+class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Error of one simulated signal over all rows.
+
+    Attributes
+    ----------
+    rms, mae : float
+        Root mean square and mean absolute error, in `unit`.
+    unit : str
+        SI unit of the signal.
+    """
+
+    rms: float
+    mae: float
+    unit: str
+
+
+class TipError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Root mean square distance from the measured end effector; None without motion capture.
+
+    Attributes
+    ----------
+    tip_rms_m : float or None
+        Of the plant, in m.
+    rigid_tip_rms_m : float or None
+        Of a link that does not bend at the measured angles, in m.
+    """
+
+    tip_rms_m: float | None = None
+    rigid_tip_rms_m: float | None = None
+
+
+class DofEvaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Errors on the trials of one number of joints.
+
+    Attributes
+    ----------
+    signals : dict of str to SignalError
+        By name.
+    trials : int
+        Number of trials.
+    payloads : dict of str to TipError
+        By payload in kg.
+    """
+
+    signals: dict[str, SignalError]
+    trials: int
+    payloads: dict[str, TipError] = {}
+
+
+class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Errors of a plant on trials.
+
+    Attributes
+    ----------
+    signals : dict of str to SignalError
+        By name.
+    trials : int
+        Number of trials.
+    dof : dict of str to DofEvaluation
+        The same by number of joints.
+    """
+
+    signals: dict[str, SignalError]
+    trials: int
+    dof: dict[str, DofEvaluation] = {}
+
+
+class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Noise floor of one number of joints; every spectrum is a string of numbers.
+
+    Attributes
+    ----------
+    frequency_hz : str
+        Frequencies of `noise` and `model`.
+    repeats : float
+        Trials that went into each mean curve.
+    noise, model : dict of str to str
+        Variance of a coefficient by signal.
+    curves : dict
+        Mean error: group of trials → payload in kg → signal → spectrum.
+    """
+
+    frequency_hz: str
+    repeats: float
+    noise: dict[str, str]
+    model: dict[str, str]
+    curves: dict[str, dict[str, dict[str, str]]]
+
+
+class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Trial that a value of the plant was fitted to.
+
+    Attributes
+    ----------
+    name : str
+        For people; trials of several directories may share it.
+    sha256 : str
+        Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
+    """
+
+    name: str
+    sha256: str
+
+
+class Provenance(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
+):
+    """Origin of a plant's values.
+
+    Attributes
+    ----------
+    parent_sha256 : str
+        Hash of the plant document that the fit started from; empty for a nominal plant.
+    data_sha256 : str
+        Hash of the set of trials of the last fit, held-out ones included.
+    fitted_trials : tuple of FittedTrial
+        Trials of the last fit and of all fits before it.
+    held_out_trials : tuple of str
+        Names of the trials of the last `identify` that were not fitted.
+    fitted_parameters : tuple of str
+        Parameters of the last `identify`.
+    residual_rms : dict of str to float
+        Residual of the last `identify` by signal, in the signal's unit.
+    held_out : Evaluation or None
+        Errors on the held-out trials, or on the fitted ones where none were held out.
+    named : tuple of str
+        Effects that `gap` added or changed.
+    noise_floor : dict of str to FloorRecord
+        By number of joints.
+    """
+
+    parent_sha256: str = ""
+    data_sha256: str = ""
+    fitted_trials: tuple[FittedTrial, ...] = ()
+    held_out_trials: tuple[str, ...] = ()
+    fitted_parameters: tuple[str, ...] = ()
+    residual_rms: dict[str, float] = {}
+    held_out: Evaluation | None = None
+    named: tuple[str, ...] = ()
+    noise_floor: dict[str, FloorRecord] = {}
+
+    def fitted_with(self, trials: Iterable[Trial]) -> tuple[FittedTrial, ...]:
+        """Fitted trials of this plant and, after them, those of `trials` that are not among them.
+
+        Two trials are the same where their hashes are, whatever their names.
+        """
+        by_hash = {t.sha256: t for t in self.fitted_trials}
+        for trial in trials:
+            digest = trial.sha256()
+            by_hash.setdefault(digest, FittedTrial(trial.name, digest))
+        return tuple(by_hash.values())
+
+    def was_fitted_to(self, trial: Trial) -> bool:
+        """Whether a trial with these conditions and samples was fitted, under whatever name."""
+        return trial.sha256() in {t.sha256 for t in self.fitted_trials}
+
+
+def read_provenance(where: Path | str, table: object) -> Provenance:
+    """Provenance from the decoded table of a plant document.
+
+    Up to version 0.1 `identify` wrote `fitted_trials` as a table of hashes by name, which is read,
+    and `gap` as a list of names without hashes, which is refused.
+
+    Parameters
+    ----------
+    where : Path or str
+        Plant document, for the message.
+    table : object
+        Its `provenance`, as JSON or TOML decodes it.
+
+    Raises
+    ------
+    InputError
+        If the table does not have this form.
+    """
+    trials = table.get("fitted_trials") if isinstance(table, dict) else None
+    if isinstance(table, dict) and isinstance(trials, dict):
+        rows = [{"name": name, "sha256": digest} for name, digest in trials.items()]
+        table = table | {"fitted_trials": rows}
+    if isinstance(trials, list) and any(isinstance(row, str) for row in trials):
+        raise InputError(where, "provenance.fitted_trials lists names without hashes", _WRITE_AGAIN)
+    try:
+        return msgspec.convert(table, Provenance)
+    except msgspec.ValidationError as error:
+        raise InputError(where, f"provenance: {error}", _WRITE_AGAIN) from None

@@ -1,0 +1,76 @@
+"""Provenance: what a plant was fitted to is kept from plant to plant, and what is old is told."""
+
+import json
+from dataclasses import replace
+
+import msgspec
+import pytest
+
+from firmware_py.errors import InputError
+from models.plant.plant import NOMINAL, read_plant
+from models.plant.provenance import Evaluation, FittedTrial, Provenance, SignalError
+
+EXAMPLES = sorted((NOMINAL.parent / "examples").glob("*_identified.json"))
+
+
+def with_table(tmp_path, table):
+    document = read_plant().document() | {"provenance": table}
+    path = tmp_path / "plant.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_two_trials_of_one_name_are_both_kept(make_trial, swing_rad):
+    first, second = make_trial(swing_rad), make_trial(0.5 * swing_rad)
+    assert first.name == second.name
+    parent = Provenance(fitted_trials=Provenance().fitted_with([first]))
+    child = Provenance(fitted_trials=parent.fitted_with([second, first]))
+    assert [t.sha256 for t in child.fitted_trials] == [first.sha256(), second.sha256()]
+    assert child.was_fitted_to(first) and child.was_fitted_to(second)
+    assert not parent.was_fitted_to(second)
+    assert parent.was_fitted_to(replace(first, name="renamed"))
+
+
+@pytest.mark.parametrize("suffix", [".json", ".toml"])
+def test_a_provenance_comes_back_the_same(tmp_path, suffix):
+    provenance = Provenance(
+        parent_sha256="ab", fitted_trials=(FittedTrial("a", "12"),), residual_rms={"di": 1e-3},
+        held_out=Evaluation(signals={"di": SignalError(1e-3, 2e-3, "1")}, trials=1),
+        named=("backlash",),
+    )  # fmt: skip
+    path = tmp_path / f"plant{suffix}"
+    replace(read_plant(), provenance=provenance).write(path)
+    assert read_plant(path).provenance == provenance
+
+
+def test_hashes_by_name_as_identify_once_wrote_them_are_read(tmp_path):
+    path = with_table(tmp_path, {"fitted_trials": {"a": "12", "b": "34"}})
+    assert read_plant(path).provenance.fitted_trials == (
+        FittedTrial("a", "12"), FittedTrial("b", "34"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"fitted_trials": ["a", "b"]}, "provenance.fitted_trials lists names without hashes"),
+        ({"fitted_trials": [{"name": "a"}]}, "missing required field `sha256`"),
+        ({"parents": "ab"}, "unknown field `parents`"),
+        ("ab", "Expected `object`"),
+    ],
+)
+def test_what_no_longer_tells_the_fitted_trials_is_refused(tmp_path, table, message):
+    path = with_table(tmp_path, table)
+    with pytest.raises(InputError) as refused:
+        read_plant(path)
+    assert message in str(refused.value)
+    assert str(path) in str(refused.value)
+    assert "python -m models identify" in str(refused.value)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_shipped_plants_tell_their_trials_in_this_form(path):
+    table = json.loads(path.read_text())["provenance"]
+    provenance = msgspec.convert(table, Provenance)
+    assert provenance.fitted_trials
+    assert all(len(t.sha256) == 64 for t in provenance.fitted_trials)
