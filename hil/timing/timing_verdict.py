@@ -42,10 +42,9 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
-from firmware_py.realtime.timing import Cause
+from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import STAGES
 from hil.timing.host import Releases, Watch
@@ -149,15 +148,6 @@ def stopped_after_miss(records: NDArray[np.void]) -> bool:
     """Whether the supervisor stopped the robot in a tick right after slots had been missed."""
     stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
     return len(stopping) > 0 and bool(records["missed"][stopping[0]])
-
-
-def miss_rate_bound(misses: int, slots: int) -> float:
-    """95 % upper bound on a miss rate: 3/N where none was seen, else Clopper and Pearson's."""
-    if misses >= slots:
-        return 1.0
-    if misses == 0:
-        return min(1.0, 3.0 / slots)
-    return float(betaincinv(misses + 1, slots - misses, 0.95))
 
 
 def judge(

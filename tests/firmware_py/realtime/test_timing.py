@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import beta, binomtest
 
 from firmware_py.realtime.timing import (
     Cause,
@@ -78,13 +79,28 @@ def test_misses_are_counted_by_slot_and_cause():
     assert summary["stages"]["own"]["max_ns"] == 23
 
 
-def test_the_bound_on_the_miss_rate_is_the_rule_of_three_and_falls_with_evidence():
-    assert miss_rate_bound(0, 100_000) == pytest.approx(3e-5)
+@given(st.integers(1, 5000), st.data())
+def test_the_bound_is_clopper_and_pearsons(slots, data):
+    misses = data.draw(st.integers(0, slots))
+    exact = binomtest(misses, slots, alternative="less").proportion_ci(0.95, method="exact").high
+    assert miss_rate_bound(misses, slots) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("misses", [0, 1, 40, 3_000, 500_000, 999_999])
+def test_the_bound_is_a_quantile_of_the_beta_distribution_in_long_runs_too(misses):
+    exact = beta.ppf(0.95, misses + 1, 1_000_000 - misses)
+    assert miss_rate_bound(misses, 1_000_000) == pytest.approx(exact, rel=1e-8)
+
+
+def test_without_a_miss_the_bound_is_the_rule_of_three():
+    assert 0.998 * 3e-5 < miss_rate_bound(0, 100_000) < 3e-5
     assert miss_rate_bound(0, 0) == 1.0
-    assert miss_rate_bound(0, 2) == 1.0
-    bounds = [miss_rate_bound(k, 1000) for k in range(0, 1000, 50)]
+
+
+def test_the_bound_on_the_miss_rate_rises_with_the_misses():
+    bounds = [miss_rate_bound(k, 1000) for k in range(0, 1001, 50)]
     assert np.all(np.diff(bounds) > 0)
-    assert bounds[-1] <= 1.0
+    assert bounds[-1] == 1.0
 
 
 def test_the_kernel_counts_for_this_thread():
