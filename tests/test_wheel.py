@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 import subprocess
 import sys
@@ -60,6 +62,45 @@ def test_wheel_holds_the_robot_room_only(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         rooms = {name.split("/")[0] for name in archive.namelist()}
     assert {r for r in rooms if not r.endswith(".dist-info")} == {"firmware_py"}
+
+
+def sbom(wheel: Path) -> dict:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (n for n in archive.namelist() if "/sboms/" in n)
+        assert re.fullmatch(r"dropstitch-[\d.]+\.dist-info/sboms/dropstitch\.cdx\.json", name)
+        return json.loads(archive.read(name))
+
+
+def test_the_bill_of_materials_lists_every_locked_library(wheel: Path) -> None:
+    lock = (ROOT / "requirements" / "robot.txt").read_text(encoding="utf-8")
+    locked = set(re.findall(r"^([a-z0-9-]+)==([^ ]+)", lock, re.MULTILINE))
+    components = sbom(wheel)["components"]
+    assert {(c["name"], c["version"]) for c in components} == locked
+    assert all(c["purl"] == f"pkg:pypi/{c['name']}@{c['version']}" for c in components)
+    scopes = {c["name"]: c.get("scope") for c in components}
+    assert scopes["onnxruntime"] == "required" and scopes["mcap"] == "optional"
+    assert "scope" not in next(c for c in components if c["name"] == "protobuf")
+    assert sum(c["name"] == "numpy" and "properties" in c for c in components) == 2
+
+
+def test_the_bill_of_materials_keeps_to_cyclonedx(wheel: Path) -> None:
+    """Required fields, unique references, no dangling ones (ecma-international.org, ECMA-424)."""
+    bom = sbom(wheel)
+    assert (bom["bomFormat"], bom["specVersion"], bom["version"]) == ("CycloneDX", "1.6", 1)
+    subject = bom["metadata"]["component"]
+    assert subject["name"] == "dropstitch" and subject["version"] in wheel.name
+    assert all({"type", "name", "bom-ref"} <= set(c) for c in [subject, *bom["components"]])
+    refs = [subject["bom-ref"], *(c["bom-ref"] for c in bom["components"])]
+    assert len(set(refs)) == len(refs)
+    for edge in bom["dependencies"]:
+        assert {edge["ref"], *edge["dependsOn"]} <= set(refs)
+    assert "http" not in json.dumps(bom)
+
+
+def test_the_wheel_is_reproducible(wheel: Path, tmp_path: Path) -> None:
+    built = run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path, cwd=ROOT)
+    assert built.returncode == 0, built.stderr
+    assert (tmp_path / wheel.name).read_bytes() == wheel.read_bytes()
 
 
 def test_help_shows_every_command(robot: Path, tmp_path: Path) -> None:
