@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus import bus_plan
 from firmware_py.bus.dynamixel import ServoSetup
-from firmware_py.bus.registers import RETURN_DELAY_UNIT_S, Register
+from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
@@ -142,8 +142,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
 
     @property
-    def wire_budget_s(self) -> float:
-        """What a tick can give to the wire."""
+    def transmission_budget_s(self) -> float:
+        """What a tick can spend on transmission."""
         return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
 
     def bus_plans(self) -> list[bus_plan.Plan]:
@@ -216,7 +216,7 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     if config.dof == 0:
         raise InputError(path, "servos has no entry", "give one per joint, 1 or 2")
     _check_ranges(config, path)
-    _check_wire(config, path)
+    _check_bus(config, path)
     if config.dof > _MAX_DOF:
         raise InputError(path, f"servos has {config.dof} entries", "give one per joint, 1 or 2")
     ids = [servo.id for servo in config.servos]
@@ -231,7 +231,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("payload_kg", config.payload_kg, 0.0, 100.0),
         ("bus.reply_timeout_s", bus.reply_timeout_s, 1e-4, config.period_s),
         ("bus.replug_s", bus.replug_s, 0.0, 3600.0),
-        ("bus.return_delay_s", bus.return_delay_s, 0.0, 254 * RETURN_DELAY_UNIT_S),
+        ("bus.return_delay_s", bus.return_delay_s, 0.0, 254 * RETURN_DELAY_STEP_S),
         ("motion.rest_s", config.motion.rest_s, 0.0, 60.0),
         ("limits.rate_rad_s", limits.rate_rad_s, 1e-3, 100.0),
         ("limits.acceleration_rad_s2", limits.acceleration_rad_s2, 1e-3, 1e4),
@@ -262,10 +262,10 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
             )
 
 
-def _check_wire(config: RobotConfig, path: Path | str) -> None:
+def _check_bus(config: RobotConfig, path: Path | str) -> None:
     bus = config.bus
     if bus.baud not in BAUD_RATES:
         raise InputError(
             path, f"bus.baud is {bus.baud}", "choose from " + ", ".join(map(str, BAUD_RATES))
         )
-    bus_plan.require_any(config.bus_plans(), config.wire_budget_s, path)
+    bus_plan.require_any(config.bus_plans(), config.transmission_budget_s, path)

@@ -123,7 +123,7 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         ),
         *stages,
         Signal("busy_ns", "ns", "whole tick from wake-up to the end of the log stage"),
-        Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the wire"),
+        Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the servos"),
         Signal("lateness_ns", "ns", "wake-up behind the deadline"),
         Signal("preempted_ns", "ns", "run-queue delay of the loop's thread during the period"),
         Signal("steal_ns", "ns", "time that the hypervisor kept from this machine, all processors"),

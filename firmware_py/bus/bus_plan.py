@@ -1,4 +1,4 @@
-"""What a tick costs on the wire, and the cheapest way to spend it: the bus plan.
+"""Transmission time of a tick, and the plans by which a tick can read its servos.
 
 A tick moves three packets: the instruction to read, the answers, the goals. Protocol 2.0 frames
 (ROBOTIS e-Manual), bytes for n servos and a block of b bytes of feedback:
@@ -128,7 +128,7 @@ class Plan(NamedTuple):
 
     @property
     def total_s(self) -> float:
-        """Time of one tick on the wire."""
+        """Transmission time of one tick."""
         return self.read_s + self.write_s
 
 
@@ -156,7 +156,7 @@ def plain(candidates: list[Plan]) -> Plan:
 
 
 def available_s(period_s: float, reply_timeout_s: float) -> float:
-    """What a tick can give to the wire."""
+    """Time that a tick can spend on transmission."""
     return min(reply_timeout_s, period_s - RESERVE_NS * 1e-9)
 
 
@@ -167,7 +167,7 @@ def require_any(candidates: list[Plan], budget_s: float, where: Path | str) -> N
 
 
 def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
-    """Refuse a plan that takes longer on the wire than there is time.
+    """Refuse a plan that takes longer to transmit than there is time.
 
     Raises
     ------
@@ -180,8 +180,9 @@ def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
     baud = next(enough, None)
     raise InputError(
         where,
-        f"{plan.servos} servos at {plan.baud:,} baud need {plan.total_s * 1e3:.1f} ms on the wire "
-        f"in every tick, bus.reply_timeout_s and period_s leave {budget_s * 1e3:.1f} ms",
+        f"{plan.servos} servos at {plan.baud:,} baud need {plan.total_s * 1e3:.1f} ms of "
+        "transmission in every tick, bus.reply_timeout_s and period_s leave "
+        f"{budget_s * 1e3:.1f} ms",
         f"use ≥ {_readable(baud)}, here and in the servos" if baud else
         "use fewer servos on the bus, a shorter return delay or a longer period",
     )  # fmt: skip

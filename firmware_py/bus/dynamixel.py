@@ -17,8 +17,8 @@ from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.register_access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
 from firmware_py.bus.registers import (
     POSITION_MODE,
-    RETURN_DELAY_UNIT_S,
-    WATCHDOG_UNIT_S,
+    RETURN_DELAY_STEP_S,
+    WATCHDOG_STEP_S,
     Register,
     RegisterField,
     describe_alert,
@@ -63,7 +63,7 @@ class DynamixelBus:
 
     Parameters
     ----------
-    wire : Transport
+    transport : Transport
         See `firmware_py.bus.transport.open_transport`.
     servos : sequence of ServoSetup
         One per joint, in joint order.
@@ -76,11 +76,11 @@ class DynamixelBus:
     name : str
         What messages call the port.
     baud : int
-        Bits per second of the wire.
+        Bits per second of the line.
     reply_timeout_s : float, optional
         Longest wait for the servos in the loop: slower ones are refused at the start.
     opener : callable, optional
-        Opens the wire anew, or raises InputError; without it a wire that is gone stays gone.
+        Opens the transport anew, or raises InputError; without it a port that has gone stays gone.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class DynamixelBus:
 
     def __init__(
         self,
-        wire: Transport,
+        transport: Transport,
         servos: Sequence[ServoSetup],
         clock: Clock,
         *,
@@ -114,7 +114,7 @@ class DynamixelBus:
         self.firmware_versions: tuple[int, ...] = ()
         self._servos, self._name, self._clock = tuple(servos), name, clock
         self._period_s, self._return_delay_s = period_s, return_delay_s
-        self._port = DeadlinePort(wire, clock, name, baud)
+        self._port = DeadlinePort(transport, clock, name, baud)
         self._packets = PacketHandler()
         self._registers = RegisterAccess(self._port, self._packets, clock)
         self._models = {servo.id: servo.model for servo in servos}
@@ -128,7 +128,7 @@ class DynamixelBus:
 
     @property
     def wait_ns(self) -> int:
-        """Time spent waiting for the wire since the start."""
+        """Time spent waiting for the servos since the start."""
         return self._port.wait_ns
 
     # In the loop -------------------------------------------------------------------------------
@@ -271,7 +271,7 @@ class DynamixelBus:
                 "narrow limits.angle_rad, or widen the servo's position limits",
             )
         if self._return_delay_s is not None:
-            delay = round_half_away(self._return_delay_s / RETURN_DELAY_UNIT_S)
+            delay = round_half_away(self._return_delay_s / RETURN_DELAY_STEP_S)
             if self._get(servo, Register.RETURN_DELAY) != delay:
                 self._set(servo, Register.RETURN_DELAY, delay)
         if Register.BUS_WATCHDOG not in self._table and math.isfinite(servo.max_rate_rad_s):
@@ -302,7 +302,7 @@ class DynamixelBus:
 
         Every servo is tried, whatever the others answer.
         """
-        watchdog = watchdog_units(self._period_s) if on else 0
+        watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
         self._driven, self._driving = self._driven or on, False
         for servo in self._servos:
@@ -335,6 +335,6 @@ class DynamixelBus:
             self._port.closePort()
 
 
-def watchdog_units(period_s: float) -> int:
-    """What the watchdog register is set to for a control period, in units of 20 ms."""
-    return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_UNIT_S)
+def watchdog_steps(period_s: float) -> int:
+    """What the watchdog register is set to for a control period, in steps of 20 ms."""
+    return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)

@@ -1,7 +1,7 @@
 """Servos in memory: they answer at once and stand where they were told to, without any physics.
 
 What the tick costs by itself can be measured against them, the SDK's packets included, since
-their work is done while the port waits for the wire.
+their work is done while the port waits for an answer.
 """
 
 from __future__ import annotations

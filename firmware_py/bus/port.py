@@ -50,14 +50,14 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
 
     Parameters
     ----------
-    wire : Transport
+    transport : Transport
         Where the bytes go.
     clock : Clock
         What deadlines are measured by.
     name : str
         What messages call it.
     baud : int
-        Bits per second, for information only: the wire is already set.
+        Bits per second, for information only: the transport is already set.
 
     Attributes
     ----------
@@ -69,55 +69,55 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
     """
 
     def __init__(
-        self, wire: Transport, clock: Clock, name: str = "", baud: int = 1_000_000
+        self, transport: Transport, clock: Clock, name: str = "", baud: int = 1_000_000
     ) -> None:
         super().__init__(name)
         self.baudrate = baud
         self.is_open = True
         self.deadline_ns = 0
         self.wait_ns = 0
-        self._wire, self._clock = wire, clock
+        self._transport, self._clock = transport, clock
         self._received = b""
 
     def openPort(self) -> bool:
-        """Report that the wire is open, which it is from the start."""
+        """Report that the transport is open, which it is from the start."""
         return True
 
     def closePort(self) -> None:
-        """Close the wire."""
-        self._wire.close()
+        """Close the transport."""
+        self._transport.close()
         self.is_open = False
 
-    def replace(self, wire: Transport) -> None:
-        """Go on with another wire, in place of one that is gone."""
-        self._wire, self._received = wire, b""
+    def replace(self, transport: Transport) -> None:
+        """Go on with another transport, in place of one that is gone."""
+        self._transport, self._received = transport, b""
         self.is_open, self.is_using = True, False
 
     def clearPort(self) -> None:
         """Drop what was received before a new instruction."""
         self._received = b""
-        self._wire.discard_input()
+        self._transport.discard_input()
 
     def setBaudRate(self, baudrate: int) -> bool:
-        """Refuse: a wire keeps the rate that it was opened with."""
+        """Refuse: a transport keeps the rate that it was opened with."""
         return bool(baudrate == self.baudrate)
 
     def getBytesAvailable(self) -> int:
-        """Return how many bytes have been taken from the wire and not yet been read."""
+        """Return how many bytes have been taken from the transport and not yet been read."""
         return len(self._received)
 
     def readPort(self, length: int) -> bytes:
         """Return up to `length` bytes, waiting for the first one until the deadline."""
         if not self._received:
             start_ns = self._clock.now_ns()
-            self._received = self._wire.read(_READ_SIZE, self.deadline_ns)
+            self._received = self._transport.read(_READ_SIZE, self.deadline_ns)
             self.wait_ns += self._clock.now_ns() - start_ns
         data, self._received = self._received[:length], self._received[length:]
         return data
 
     def writePort(self, packet: bytes) -> int:
         """Send a packet."""
-        return self._wire.write(packet)
+        return self._transport.write(packet)
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Do nothing: `deadline_ns` rules."""
@@ -231,7 +231,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return self.send(port, self.finished(txpacket))
 
     def finished(self, txpacket: list[int]) -> bytes:
-        """Return an instruction as it goes over the wire: header, stuffing and CRC filled in."""
+        """Return an instruction as it is sent: header, stuffing and CRC filled in."""
         packet = self.addStuffing(txpacket)
         packet[:4] = (*_HEADER, 0)
         crc = self.updateCRC(0, packet, len(packet) - 2)

@@ -298,8 +298,8 @@ X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
 POSITION_MODE: Final = 3
 """Value of the operating mode register in which the goal is an angle."""
 
-WATCHDOG_UNIT_S: Final = 0.020
-RETURN_DELAY_UNIT_S: Final = 2e-6
+WATCHDOG_STEP_S: Final = 0.020
+RETURN_DELAY_STEP_S: Final = 2e-6
 
 WATCHDOG_TRIPPED: Final = -1
 """What the bus watchdog register then holds."""

@@ -52,7 +52,7 @@ class ServoBus(Protocol):
     alert : int
         What the servos complain of, or-ed; see `firmware_py.bus.registers.describe_alert`.
     wait_ns : int
-        Time spent waiting for the wire since the start.
+        Time spent waiting for the servos since the start.
     """
 
     dof: int
@@ -62,7 +62,7 @@ class ServoBus(Protocol):
 
     @property
     def wait_ns(self) -> int:
-        """Time spent waiting for the wire since the start."""
+        """Time spent waiting for the servos since the start."""
         ...
 
     def connect(self) -> None:

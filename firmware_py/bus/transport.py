@@ -31,7 +31,7 @@ _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
 
 class Transport(Protocol):
-    """A stream of bytes to and from the servos. A wire that is gone raises OSError."""
+    """A stream of bytes to and from the servos. A transport that is gone raises OSError."""
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """Return up to `size` bytes as soon as there are any, or none once the deadline passed."""
@@ -169,7 +169,7 @@ def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
 
 
 def open_transport(name: str, baud: int, clock: Clock) -> Transport:
-    """Open the wire that a port name stands for: `unix:/path` a socket, else a serial device.
+    """Open the transport that a port name stands for: `unix:/path` a socket, else a serial device.
 
     A name with wildcards stands for the first that can be opened, in the order of the alphabet: an
     adapter that was unplugged may come back as another one.

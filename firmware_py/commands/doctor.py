@@ -1,6 +1,6 @@
 """Say what on this PC would spoil the loop's timing, and how to mend it.
 
-With --bus: what a tick of the configured robot costs on the wire by every plan that its servos
+With --bus: the transmission time of a tick of the configured robot, for every plan that its servos
 might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
 period is refused with the numbers.
 """
@@ -23,7 +23,7 @@ _MARKS = {Verdict.GOOD: "  ", Verdict.NOTE: "? ", Verdict.SPOILS: "! "}
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bus", action="store_true", help="the wire's budget instead of the PC")
+    parser.add_argument("--bus", action="store_true", help="the bus's budget instead of the PC")
     parser.add_argument("--config", type=Path, metavar="ROBOT.toml", help="robot that --bus is for")
 
 
@@ -49,10 +49,10 @@ def _machine(args: argparse.Namespace) -> int:
 
 
 def _bus(args: argparse.Namespace, config: RobotConfig) -> int:
-    plans, budget_s = config.bus_plans(), config.wire_budget_s
+    plans, budget_s = config.bus_plans(), config.transmission_budget_s
     lines = [
         f"{config.dof} × {config.servos[0].model} at {config.bus.baud:,} baud, return delay "
-        f"{plans[0].return_delay_s * 1e6:.0f} µs; ms on the wire in a tick",
+        f"{plans[0].return_delay_s * 1e6:.0f} µs; ms of transmission in a tick",
         f"{'plan':26} {'block':>7} {'read':>7} {'write':>7} {'sum':>7} {'of period':>10} "
         f"{'read twice':>11}",
         *(_row(plan, config.period_s, budget_s) for plan in plans),

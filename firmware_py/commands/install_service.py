@@ -15,10 +15,10 @@ from firmware_py.errors import InputError
 
 EXAMPLE = "sudo dropstitch install-service --config robot.toml --user robot"
 
-UNIT_PATH: Final = "etc/systemd/system/dropstitch.service"
+SERVICE_PATH: Final = "etc/systemd/system/dropstitch.service"
 RULE_PATH: Final = "etc/udev/rules.d/99-dropstitch.rules"
 
-_UNIT: Final = """\
+_SERVICE: Final = """\
 [Unit]
 Description=Control loop of the inflatable link
 # A robot does not start to move by itself: no [Install] section, no restart.
@@ -69,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write both files, or show them."""
     path = args.config.resolve()
-    files = {UNIT_PATH: unit(read_config(path), path, args.user), RULE_PATH: _RULE}
+    files = {SERVICE_PATH: service_file(read_config(path), path, args.user), RULE_PATH: _RULE}
     if args.dry_run:
         text = "\n".join(f"# {args.root / name}\n{content}" for name, content in files.items())
         emit(args, {"files": files, "written": False}, text)
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def unit(
+def service_file(
     config: RobotConfig, path: Path, user: str, processors: frozenset[int] | None = None
 ) -> str:
     """Text of the systemd unit.
@@ -116,7 +116,7 @@ def unit(
         if own in processors and others
         else "All there are; real_time.cpu in the configuration keeps one for the loop alone."
     )
-    return _UNIT.format(
+    return _SERVICE.format(
         user=user, command=f"{_quoted(sys.executable)} -m firmware_py", config=_quoted(path),
         affinity_is=affinity_is, affinity=" ".join(map(str, sorted(others or processors))),
     )  # fmt: skip

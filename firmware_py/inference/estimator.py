@@ -124,7 +124,7 @@ class ObserverEstimator:
 
     Parameters
     ----------
-    unit : FmuInstance
+    fmu : FmuInstance
         With the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
     dof : int
         Number of joints.
@@ -135,12 +135,12 @@ class ObserverEstimator:
         If the unit has not these variables.
     """
 
-    def __init__(self, unit: FmuInstance, dof: int) -> None:
+    def __init__(self, fmu: FmuInstance, dof: int) -> None:
         joints = range(1, dof + 1)
         names = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
-        self._unit, self._dof = unit, dof
-        self._inputs = unit.channel(names)
-        self._outputs = unit.channel(["di", "payload_kg"])
+        self._fmu, self._dof = fmu, dof
+        self._inputs = fmu.channel(names)
+        self._outputs = fmu.channel(["di", "payload_kg"])
         self._payload_kg: float | None = None
         self.reset()
 
@@ -163,9 +163,9 @@ class ObserverEstimator:
 
     def reset(self) -> None:
         """Forget the past; what was assumed still holds."""
-        self._unit.reset()
+        self._fmu.reset()
         if self._payload_kg is not None:
-            self._unit.set([_KNOWN_PAYLOAD], [self._payload_kg])
+            self._fmu.set([_KNOWN_PAYLOAD], [self._payload_kg])
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample; see `DeformationEstimator.update`.
@@ -176,7 +176,7 @@ class ObserverEstimator:
         self._inputs.values[self._dof :] = current_a
         try:
             self._inputs.send()
-            self._unit.step(step_s)
+            self._fmu.step(step_s)
             self._outputs.receive()
         except FmuRefusal:
             return Estimate(math.nan, math.nan)

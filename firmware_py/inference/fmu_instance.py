@@ -56,23 +56,23 @@ class Channel:
         Write here before `send`; read here after `receive`. Always the same memory.
     """
 
-    def __init__(self, unit: FmuInstance, names: Sequence[str]) -> None:
-        references = [unit.variable(name, "Float64").reference for name in names]
+    def __init__(self, fmu: FmuInstance, names: Sequence[str]) -> None:
+        references = [fmu.variable(name, "Float64").reference for name in names]
         self.values: Array = np.zeros(len(references))
         count = ctypes.c_size_t(len(references))
         self._references = (ctypes.c_uint32 * len(references))(*references)
         self._arguments = (
             self._references, count, ctypes.c_void_p(self.values.ctypes.data), count
         )  # fmt: skip
-        self._unit = unit
+        self._fmu = fmu
 
     def send(self) -> None:
         """Set the variables to `values`."""
-        self._unit.call("fmi3SetFloat64", *self._arguments)
+        self._fmu.call("fmi3SetFloat64", *self._arguments)
 
     def receive(self) -> None:
         """Bring `values` up to date."""
-        self._unit.call("fmi3GetFloat64", *self._arguments)
+        self._fmu.call("fmi3GetFloat64", *self._arguments)
 
 
 class FmuInstance:

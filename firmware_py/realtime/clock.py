@@ -61,7 +61,7 @@ class SimClock:
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance(self, duration_ns: int) -> None:
-        """Let time pass, as a computation or a wire does."""
+        """Let time pass, as a computation or a transmission does."""
         self._now_ns += duration_ns
 
 

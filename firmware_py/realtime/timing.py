@@ -165,7 +165,7 @@ class Timing:
     ----------
     stages : dict of str to Histogram
         By stage, and "lateness", "busy" (the whole tick) and "own" (busy without waiting for the
-        wire).
+        servos).
     misses : int
         Slots missed.
     longest_run : int

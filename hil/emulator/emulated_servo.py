@@ -18,8 +18,8 @@ from __future__ import annotations
 from typing import Final
 
 from firmware_py.bus.registers import (
-    RETURN_DELAY_UNIT_S,
-    WATCHDOG_UNIT_S,
+    RETURN_DELAY_STEP_S,
+    WATCHDOG_STEP_S,
     X_SERIES,
     Register,
     RegisterField,
@@ -99,7 +99,7 @@ class EmulatedServo:
             Register.FIRMWARE_VERSION: _FIRMWARE_VERSION,
             Register.ID: servo_id,
             Register.BAUD_RATE: code,
-            Register.RETURN_DELAY: round(return_delay_s / RETURN_DELAY_UNIT_S),
+            Register.RETURN_DELAY: round(return_delay_s / RETURN_DELAY_STEP_S),
             Register.OPERATING_MODE: 3,
             Register.CURRENT_LIMIT: _CURRENT_LIMIT_RAW[model.table.name],
             Register.MAX_POSITION_LIMIT: high,
@@ -140,7 +140,7 @@ class EmulatedServo:
         self.torque_on = bool(self.get(Register.TORQUE_ENABLE))
         self.watchdog_tripped = watchdog < 0
         armed = watchdog if self.torque_on and not self.watchdog_tripped else 0
-        self._watchdog_ns = armed * round(WATCHDOG_UNIT_S * 1e9)
+        self._watchdog_ns = armed * round(WATCHDOG_STEP_S * 1e9)
         self._offset_raw = self.get(Register.HOMING_OFFSET)
         self.goal_rad = self._hold_rad
         if self.torque_on and not self.watchdog_tripped:
@@ -161,7 +161,7 @@ class EmulatedServo:
     @property
     def return_delay_ns(self) -> int:
         """Pause in front of a status packet."""
-        return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_UNIT_S * 1e9)
+        return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_STEP_S * 1e9)
 
     # --- physics -------------------------------------------------------------------------------
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-from firmware_py.bus.dynamixel import watchdog_units
-from firmware_py.bus.registers import WATCHDOG_UNIT_S
+from firmware_py.bus.dynamixel import watchdog_steps
+from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import Progress
 from hil.faults.case_robot import CaseRobot
@@ -64,7 +64,7 @@ def facts(rig: CaseRobot, cases: Sequence[FaultCase]) -> dict[str, Any]:
     return {
         "dof": rig.dof,
         "period_s": period_s,
-        "watchdog_s": watchdog_units(period_s) * WATCHDOG_UNIT_S,
+        "watchdog_s": watchdog_steps(period_s) * WATCHDOG_STEP_S,
         "faults": len({row.fault for row in rows}),
         "rows": len(rows),
         "models": [MODELS[n].name for n in sorted({case.number for case in cases})],

@@ -11,8 +11,8 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import Any, Final
 
-from firmware_py.bus.dynamixel import watchdog_units
-from firmware_py.bus.registers import WATCHDOG_UNIT_S
+from firmware_py.bus.dynamixel import watchdog_steps
+from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 from firmware_py.realtime.timing import Cause
@@ -101,7 +101,7 @@ def judge(case: FaultCase, seen: CaseObservation, period_s: float) -> Judged:
 def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
     """What must hold in every case."""
     complaints = []
-    limit_ns = round(watchdog_units(period_s) * WATCHDOG_UNIT_S * 1e9)
+    limit_ns = round(watchdog_steps(period_s) * WATCHDOG_STEP_S * 1e9)
     if seen.watched and seen.unheard_ns > limit_ns:
         complaints.append(
             f"driven without supervision for {seen.unheard_ns / 1e6:.0f} ms, the watchdog's time "

@@ -419,9 +419,9 @@ def test_the_same_run_twice_is_the_same_to_the_bit():
 def test_a_tick_leaves_no_memory_behind():
     clock = SimClock()
     models = {1: MODELS[54024], 2: MODELS[54024]}
-    wire = LoopbackTransport(models)
+    transport = LoopbackTransport(models)
     setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
-    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
     sizes = []
 
     class Measuring(NoEstimator):
@@ -444,7 +444,7 @@ def test_a_tick_leaves_no_memory_behind():
         loop.run()
     finally:
         tracemalloc.stop()
-    assert wire.get(1, Register.TORQUE_ENABLE) == 0
+    assert transport.get(1, Register.TORQUE_ENABLE) == 0
     assert len(sizes) == 6
     # The interpreter's pools grow now and then; what leaks grows every time.
     assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"

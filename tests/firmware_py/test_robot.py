@@ -66,12 +66,12 @@ def answers(estimator):
 def test_a_known_payload_is_the_observers(load, directory):
     answered = answers(load(2.0)[1].estimator)
     assert (answered[:, 1] == 2.0).all()
-    with FmuInstance(directory / "bundle/observer.fmu") as unit:
-        unit.set(["parameters.payload_known_kg"], [2.0])
+    with FmuInstance(directory / "bundle/observer.fmu") as observer:
+        observer.set(["parameters.payload_known_kg"], [2.0])
         for (q, i), (di, _) in zip(zip(*motion(), strict=True), answered, strict=True):
-            unit.set(["angle_1_rad", "current_1_a"], [q[0], i[0]])
-            unit.step(PERIOD_S)
-            assert unit.get(["di"])[0] == di
+            observer.set(["angle_1_rad", "current_1_a"], [q[0], i[0]])
+            observer.step(PERIOD_S)
+            assert observer.get(["di"])[0] == di
 
 
 def test_what_is_known_outlasts_a_reset_and_changes_the_deformation(load):

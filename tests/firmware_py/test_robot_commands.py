@@ -39,7 +39,7 @@ lock_memory = false
 @pytest.fixture
 def servos(tmp_path):
     """A servo in memory behind `tmp_path/line`."""
-    wire = LoopbackTransport({1: MODELS[54024]})
+    transport = LoopbackTransport({1: MODELS[54024]})
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(tmp_path / "line"))
     listener.listen()
@@ -47,13 +47,13 @@ def servos(tmp_path):
     def serve():
         with contextlib.suppress(OSError), listener.accept()[0] as connection:
             while data := connection.recv(4096):
-                wire.write(data)
-                if answer := wire.read(4096, 0):
+                transport.write(data)
+                if answer := transport.read(4096, 0):
                     connection.sendall(answer)
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
-    yield wire
+    yield transport
     listener.shutdown(socket.SHUT_RDWR)  # a test that never connected
     thread.join()
     listener.close()

@@ -225,7 +225,7 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
         ({"seconds": 0.0}, "--seconds"),
         ({"seconds": math.inf}, "--seconds"),
         ({"baud": 12345}, "--baud"),
-        ({"baud": 9600}, "ms on the wire"),
+        ({"baud": 9600}, "ms of transmission"),
         ({"load": -1}, "--load"),
         ({"payload_kg": -1.0}, "--payload-kg"),
         ({"payload_kg": math.nan}, "--payload-kg"),

@@ -1,4 +1,4 @@
-"""The wire's budget against published times, and the choice that the servos' answers leave."""
+"""The transport's budget against published times, and the choice that the servos' answers leave."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_a_rate_that_the_refusal_names_is_enough(baud, budget_s):
         assert plan.total_s <= budget_s
 
 
-class PickyWire(LoopbackTransport):
+class PickyTransport(LoopbackTransport):
     """Servos that do not know one instruction, or refuse to be written in one place."""
 
     def __init__(self, models, clock, deaf_to=None, locked=None):
@@ -94,11 +94,11 @@ class PickyWire(LoopbackTransport):
 
 def connect(number, servos, **traits):
     clock, models = SimClock(), {k: MODELS[number] for k in range(1, servos + 1)}
-    wire = PickyWire(models, clock, **traits)
+    transport = PickyTransport(models, clock, **traits)
     setups = [ServoSetup(k, model, -0.6, 0.6) for k, model in models.items()]
-    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
     bus.connect()
-    return bus, wire, clock
+    return bus, transport, clock
 
 
 @pytest.mark.parametrize(
@@ -118,11 +118,11 @@ def connect(number, servos, **traits):
     ],
 )
 def test_the_fastest_plan_that_the_servos_answer_is_used(number, servos, traits, name):
-    bus, wire, clock = connect(number, servos, **traits)
+    bus, transport, clock = connect(number, servos, **traits)
     assert bus.plan.name == name
     for servo in range(1, servos + 1):
-        wire.put(servo, Register.PRESENT_POSITION, 1000 * servo)
-        wire.put(servo, Register.PRESENT_CURRENT, -7 * servo)
+        transport.put(servo, Register.PRESENT_POSITION, 1000 * servo)
+        transport.put(servo, Register.PRESENT_CURRENT, -7 * servo)
     assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.OK
     model = MODELS[number]
     joints = np.arange(1, servos + 1)
@@ -131,31 +131,34 @@ def test_the_fastest_plan_that_the_servos_answer_is_used(number, servos, traits,
 
 
 def test_indirect_addresses_that_are_right_are_not_written_again():
-    _, wire, clock = connect(PRO_A, 2)
+    _, transport, clock = connect(PRO_A, 2)
     writes = []
-    store = wire._store
-    wire._store = lambda id_, address, data: (writes.append(address), store(id_, address, data))
+    store = transport._store
+    transport._store = lambda id_, address, data: (
+        writes.append(address),
+        store(id_, address, data),
+    )
     setups = [ServoSetup(k, MODELS[PRO_A], -0.6, 0.6) for k in (1, 2)]
-    DynamixelBus(wire, setups, clock, period_s=0.017).connect()
+    DynamixelBus(transport, setups, clock, period_s=0.017).connect()
     assert 168 not in writes
 
 
 @pytest.mark.parametrize("block", [0, 1])
 def test_a_refusal_or_alert_inside_the_common_packet_is_seen(block):
-    bus, wire, clock = connect(PRO_A, 2)
+    bus, transport, clock = connect(PRO_A, 2)
 
     def tampered(error):
         def read(size, deadline_ns):
-            data = list(LoopbackTransport.read(wire, size, deadline_ns))
+            data = list(LoopbackTransport.read(transport, size, deadline_ns))
             if data and data[4] == 254:
                 data[8 + block * (len(data) - 8) // 2] = error
-                crc = wire._packets.updateCRC(0, data, len(data) - 2)
+                crc = transport._packets.updateCRC(0, data, len(data) - 2)
                 data[-2:] = [crc & 0xFF, crc >> 8]
             return bytes(data)
 
         return read
 
-    wire.read = tampered(7)
+    transport.read = tampered(7)
     assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.REFUSED
-    wire.read = tampered(0x80)
+    transport.read = tampered(0x80)
     assert bus.read(clock.now_ns() + 8_000_000) is BusStatus.ALERT

@@ -1,4 +1,4 @@
-"""Faults of wire and servo as values, against servos in memory whose answers are tampered with."""
+"""Faults of line and servos as values, against servos in memory with tampered answers."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LEGACY, PRO_A, XM = 54024, 54025, 1020
 BUDGET_NS = 8_000_000
 
 
-class TamperedWire(LoopbackTransport):
+class TamperedTransport(LoopbackTransport):
     """A loopback whose answers pass through a function; silence lasts until the deadline."""
 
     def __init__(self, models, clock):
@@ -44,16 +44,16 @@ class TamperedWire(LoopbackTransport):
 def make(*numbers, period_s=0.017, limits=(-0.6, 0.6), **options):
     clock = SimClock()
     models = {id_: MODELS[number] for id_, number in enumerate(numbers, start=1)}
-    wire = TamperedWire(models, clock)
+    transport = TamperedTransport(models, clock)
     setups = [ServoSetup(id_, model, *limits) for id_, model in models.items()]
-    return DynamixelBus(wire, setups, clock, period_s=period_s, **options), wire, clock
+    return DynamixelBus(transport, setups, clock, period_s=period_s, **options), transport, clock
 
 
 @pytest.fixture(params=[LEGACY, PRO_A, XM], ids=lambda n: MODELS[n].table.name)
 def pair(request):
-    bus, wire, clock = make(request.param, request.param)
+    bus, transport, clock = make(request.param, request.param)
     bus.connect()
-    return bus, wire, clock
+    return bus, transport, clock
 
 
 def read(bus, clock):
@@ -61,10 +61,10 @@ def read(bus, clock):
 
 
 def test_goals_come_back_as_angles_and_currents_in_si(pair):
-    bus, wire, clock = pair
+    bus, transport, clock = pair
     goal_rad = np.array([0.25, -0.5])
     assert bus.write(goal_rad, clock.now_ns() + BUDGET_NS) is BusStatus.OK
-    wire.put(2, Register.PRESENT_CURRENT, -100)
+    transport.put(2, Register.PRESENT_CURRENT, -100)
     assert read(bus, clock) is BusStatus.OK
     model = bus._servos[0].model
     assert np.all(np.abs(bus.angle_rad - goal_rad) <= model.rad_per_pulse / 2)
@@ -103,51 +103,51 @@ def cut(data):
     ],
 )
 def test_a_bad_answer_is_a_status_and_leaves_the_last_good_data(pair, tamper, expected):
-    bus, wire, clock = pair
+    bus, transport, clock = pair
     bus.write(np.array([0.3, 0.4]), clock.now_ns() + BUDGET_NS)
     assert read(bus, clock) is BusStatus.OK
     before = bus.angle_rad.copy()
     assert before.all(), "zeros would hide the zeros that the SDK returns"
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
-    wire.tamper = tamper
+    transport.tamper = tamper
     if expected is None:  # half of a common packet, or the first of two
         expected = BusStatus.CORRUPT if bus.plan.fast else BusStatus.TIMEOUT
     start_ns = clock.now_ns()
     assert read(bus, clock) is expected
     assert clock.now_ns() - start_ns <= BUDGET_NS
     assert bus.angle_rad.tolist() == before.tolist()
-    wire.tamper = lambda data: data
+    transport.tamper = lambda data: data
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad[0] == pytest.approx(0.1, abs=1e-3)
 
 
 @pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\xff\xff\xfd\x00", bytes(range(40))])
 def test_noise_in_front_of_the_answers_does_no_harm(pair, noise):
-    bus, wire, clock = pair
-    wire.tamper = lambda data: noise + data
+    bus, transport, clock = pair
+    transport.tamper = lambda data: noise + data
     assert read(bus, clock) in (BusStatus.OK, BusStatus.CORRUPT, BusStatus.TIMEOUT)
-    wire.tamper = lambda data: data
+    transport.tamper = lambda data: data
     assert read(bus, clock) is BusStatus.OK
 
 
 def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
-    bus, wire, clock = make(LEGACY, LEGACY)
-    _, wire_of_stranger, _ = make(LEGACY, LEGACY, LEGACY)
+    bus, transport, clock = make(LEGACY, LEGACY)
+    _, transport_of_stranger, _ = make(LEGACY, LEGACY, LEGACY)
     bus.connect()
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
     size, (low, high) = bus.plan.block.size, divmod(bus.plan.block.address, 256)[::-1]
-    wire_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, low, high, size, 0, 3, 0, 0])
-    strange, each = wire_of_stranger._answers, 11 + size
-    wire.tamper = lambda data: strange + data[each:] + data[each:] + data[:each]
+    transport_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, low, high, size, 0, 3, 0, 0])
+    strange, each = transport_of_stranger._answers, 11 + size
+    transport.tamper = lambda data: strange + data[each:] + data[each:] + data[:each]
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad == pytest.approx([0.1, 0.2], abs=1e-4)
 
 
 def test_the_alert_bit_is_kept_and_its_cause_read_once():
-    bus, wire, clock = make(LEGACY, LEGACY)
+    bus, transport, clock = make(LEGACY, LEGACY)
     bus.connect()
-    wire.put(2, Register.HARDWARE_ERROR, 0b100000)
-    packets, size = wire._packets, 11 + bus.plan.block.size
+    transport.put(2, Register.HARDWARE_ERROR, 0b100000)
+    packets, size = transport._packets, 11 + bus.plan.block.size
 
     def alert(data):
         out = b""
@@ -160,95 +160,95 @@ def test_the_alert_bit_is_kept_and_its_cause_read_once():
             out += bytes(frame)
         return out
 
-    wire.tamper = alert
+    transport.tamper = alert
     assert read(bus, clock) is BusStatus.ALERT
     assert BusStatus.ALERT.fresh
     assert bus.alert == 0b100000
-    sent = len(wire.written)
+    sent = len(transport.written)
     assert read(bus, clock) is BusStatus.ALERT
-    assert len(wire.written) == sent + 1
+    assert len(transport.written) == sent + 1
 
 
 def test_a_servo_that_refuses_is_told_from_one_that_is_silent():
-    bus, wire, clock = make(LEGACY)
+    bus, transport, clock = make(LEGACY)
     bus.connect()
 
     def refuse(data):
         frame = list(data)
         frame[8] = 7
-        crc = wire._packets.updateCRC(0, frame, len(frame) - 2)
+        crc = transport._packets.updateCRC(0, frame, len(frame) - 2)
         return bytes([*frame[:-2], crc & 0xFF, crc >> 8])
 
-    wire.tamper = refuse
+    transport.tamper = refuse
     assert read(bus, clock) is BusStatus.REFUSED
     assert not BusStatus.REFUSED.fresh
 
 
 def test_a_port_that_is_gone_is_a_status_until_it_is_back(pair):
-    bus, wire, clock = pair
-    wire.gone = True
+    bus, transport, clock = pair
+    transport.gone = True
     assert read(bus, clock) is BusStatus.PORT_GONE
     assert bus.write(np.zeros(2), clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
-    wire.gone = False
+    transport.gone = False
     assert read(bus, clock) is BusStatus.OK
 
 
 def test_the_goal_whose_bytes_look_like_a_header_arrives():
-    bus, wire, clock = make(LEGACY)
+    bus, transport, clock = make(LEGACY)
     bus.connect()
     goal = model_named("H54-200-S500-R").angle_rad(-131073)
     bus.write(np.array([goal]), clock.now_ns() + BUDGET_NS)
-    wire.read(0, 0)
-    assert wire.get(1, Register.GOAL_POSITION) == -131073
+    transport.read(0, 0)
+    assert transport.get(1, Register.GOAL_POSITION) == -131073
 
 
 @pytest.mark.parametrize("goal", [np.nan, np.inf, 1e9])
 def test_a_goal_that_cannot_be_sent_never_leaves(goal):
-    bus, wire, clock = make(LEGACY)
+    bus, transport, clock = make(LEGACY)
     bus.connect()
-    sent = len(wire.written)
+    sent = len(transport.written)
     with pytest.raises(ValueError):
         bus.write(np.array([goal]), clock.now_ns() + BUDGET_NS)
-    assert len(wire.written) == sent
+    assert len(transport.written) == sent
 
 
 def test_connecting_leaves_torque_off_and_a_tripped_watchdog_cleared():
-    bus, wire, _ = make(PRO_A, PRO_A)
+    bus, transport, _ = make(PRO_A, PRO_A)
     for id_ in (1, 2):
-        wire.put(id_, Register.TORQUE_ENABLE, 1)
-        wire.put(id_, Register.BUS_WATCHDOG, -1)
+        transport.put(id_, Register.TORQUE_ENABLE, 1)
+        transport.put(id_, Register.BUS_WATCHDOG, -1)
     bus.connect()
     for id_ in (1, 2):
-        assert wire.get(id_, Register.TORQUE_ENABLE) == 0
-        assert wire.get(id_, Register.BUS_WATCHDOG) == 0
+        assert transport.get(id_, Register.TORQUE_ENABLE) == 0
+        assert transport.get(id_, Register.BUS_WATCHDOG) == 0
 
 
 @pytest.mark.parametrize(("period_s", "units"), [(0.017, 3), (0.020, 3), (0.030, 5), (0.004, 1)])
 def test_torque_arms_a_watchdog_of_at_least_three_periods(period_s, units):
-    bus, wire, _ = make(PRO_A, PRO_A, period_s=period_s)
+    bus, transport, _ = make(PRO_A, PRO_A, period_s=period_s)
     bus.connect()
     assert bus.torque(True) is BusStatus.OK
-    assert [wire.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [1, 1]
-    assert [wire.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [units, units]
+    assert [transport.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [1, 1]
+    assert [transport.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [units, units]
     bus.close()
-    assert [wire.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [0, 0]
-    assert [wire.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [0, 0]
+    assert [transport.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [0, 0]
+    assert [transport.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [0, 0]
 
 
 def test_torque_off_reaches_the_second_servo_though_the_first_is_silent():
-    bus, wire, _ = make(LEGACY, LEGACY)
+    bus, transport, _ = make(LEGACY, LEGACY)
     bus.connect()
     bus.torque(True)
-    wire.tamper = lambda data: b"" if data[4:5] == b"\x01" else data
+    transport.tamper = lambda data: b"" if data[4:5] == b"\x01" else data
     assert bus.torque(False) is BusStatus.TIMEOUT
-    assert wire.get(2, Register.TORQUE_ENABLE) == 0
+    assert transport.get(2, Register.TORQUE_ENABLE) == 0
 
 
 def test_closing_a_dead_port_raises_nothing():
-    bus, wire, _ = make(LEGACY)
+    bus, transport, _ = make(LEGACY)
     bus.connect()
     bus.torque(True)
-    wire.gone = True
+    transport.gone = True
     bus.close()
 
 
@@ -263,15 +263,15 @@ def test_closing_a_dead_port_raises_nothing():
     ],
 )
 def test_a_servo_that_is_unfit_is_named_with_what_is_wrong(register, raw, words):
-    bus, wire, _ = make(LEGACY)
-    wire.put(1, register, raw)
+    bus, transport, _ = make(LEGACY)
+    transport.put(1, register, raw)
     with pytest.raises(InputError, match=words):
         bus.connect()
 
 
 def test_a_silent_servo_is_named():
-    bus, wire, _ = make(LEGACY, LEGACY)
-    wire.tamper = lambda data: b"" if data[4:5] == b"\x02" else data
+    bus, transport, _ = make(LEGACY, LEGACY)
+    transport.tamper = lambda data: b"" if data[4:5] == b"\x02" else data
     with pytest.raises(InputError, match="servo 2 gives no good answer"):
         bus.connect()
 
@@ -282,13 +282,13 @@ def test_families_are_not_mixed_on_one_bus():
 
 
 def test_the_return_delay_is_written_only_where_it_differs():
-    bus, wire, _ = make(LEGACY, LEGACY, return_delay_s=20e-6)
-    wire.put(1, Register.RETURN_DELAY, 250)
-    wire.put(2, Register.RETURN_DELAY, 10)
+    bus, transport, _ = make(LEGACY, LEGACY, return_delay_s=20e-6)
+    transport.put(1, Register.RETURN_DELAY, 250)
+    transport.put(2, Register.RETURN_DELAY, 10)
     bus.connect()
-    assert [wire.get(id_, Register.RETURN_DELAY) for id_ in (1, 2)] == [10, 10]
+    assert [transport.get(id_, Register.RETURN_DELAY) for id_ in (1, 2)] == [10, 10]
     # A write is 12 bytes and the data; EEPROM wears out, so nothing is written without need.
-    writes = [w for w in wire.written if w[7] == 3 and w[8:10] == b"\x09\x00"]
+    writes = [w for w in transport.written if w[7] == 3 and w[8:10] == b"\x09\x00"]
     assert [w[4] for w in writes] == [1]
 
 
@@ -298,20 +298,20 @@ def test_the_return_delay_is_written_only_where_it_differs():
 @pytest.mark.parametrize("late_by", [1, 2, 3])
 def test_the_answer_to_an_earlier_read_is_never_taken_for_this_one(pair, late_by):
     """It arrives behind the next instruction, whole and undamaged, in front of the real one."""
-    bus, wire, clock = pair
+    bus, transport, clock = pair
     held = []
-    wire.tamper = lambda data: held.append(data) or b""
+    transport.tamper = lambda data: held.append(data) or b""
     for k in range(late_by):
         bus.write(np.full(2, 0.1 * (k + 1)), clock.now_ns() + BUDGET_NS)
         assert read(bus, clock) is BusStatus.TIMEOUT
-    wire.tamper = lambda data: b"".join(held) + data
+    transport.tamper = lambda data: b"".join(held) + data
     bus.write(np.full(2, 0.5), clock.now_ns() + BUDGET_NS)
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad == pytest.approx([0.5, 0.5], abs=1e-3)
 
 
 def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
-    class SlowWire(TamperedWire):
+    class SlowTransport(TamperedTransport):
         def read(self, size, deadline_ns):
             self.clock.advance(16_000_000 if size else 0)
             return super().read(size, deadline_ns)
@@ -321,7 +321,7 @@ def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
     setups = [ServoSetup(1, models[1], -0.6, 0.6)]
     for allowed_s, refused in ((0.0161, False), (0.008, True)):
         bus = DynamixelBus(
-            SlowWire(models, clock), setups, clock, period_s=0.05, reply_timeout_s=allowed_s
+            SlowTransport(models, clock), setups, clock, period_s=0.05, reply_timeout_s=allowed_s
         )
         if refused:
             with pytest.raises(InputError, match=r"answers take 16\.0 ms.*latency timer"):
@@ -333,32 +333,32 @@ def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
 @pytest.mark.parametrize(("number", "limited"), [(LEGACY, True), (PRO_A, False), (XM, False)])
 def test_a_servo_without_a_watchdog_keeps_the_speed_limit_itself(number, limited):
     clock, models = SimClock(), {1: MODELS[number]}
-    wire = TamperedWire(models, clock)
-    bus = DynamixelBus(wire, [ServoSetup(1, models[1], -0.6, 0.6, 2.0)], clock, period_s=0.017)
+    transport = TamperedTransport(models, clock)
+    bus = DynamixelBus(transport, [ServoSetup(1, models[1], -0.6, 0.6, 2.0)], clock, period_s=0.017)
     bus.connect()
-    raw = wire.get(1, Register.PROFILE_VELOCITY)
+    raw = transport.get(1, Register.PROFILE_VELOCITY)
     lsb = models[1].velocity_rad_s_per_lsb
     assert (2.0 <= raw * lsb < 2.0 + lsb) if limited else raw == 0
 
 
 def test_a_port_that_is_back_is_opened_anew():
     clock, models = SimClock(), {1: MODELS[PRO_A]}
-    wires = [TamperedWire(models, clock)]
+    transports = [TamperedTransport(models, clock)]
     closed = []
 
     def opener():
-        if len(wires) < 2:
+        if len(transports) < 2:
             raise InputError("port", "is missing", "plug it in")
-        return wires[-1]
+        return transports[-1]
 
-    wires[0].close = lambda: closed.append(0)
+    transports[0].close = lambda: closed.append(0)
     setups = [ServoSetup(1, models[1], -0.6, 0.6)]
-    bus = DynamixelBus(wires[0], setups, clock, period_s=0.017, opener=opener)
+    bus = DynamixelBus(transports[0], setups, clock, period_s=0.017, opener=opener)
     bus.connect()
-    wires[0].gone = True
+    transports[0].gone = True
     assert read(bus, clock) is BusStatus.PORT_GONE
     assert not bus.reopen()
-    wires.append(TamperedWire(models, clock))
+    transports.append(TamperedTransport(models, clock))
     assert bus.reopen()
     bus.connect()
     assert read(bus, clock) is BusStatus.OK
@@ -375,7 +375,7 @@ EXCHANGE_NS, MARGIN_NS = 1_500_000, 2_000_000
 SYNC_READ = 0x82
 
 
-class PacedWire(TamperedWire):
+class PacedTransport(TamperedTransport):
     """Answers take their time; some reads are never answered, or damaged at once."""
 
     pace_ns, fates = EXCHANGE_NS, ()
@@ -395,11 +395,11 @@ class PacedWire(TamperedWire):
 
 def paced():
     clock, models = SimClock(), {1: MODELS[LEGACY], 2: MODELS[LEGACY]}
-    wire = PacedWire(models, clock)
+    transport = PacedTransport(models, clock)
     setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
-    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
+    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
     bus.connect()
-    return bus, wire, clock
+    return bus, transport, clock
 
 
 @pytest.mark.parametrize(
@@ -411,69 +411,69 @@ def paced():
     ],
 )
 def test_a_lost_answer_is_asked_for_again_where_both_reads_fit(budget_ns, expected):
-    bus, wire, clock = paced()
-    wire.fates, start_ns, sent = ("lost",), clock.now_ns(), len(wire.written)
+    bus, transport, clock = paced()
+    transport.fates, start_ns, sent = ("lost",), clock.now_ns(), len(transport.written)
     assert bus.read(start_ns + budget_ns) is expected
     again = expected is BusStatus.RETRIED
-    assert len(wire.written) - sent == 1 + again
+    assert len(transport.written) - sent == 1 + again
     taken_ns = budget_ns - MARGIN_NS if again else budget_ns
     assert clock.now_ns() - start_ns == taken_ns, "a single read has all the time"
 
 
 @pytest.mark.parametrize(("short_ns", "again"), [(0, True), (1, False)])
 def test_a_damaged_answer_is_asked_for_again_at_once_where_time_is_left(short_ns, again):
-    bus, wire, clock = paced()
-    wire.fates, start_ns, sent = ("damaged",), clock.now_ns(), len(wire.written)
+    bus, transport, clock = paced()
+    transport.fates, start_ns, sent = ("damaged",), clock.now_ns(), len(transport.written)
     status = bus.read(start_ns + 2 * EXCHANGE_NS - short_ns)
     assert status is (BusStatus.RETRIED if again else BusStatus.CORRUPT)
-    assert len(wire.written) - sent == 1 + again
+    assert len(transport.written) - sent == 1 + again
 
 
 def test_a_read_is_repeated_once_and_no_more():
-    bus, wire, clock = paced()
-    wire.fates, start_ns, sent = ("damaged",) * 3, clock.now_ns(), len(wire.written)
+    bus, transport, clock = paced()
+    transport.fates, start_ns, sent = ("damaged",) * 3, clock.now_ns(), len(transport.written)
     assert bus.read(start_ns + 100_000_000) is BusStatus.CORRUPT
-    assert len(wire.written) - sent == 2
+    assert len(transport.written) - sent == 2
 
 
 def test_a_port_that_is_gone_is_not_asked_again():
-    bus, wire, clock = paced()
+    bus, transport, clock = paced()
     calls = []
-    wire.check = lambda: calls.append(0) or (_ for _ in ()).throw(OSError(5, "gone"))
+    transport.check = lambda: calls.append(0) or (_ for _ in ()).throw(OSError(5, "gone"))
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
     assert len(calls) == 1
 
 
 def test_an_alert_in_the_second_read_stops_the_robot_all_the_same():
-    bus, wire, clock = paced()
-    wire.put(1, Register.HARDWARE_ERROR, 0b100)
+    bus, transport, clock = paced()
+    transport.put(1, Register.HARDWARE_ERROR, 0b100)
 
     def alert(data):
-        if len(data) < 30 or wire.fates:  # the answers of both servos
+        if len(data) < 30 or transport.fates:  # the answers of both servos
             return data
         frame = list(data[: len(data) // 2])
         frame[8] |= 0x80
-        crc = wire._packets.updateCRC(0, frame, len(frame) - 2)
+        crc = transport._packets.updateCRC(0, frame, len(frame) - 2)
         return bytes([*frame[:-2], crc & 0xFF, crc >> 8]) + data[len(data) // 2 :]
 
-    wire.fates, wire.tamper = ("lost",), alert
+    transport.fates, transport.tamper = ("lost",), alert
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.ALERT
     assert bus.alert == 0b100
 
 
 def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
-    _, wire, clock = paced()
+    _, transport, clock = paced()
     setups = [ServoSetup(id_, MODELS[LEGACY], -0.6, 0.6) for id_ in (1, 2)]
-    bus = DynamixelBus(wire, setups, clock, period_s=0.017)
-    read, syncs = wire.read, []
+    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
+    read, syncs = transport.read, []
 
     def lose_the_first_measurement(size, deadline_ns):
-        if size and wire.written[-1][7] == SYNC_READ and not syncs:
+        if size and transport.written[-1][7] == SYNC_READ and not syncs:
             syncs.append(0)
-            wire.fates = ("lost",)
+            transport.fates = ("lost",)
         return read(size, deadline_ns)
 
-    wire.read = lose_the_first_measurement
+    transport.read = lose_the_first_measurement
     bus.connect()
     assert syncs
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK
@@ -490,41 +490,41 @@ def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
      (Register.BUS_WATCHDOG, -1, PRO_A, STOPPED_BY_WATCHDOG)],
 )  # fmt: skip
 def test_a_servo_that_does_not_drive_says_so_in_the_next_read(register, raw, number, bits, joint):
-    bus, wire, clock = make(number, number)
+    bus, transport, clock = make(number, number)
     bus.connect()
     bus.torque(True)
     assert read(bus, clock) is BusStatus.OK
-    wire.put(joint, register, raw)
+    transport.put(joint, register, raw)
     assert (read(bus, clock), bus.alert) == (BusStatus.ALERT, bits)
-    assert len(wire.written[-1]) == len(wire.written[-2]), "nothing was asked besides"
+    assert len(transport.written[-1]) == len(transport.written[-2]), "nothing was asked besides"
 
 
 def test_a_torque_that_was_never_switched_on_is_no_alert(pair):
-    bus, wire, clock = pair
+    bus, transport, clock = pair
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
     bus.torque(True)
     bus.torque(False)
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
-    wire.tamper = lambda data: b""
+    transport.tamper = lambda data: b""
     bus.torque(True)  # no servo confirms
-    wire.tamper = lambda data: data
-    wire.put(1, Register.TORQUE_ENABLE, 0)
+    transport.tamper = lambda data: data
+    transport.put(1, Register.TORQUE_ENABLE, 0)
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
 
 
 def test_servos_that_are_connected_anew_start_without_the_old_alert():
-    bus, wire, clock = make(PRO_A)
+    bus, transport, clock = make(PRO_A)
     bus.connect()
     bus.torque(True)
-    wire.put(1, Register.TORQUE_ENABLE, 0)
+    transport.put(1, Register.TORQUE_ENABLE, 0)
     assert read(bus, clock) is BusStatus.ALERT
     bus.connect()
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
 
 
 def test_a_servo_whose_block_lacks_its_torque_is_not_asked_for_it():
-    bus, wire, clock = make(XM)
+    bus, transport, clock = make(XM)
     bus.connect()
     bus.torque(True)
-    wire.put(1, Register.TORQUE_ENABLE, 0)
+    transport.put(1, Register.TORQUE_ENABLE, 0)
     assert (read(bus, clock), bus.plan.indirect) == (BusStatus.OK, False)

@@ -19,7 +19,7 @@ from firmware_py.realtime.clock import DeadlineClock, SimClock
 tricky = st.lists(st.sampled_from([0x00, 0x55, 0xFC, 0xFD, 0xFE, 0xFF]), max_size=40)
 
 
-class TapeWire:
+class TapeTransport:
     """Keeps what is written, plays what it was given; waiting moves the clock to the deadline."""
 
     def __init__(self, clock, *plays):
@@ -48,9 +48,12 @@ def instruction(parameters, id_=1, code=3):
 
 
 def sent(handler, parameters):
-    wire = TapeWire(SimClock())
-    assert handler.txPacket(DeadlinePort(wire, SimClock()), instruction(parameters)) == COMM_SUCCESS
-    return wire.written[0]
+    transport = TapeTransport(SimClock())
+    assert (
+        handler.txPacket(DeadlinePort(transport, SimClock()), instruction(parameters))
+        == COMM_SUCCESS
+    )
+    return transport.written[0]
 
 
 def body(frame):
@@ -103,7 +106,7 @@ def status(data, id_=1):
 
 def received(handler, frame):
     clock = SimClock()
-    port = DeadlinePort(TapeWire(clock, frame), clock)
+    port = DeadlinePort(TapeTransport(clock, frame), clock)
     port.deadline_ns = 1
     packet, result = handler.rxPacket(port, False)
     assert result == COMM_SUCCESS
@@ -154,7 +157,7 @@ def test_packets_are_found_where_the_sdk_finds_them(stream, fast, data):
     tapes = []
     for handler in (PacketHandler(), ByteByByte()):
         clock = SimClock()
-        port = DeadlinePort(TapeWire(clock, bytes(stream)), clock)
+        port = DeadlinePort(TapeTransport(clock, bytes(stream)), clock)
         port.deadline_ns = 1
         tape = []
         while not tape or (tape[-1][1] != COMM_RX_TIMEOUT and len(tape) < 20):
@@ -167,7 +170,7 @@ def test_packets_are_found_where_the_sdk_finds_them(stream, fast, data):
 def test_a_reply_in_pieces_is_put_together():
     clock = SimClock()
     frame = status([1, 2, 3, 4])
-    port = DeadlinePort(TapeWire(clock, *(frame[k : k + 1] for k in range(len(frame)))), clock)
+    port = DeadlinePort(TapeTransport(clock, *(frame[k : k + 1] for k in range(len(frame)))), clock)
     port.deadline_ns = 1
     packet, result = PacketHandler().rxPacket(port, False)
     assert result == COMM_SUCCESS
@@ -176,7 +179,7 @@ def test_a_reply_in_pieces_is_put_together():
 
 def test_a_lost_reply_costs_the_budget_and_not_a_nanosecond_more():
     clock = SimClock(5_000_000)
-    port = DeadlinePort(TapeWire(clock), clock)
+    port = DeadlinePort(TapeTransport(clock), clock)
     port.deadline_ns = 13_000_000
     port.setPacketTimeout(100)  # as the SDK does before each read: must not matter
     port.setPacketTimeoutMillis(800)
@@ -213,84 +216,84 @@ def line(request, tmp_path):
 def test_bytes_pass_through_a_real_wire_both_ways(line):
     name, other_end = line
     clock = DeadlineClock()
-    wire = open_transport(name, 1_000_000, clock)
+    transport = open_transport(name, 1_000_000, clock)
     fd = other_end()
-    assert wire.write(b"\xff\x00\x0a\x0d\x11\x13") == 6
+    assert transport.write(b"\xff\x00\x0a\x0d\x11\x13") == 6
     assert os.read(fd, 100) == b"\xff\x00\x0a\x0d\x11\x13"
     answer = threading.Thread(target=os.write, args=(fd, b"\x03\x04\xfd"))
     answer.start()
-    assert wire.read(100, clock.now_ns() + 5_000_000_000) == b"\x03\x04\xfd"
+    assert transport.read(100, clock.now_ns() + 5_000_000_000) == b"\x03\x04\xfd"
     answer.join()
-    wire.close()
+    transport.close()
 
 
 def test_a_silent_wire_gives_nothing_once_the_deadline_is_over(line):
     name, other_end = line
     clock = DeadlineClock()
-    wire = open_transport(name, 1_000_000, clock)
+    transport = open_transport(name, 1_000_000, clock)
     other_end()
     deadline_ns = clock.now_ns() + 3_000_000
-    assert wire.read(100, deadline_ns) == b""
+    assert transport.read(100, deadline_ns) == b""
     assert clock.now_ns() >= deadline_ns
-    wire.close()
+    transport.close()
 
 
 def test_stale_input_is_dropped(line):
     name, other_end = line
     clock = DeadlineClock()
-    wire = open_transport(name, 1_000_000, clock)
+    transport = open_transport(name, 1_000_000, clock)
     fd = other_end()
     os.write(fd, b"old")
-    assert wire.read(1, clock.now_ns() + 5_000_000_000) == b"o"  # the rest has arrived as well
-    wire.discard_input()
-    assert wire.read(100, 0) == b""
-    wire.close()
+    assert transport.read(1, clock.now_ns() + 5_000_000_000) == b"o"  # the rest has arrived as well
+    transport.discard_input()
+    assert transport.read(100, 0) == b""
+    transport.close()
 
 
 def test_a_line_that_hangs_up_is_an_os_error_whatever_is_asked_of_it(hang_up):
-    wire, clock = hang_up
+    transport, clock = hang_up
     with pytest.raises(OSError):
-        wire.read(10, clock.now_ns() + 5_000_000_000)
+        transport.read(10, clock.now_ns() + 5_000_000_000)
     with pytest.raises(OSError):
-        wire.discard_input()
+        transport.discard_input()
     with pytest.raises(OSError):
-        wire.write(b"x")
-    wire.close()
+        transport.write(b"x")
+    transport.close()
 
 
 @pytest.fixture(params=["socket", "pty"])
 def hang_up(request, tmp_path):
-    """A wire whose other end has just gone, as when an adapter is unplugged."""
+    """A transport whose other end has just gone, as when an adapter is unplugged."""
     clock = DeadlineClock()
     if request.param == "pty":
         master, slave = os.openpty()
         tty.setraw(slave)
-        wire = open_transport(os.ttyname(slave), 1_000_000, clock)
+        transport = open_transport(os.ttyname(slave), 1_000_000, clock)
         os.close(slave)
         os.close(master)
     else:
         listener = socket.socket(socket.AF_UNIX)
         listener.bind(str(tmp_path / "line"))
         listener.listen()
-        wire = open_transport(f"unix:{tmp_path / 'line'}", 1_000_000, clock)
+        transport = open_transport(f"unix:{tmp_path / 'line'}", 1_000_000, clock)
         listener.accept()[0].close()
         listener.close()
-    return wire, clock
+    return transport, clock
 
 
 def test_a_line_that_takes_nothing_more_is_no_lost_port(line):
     name, other_end = line
-    wire = open_transport(name, 1_000_000, DeadlineClock())
+    transport = open_transport(name, 1_000_000, DeadlineClock())
     other_end()
     sent = 0
     for _ in range(10_000):  # nobody reads: sooner or later the buffers are full
-        accepted = wire.write(bytes(4096))
+        accepted = transport.write(bytes(4096))
         sent += accepted
         if accepted == 0:
             break
     assert accepted == 0
     assert sent > 0
-    wire.close()
+    transport.close()
 
 
 @pytest.mark.parametrize("name", ["/dev/no-such-adapter", "unix:/tmp/no-such-line"])

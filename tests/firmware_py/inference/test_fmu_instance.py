@@ -1,4 +1,4 @@
-"""The robot's stepper against FMPy on the same unit, and what it refuses."""
+"""The robot's stepper against FMPy on the same FMU, and what it refuses."""
 
 import platform
 import tracemalloc
@@ -26,87 +26,87 @@ def path(tmp_path_factory):
 
 
 @pytest.fixture
-def unit(path):
-    with FmuInstance(path) as unit:
-        yield unit
+def fmu(path):
+    with FmuInstance(path) as fmu:
+        yield fmu
 
 
 def _inputs(count):
     return np.column_stack([np.sin(0.1 * np.arange(count)), np.full(count, 0.7)])
 
 
-def test_steps_equal_fmpys_bit_by_bit(unit, path):
+def test_steps_equal_fmpys_bit_by_bit(fmu, path):
     u, steps_s = _inputs(120), varying_steps_s(120)
     with Archive(path) as archive, archive.instance() as instance:
         expected = instance.run(INPUTS, u, steps_s, OUTPUTS)
-    inputs, outputs = unit.channel(INPUTS), unit.channel(OUTPUTS)
+    inputs, outputs = fmu.channel(INPUTS), fmu.channel(OUTPUTS)
     for k, step_s in enumerate(steps_s):
         inputs.values[:] = u[k]
         inputs.send()
-        unit.step(step_s)
+        fmu.step(step_s)
         outputs.receive()
         np.testing.assert_array_equal(outputs.values, expected[k + 1])
-    assert unit.time_s == expected[-1, -1]
+    assert fmu.time_s == expected[-1, -1]
 
 
-def test_what_is_set_before_the_first_step_shapes_the_first_state(unit):
-    unit.set(["parameters.rest_rad", "parameters.length_m"], [0.5, 1.0])
-    unit.set(["payload_kg"], [0.0])
-    assert unit.get(["tip_x_m"])[0] == pytest.approx(np.sin(0.5), abs=1e-12)
+def test_what_is_set_before_the_first_step_shapes_the_first_state(fmu):
+    fmu.set(["parameters.rest_rad", "parameters.length_m"], [0.5, 1.0])
+    fmu.set(["payload_kg"], [0.0])
+    assert fmu.get(["tip_x_m"])[0] == pytest.approx(np.sin(0.5), abs=1e-12)
 
 
-def test_a_truth_is_read_as_one_or_zero(unit):
-    unit.set(["parameters.rest_rad"], [0.1])
-    assert unit.get(["in_range", "parameters.rest_rad"]).tolist() == [1.0, 0.1]
-    unit.set(["parameters.rest_rad"], [1.5])
-    assert unit.get(["in_range"])[0] == 0.0
+def test_a_truth_is_read_as_one_or_zero(fmu):
+    fmu.set(["parameters.rest_rad"], [0.1])
+    assert fmu.get(["in_range", "parameters.rest_rad"]).tolist() == [1.0, 0.1]
+    fmu.set(["parameters.rest_rad"], [1.5])
+    assert fmu.get(["in_range"])[0] == 0.0
 
 
-def test_reset_begins_anew(unit):
+def test_reset_begins_anew(fmu):
     def run():
-        unit.set(INPUTS, [1.0, 0.2])
+        fmu.set(INPUTS, [1.0, 0.2])
         for _ in range(25):
-            unit.step(PERIOD_S)
-        return unit.get(OUTPUTS)
+            fmu.step(PERIOD_S)
+        return fmu.get(OUTPUTS)
 
     first = run()
-    unit.reset()
-    assert unit.time_s == 0.0
+    fmu.reset()
+    assert fmu.time_s == 0.0
     np.testing.assert_array_equal(run(), first)
 
 
-def test_the_description_is_read(unit):
+def test_the_description_is_read(fmu):
     model = pendulum()
-    length = unit.variables["parameters.length_m"]
+    length = fmu.variables["parameters.length_m"]
     assert (length.unit, length.causality, length.start) == ("m", "parameter", 0.8)
-    assert [n for n, v in unit.variables.items() if v.causality == "output"] == names(model.outputs)
+    assert [n for n, v in fmu.variables.items() if v.causality == "output"] == names(model.outputs)
 
 
-def test_a_refused_call_tells_why_and_the_unit_goes_on(unit):
+def test_a_refused_call_tells_why_and_the_fmu_goes_on(fmu):
     with pytest.raises(FmuRefusal, match=r"torque_nm .* not a finite number"):
-        unit.set(["torque_nm"], [np.nan])
+        fmu.set(["torque_nm"], [np.nan])
     with pytest.raises(FmuRefusal, match="length_m = 9 lies outside"):
-        unit.set(["parameters.length_m"], [9.0])
+        fmu.set(["parameters.length_m"], [9.0])
     with pytest.raises(FmuRefusal, match="step of 0 s"):
-        unit.step(0.0)
-    unit.step(PERIOD_S)
+        fmu.step(0.0)
+    fmu.step(PERIOD_S)
 
 
-def test_unknown_names_are_refused(unit):
+def test_unknown_names_are_refused(fmu):
     with pytest.raises(InputError, match="no variable torque_2_nm"):
-        unit.channel(["torque_2_nm"])
+        fmu.channel(["torque_2_nm"])
     with pytest.raises(InputError, match="in_range is no Float64"):
-        unit.channel(["in_range"])
+        fmu.channel(["in_range"])
 
 
-def test_a_tick_allocates_nothing_that_stays(unit):
-    inputs, outputs = unit.channel(INPUTS), unit.channel(["tip_x_m", "steps"])
+def test_a_tick_allocates_nothing_that_stays(fmu):
+    inputs, outputs = fmu.channel(INPUTS), fmu.channel(["tip_x_m", "steps"])
 
     def ticks(count):
         for _ in range(count):
             inputs.values[0] = 0.5
             inputs.send()
-            unit.step(PERIOD_S)
+            fmu.step(PERIOD_S)
             outputs.receive()
 
     ticks(50)
@@ -159,7 +159,7 @@ def _lacking(files):
         (_lacking, "lacks fmi3DoStep"),
     ],
 )
-def test_a_damaged_unit_is_refused(path, tmp_path, change, sentence):
+def test_a_damaged_fmu_is_refused(path, tmp_path, change, sentence):
     with pytest.raises(InputError, match=sentence):
         FmuInstance(_changed(path, tmp_path / "bad.fmu", change))
 
@@ -192,6 +192,6 @@ def test_a_machine_without_a_binary_is_named(path, monkeypatch):
 def test_nothing_is_left_behind(path, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    with FmuInstance(path) as unit:
+    with FmuInstance(path) as fmu:
         assert list(tmp_path.iterdir()) == []
-        unit.step(PERIOD_S)
+        fmu.step(PERIOD_S)

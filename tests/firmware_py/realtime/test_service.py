@@ -14,7 +14,7 @@ import pytest
 
 from firmware_py.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.commands.install_service import RULE_PATH, UNIT_PATH, unit
+from firmware_py.commands.install_service import RULE_PATH, SERVICE_PATH, service_file
 from firmware_py.config import read_config
 from firmware_py.realtime.clock import RealTimeOptions, SimClock
 from firmware_py.realtime.service import SystemdService
@@ -165,7 +165,7 @@ def parsed(text):
 
 
 def test_the_unit_gives_the_loop_what_it_needs_and_no_more(config):
-    parser = parsed(unit(read_config(config), config, "robot"))
+    parser = parsed(service_file(read_config(config), config, "robot"))
     assert parser.sections() == ["Unit", "Service"], "no [Install]: nothing starts it by itself"
     service = parser["Service"]
     assert (service["Type"], service["Restart"], service["User"]) == ("notify", "no", "robot")
@@ -185,7 +185,7 @@ def test_the_unit_gives_the_loop_what_it_needs_and_no_more(config):
 def test_a_processor_of_the_loops_own_is_kept_free(config, own, processors, expected):
     options = RealTimeOptions(cpu=own)
     configured = msgspec.structs.replace(read_config(config), real_time=options)
-    text = unit(configured, config, "robot", frozenset(processors))
+    text = service_file(configured, config, "robot", frozenset(processors))
     assert parsed(text)["Service"]["CPUAffinity"] == expected
 
 
@@ -203,10 +203,10 @@ def test_systemd_accepts_the_unit(tmp_path, config, capsys, name):
     config = config.rename(tmp_path / name)
     root = tmp_path / "root"
     assert main(["install-service", "--config", str(config), "--root", str(root)]) == 0
-    assert complaints(root / UNIT_PATH) == ""
-    text = (root / UNIT_PATH).read_text()
-    (root / UNIT_PATH).write_text(text.replace("WatchdogSec=2", "WatchdogSec=soon"))
-    assert "ignoring: soon" in complaints(root / UNIT_PATH), (
+    assert complaints(root / SERVICE_PATH) == ""
+    text = (root / SERVICE_PATH).read_text()
+    (root / SERVICE_PATH).write_text(text.replace("WatchdogSec=2", "WatchdogSec=soon"))
+    assert "ignoring: soon" in complaints(root / SERVICE_PATH), (
         "it does complain where it has reason to"
     )
 
