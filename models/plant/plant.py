@@ -40,6 +40,7 @@ from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
 from models.plant.composition.observer import compose_observer, observer_parameters
 from models.plant.composition.twin import compose_twin
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
+from models.plant.effects.order import in_order
 from models.plant.parameter import Parameter, Role, check_values
 from models.plant.provenance import Provenance, read_provenance
 from models.plant.scope import Scope
@@ -157,7 +158,7 @@ class Plant:
         return COMPOSERS[unit](f"{unit}_{dof}dof", scope, drive, load, effects)
 
     def _effects(self) -> list[Effect]:
-        return [effect() for name, effect in EFFECTS.items() if name in self.effects]
+        return [EFFECTS[name]() for name in in_order(self.effects)]
 
     def with_values(
         self, values: Mapping[str, float], errors: Mapping[str, float] | None = None

@@ -17,17 +17,13 @@ from typing import Any, ClassVar, Final, Literal
 import msgspec
 
 from firmware_py.errors import InputError
+from models.plant.effects.order import in_order
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
 from models.shared.catalogue import CATALOGUE, Port
 
-PORTS: Final[tuple[Port, ...]] = (
-    "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
-)  # fmt: skip
-"""Order in which the ports are served: what the sensors show is what the drive sees."""
-
 EFFECTS: Final[dict[str, type[Effect]]] = {}
-"""Effects by name; a class enters by being defined."""
+"""Effects by name; a class enters by being defined. They act as `order.in_order` says."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit"]
 """What an effect may act on that not every drive and load has."""
@@ -128,7 +124,7 @@ def _fitted_to(q: Parameter, name: str, scope: Scope) -> Parameter:
 def applicable(drive: Any, load: Any) -> list[str]:
     """Names of the effects that a plant of this drive and this load can hold."""
     has = {*drive.has, *load.has}
-    return [name for name, effect in EFFECTS.items() if has.issuperset(effect.needs)]
+    return [name for name in in_order(EFFECTS) if has.issuperset(EFFECTS[name].needs)]
 
 
 def check_effects(where: Path | str, names: Iterable[str], drive: Any, load: Any) -> None:

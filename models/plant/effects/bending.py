@@ -1,8 +1,4 @@
-"""How the link resists bending beyond springs: bias, stiffness that varies, memory.
-
-Effects of one port act in the order of their classes: the bias before the memory, so that memory
-is of the bend itself, and the coupling last, so that it mixes all torque.
-"""
+"""Effects of the link's bending: rest shape, varying stiffness, memory, coupling of the planes."""
 
 from __future__ import annotations
 
