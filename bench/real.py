@@ -25,7 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.real_page import write_page
+from bench.real_page import write_real_page
 from firmware_py.console import DONE, NEGATIVE, Progress
 from models.__main__ import main as models
 from models.plant.identification.evaluation import compare
@@ -56,7 +56,7 @@ class MeasuredSystem:
     unit, factor : str, float
         In which errors are shown.
     measure : str
-        Key of the error of `errors`: "mae" or "rms".
+        Key of the error of `errors_by_trial`: "mae" or "rms".
     ladder : dict of str to tuple of str
         Effects beside viscous friction of fits to compare with.
     leave_out : str
@@ -86,7 +86,7 @@ RIGS: Final = (
 )  # fmt: skip
 
 
-def import_all(rig: MeasuredSystem, data: Path, out: Path) -> TrialSet:
+def import_recordings(rig: MeasuredSystem, data: Path, out: Path) -> TrialSet:
     """Trials of every recording of a rig."""
     nominal = read_plant(EXAMPLES / f"{rig.name}.toml")
     for file in sorted((data / rig.folder).glob(rig.pattern)):
@@ -127,7 +127,9 @@ def _command(arguments: list[str], negative: bool = False) -> None:
         raise SystemExit(code)
 
 
-def fitted(plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], None]) -> Plant:
+def identified_plant(
+    plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], None]
+) -> Plant:
     """Plant identified on trials; read where it was before."""
     if not path.exists():
         identify(plant, trials).plant.write(path)
@@ -135,7 +137,7 @@ def fitted(plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], Non
     return read_plant(path)
 
 
-def errors(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
+def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
     """Mean absolute and root mean square error of a signal, by trial."""
     result = {}
     for c in compare(plant, trials):
@@ -150,16 +152,16 @@ def judge_fit(
     rig: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
     """Errors of one structure: of a fit to all trials, and with each condition left out."""
-    full = fitted(plant, trials, out / "all.json", step)
+    full = identified_plant(plant, trials, out / "all.json", step)
     row: dict[str, Any] = {"effects": list(full.effects)}
-    row["all"] = _mean(errors(full, trials, rig.signal), rig.measure)
+    row["all"] = _mean(errors_by_trial(full, trials, rig.signal), rig.measure)
     if rig.leave_out:
         left: dict[str, dict[str, float]] = {}
         for value in sorted({t.meta.conditions[rig.leave_out] for t in trials}):
             rest = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] != v)
             own = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] == v)
-            fit = fitted(plant, rest, out / f"without_{value:.3g}.json", step)
-            left |= errors(fit, own, rig.signal)
+            fit = identified_plant(plant, rest, out / f"without_{value:.3g}.json", step)
+            left |= errors_by_trial(fit, own, rig.signal)
         row["left_out"] = _mean(left, rig.measure)
         row["left_out_by_trial"] = {name: e[rig.measure] for name, e in left.items()}
     return row
@@ -169,9 +171,11 @@ def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
     return float(np.mean([e[measure] for e in by_trial.values()]))
 
 
-def run(rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]) -> dict[str, Any]:
+def run_system(
+    rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]
+) -> dict[str, Any]:
     """Everything about one rig."""
-    trials = import_all(rig, data, out / "trials")
+    trials = import_recordings(rig, data, out / "trials")
     found, rounds = name_and_identify(rig, out / "trials", out)
     step("named")
     shutil.copyfile(found, out / "plant.json")
@@ -182,7 +186,7 @@ def run(rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None])
     }
     held = [e for e in plant.effects if e not in nominal.effects]
     fits[FOUND] = judge_fit(rig, nominal.with_effects(*held), trials, out / FOUND, step)
-    fits[FOUND]["all"] = _mean(errors(plant, trials, rig.signal), rig.measure)
+    fits[FOUND]["all"] = _mean(errors_by_trial(plant, trials, rig.signal), rig.measure)
     return {
         "rounds": rounds,
         "plant": str(out / "plant.json"),
@@ -196,7 +200,7 @@ def run(rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None])
     }  # fmt: skip
 
 
-def verdicts(result: dict[str, Any]) -> list[dict[str, Any]]:
+def real_data_verdicts(result: dict[str, Any]) -> list[dict[str, Any]]:
     """The figures that have limits."""
     pendulum, car = (result[rig.name] for rig in RIGS)
     ratio = pendulum["fits"][FOUND]["left_out"] / pendulum["fits"][BASELINE]["left_out"]
@@ -223,10 +227,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not any((args.data / rig.folder).glob(rig.pattern)):
             parser.error(f"{args.data / rig.folder} holds no {rig.pattern}")
     progress = Progress("real", 16)
-    result = {rig.name: run(rig, args.data, args.out / rig.name, progress.step) for rig in RIGS}
-    data = {"rigs": result, "verdicts": verdicts(result)}
+    result = {
+        rig.name: run_system(rig, args.data, args.out / rig.name, progress.step) for rig in RIGS
+    }
+    data = {"rigs": result, "verdicts": real_data_verdicts(result)}
     (args.out / "real.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    page = write_page(data, args.out)
+    page = write_real_page(data, args.out)
     for v in data["verdicts"]:
         print(f"{'met   ' if v['met'] else 'MISSED'} {v['limit']}: {v['value']:.3g} "
               f"(at most {v['at_most']:g})")  # fmt: skip

@@ -18,7 +18,7 @@ FACTOR: Final = {"mrad": 1e3, "mm": 1e3}
 MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
 
-def write_page(data: dict[str, Any], out: Path) -> Path:
+def write_real_page(data: dict[str, Any], out: Path) -> Path:
     """Write OUT/real.html; returns its path."""
     verdicts = table_of(
         ("figure", "value", "at most", ""),

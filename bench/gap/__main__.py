@@ -15,13 +15,13 @@ from collections.abc import Iterable
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from bench.gap.case_run import run
-from bench.gap.cases import BenchCase, draw
-from bench.gap.score_summary import confusion, summarise
+from bench.gap.case_run import run_bench_case
+from bench.gap.cases import BenchCase, draw_cases
+from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
 from firmware_py.console import Progress
 
 
-def run_all(
+def run_cases(
     cases: Iterable[BenchCase], plant: Path, out: Path, executor: Executor | None = None
 ) -> None:
     """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor."""
@@ -32,7 +32,7 @@ def run_all(
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     pool = executor or ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
     try:
-        futures = {pool.submit(run, case, str(plant), str(out)): case for case in left}
+        futures = {pool.submit(run_bench_case, case, str(plant), str(out)): case for case in left}
         for future in as_completed(futures):
             future.result()
             progress.step(futures[future].kind)
@@ -52,12 +52,12 @@ def main() -> None:
     parser.add_argument("--outside", type=int, default=20, help="effect denied to the catalogue")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args()
-    cases = draw(args.singles, args.nulls, args.pairs, args.outside, args.seed)
-    run_all(cases, args.plant, args.out)
-    figures = summarise(args.out)
+    cases = draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed)
+    run_cases(cases, args.plant, args.out)
+    figures = benchmark_figures(args.out)
     (args.out / "summary").mkdir(exist_ok=True)
     (args.out / "summary" / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
-    (args.out / "summary" / "confusion.svg").write_text(confusion(args.out))
+    (args.out / "summary" / "confusion.svg").write_text(confusion_matrix_svg(args.out))
     print(json.dumps(figures, indent=1))
 
 

@@ -22,8 +22,8 @@ from typing import Final
 
 import numpy as np
 
-from bench.gap.case_run import laboratory, lean_trials
-from bench.gap.cases import BenchCase, draw
+from bench.gap.case_run import bench_trials, rig_of
+from bench.gap.cases import BenchCase, draw_cases
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
@@ -31,12 +31,12 @@ from models.gap.diagnosis import diagnose
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import PATH as PATTERNS
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
-from models.gap.estimation.noise_floor import group_hz
-from models.gap.estimation.noise_floor_fit import floor_of
-from models.gap.residuals.fit_parameters import nuisance_knobs, trial_knobs
+from models.gap.estimation.noise_floor import group_frequencies_hz
+from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.gap.residuals.fit_parameters import nuisance_fit_parameters, trial_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.null_distribution import PATH as PRICES
-from models.gap.search.null_distribution import calibrate
+from models.gap.search.null_distribution import calibrated_null_distribution
 from models.plant.plant import read_plant
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
@@ -49,21 +49,23 @@ SEEDS: Final = {"patterns": 9000, "prices": 9001}
 
 def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
     """Save what the nuisance fit leaves on one laboratory: spectra by payload."""
-    rig = laboratory(case)
+    rig = rig_of(case)
     try:
         trials = [run_case(rig, TrialCase(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
     except InputError:  # its link folds
         np.savez(path)
         return
     plant = read_plant(plant_path)
-    problem = Residuals(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
-    floor = floor_of(plant, 1)
+    problem = Residuals(
+        plant, trials, nuisance_fit_parameters(plant, 1) + trial_fit_parameters(plant, trials)
+    )
+    floor = noise_floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
     estimator = GaussNewton(problem, floor)
     start = estimator.at(np.zeros(len(problem.knobs)))
     point = estimator.fit(start, np.ones(len(problem.knobs), bool), 20)
     (group,) = problem.groups
-    hz = group_hz(group, problem.trials)
+    hz = group_frequencies_hz(group, problem.trials)
     noise = [np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals]
     np.savez(
         path, rows=point.rows[0] - estimator.means[0], noise=noise, key=group.key,
@@ -71,10 +73,10 @@ def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
     )  # fmt: skip
 
 
-def price_case(case: BenchCase, plant_path: str, path: str) -> None:
+def null_case(case: BenchCase, plant_path: str, path: str) -> None:
     """Save how far each effect seems to help on one laboratory, and what is left without any."""
     try:
-        trials = lean_trials(laboratory(case), case.seed)
+        trials = bench_trials(rig_of(case), case.seed)
     except InputError:
         Path(path).write_text("{}")
         return
@@ -115,9 +117,11 @@ def main() -> None:
         learn_patterns(_run(pattern_case, work, args.plant)).write(PATTERNS)
     if args.prices:
         work = _cases("prices", args.prices, args.out, "json")
-        rows = [json.loads(f.read_text()) for f in _run(price_case, work, args.plant)]
+        rows = [json.loads(f.read_text()) for f in _run(null_case, work, args.plant)]
         rows = [r for r in rows if r]
-        found = calibrate([r["separations"] for r in rows], [r["left"] for r in rows])
+        found = calibrated_null_distribution(
+            [r["separations"] for r in rows], [r["left"] for r in rows]
+        )
         PRICES.write_text(json.dumps(found, indent=1) + "\n")
 
 
@@ -125,7 +129,7 @@ Work = list[tuple[BenchCase, Path]]
 
 
 def _cases(what: str, count: int, out: Path, suffix: str) -> Work:
-    drawn = draw(0, count, 0, 0, SEEDS[what])
+    drawn = draw_cases(0, count, 0, 0, SEEDS[what])
     return [(case, out / f"{what}_{case.key}.{suffix}") for case in drawn]
 
 

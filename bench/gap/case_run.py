@@ -15,8 +15,8 @@ from bench.gap.cases import BenchCase
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from models.gap.diagnosis import diagnose
-from models.gap.estimation.noise_floor_fit import floor_of
-from models.gap.search.look_alikes import look_alikes
+from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.gap.search.look_alikes import look_alikes_of
 from models.plant.identification.evaluation import compare
 from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import RigParameters, read_parameters
@@ -30,7 +30,7 @@ SEALED_KG = 1.0
 HANGING_RAD = 0.1
 
 
-def run(case: BenchCase, plant_path: str, directory: str) -> str:
+def run_bench_case(case: BenchCase, plant_path: str, directory: str) -> str:
     """Run a case unless its result stands; returns the path of the result."""
     path = Path(directory) / f"{case.key}.json"
     if not path.exists():
@@ -42,9 +42,9 @@ def run(case: BenchCase, plant_path: str, directory: str) -> str:
 
 
 def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
-    rig = laboratory(case)
+    rig = rig_of(case)
     try:
-        trials = TrialSet(tuple(lean_trials(rig.hide(case.hidden), case.seed)))
+        trials = TrialSet(tuple(bench_trials(rig.hide(case.hidden), case.seed)))
     except InputError as error:
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
@@ -59,7 +59,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
         "chosen": [list(c.effects) for c in naming.chosen],
         "separation": [c.separation for c in naming.chosen],
         "look_alikes": [
-            [list(c.effects) for c in look_alikes(naming, k)] for k in range(len(naming.chosen))
+            [list(c.effects) for c in look_alikes_of(naming, k)] for k in range(len(naming.chosen))
         ],
         "largest": max(naming.screened.values(), default=0.0),
         "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
@@ -92,7 +92,7 @@ def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequen
     naming = diagnose(plant, trials).naming
     alike = {
         e for turn, chosen in enumerate(naming.chosen) if set(chosen.effects) & set(case.hidden)
-        for c in look_alikes(naming, turn) for e in c.effects
+        for c in look_alikes_of(naming, turn) for e in c.effects
     }  # fmt: skip
     return set(case.hidden) <= set(naming.named) and not alike & set(stand_ins)
 
@@ -123,7 +123,7 @@ def sealed_errors(
 
 def sealed_error(plant: Plant, trial: Trial) -> float:
     """Error on a trial: root mean square over signals, each in its own noise floor."""
-    floor = floor_of(plant, 1)
+    floor = noise_floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
     comparison = compare(plant, [trial])[0]
     squares = [
@@ -133,13 +133,13 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def laboratory(case: BenchCase) -> RigParameters:
+def rig_of(case: BenchCase) -> RigParameters:
     """Laboratory of a case, without what is hidden in it."""
     rig = read_parameters()
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 
-def lean_trials(rig: RigParameters, seed: int) -> list[Trial]:
+def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
     """Three payloads, two repetitions.
 
     Raises

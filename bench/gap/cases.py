@@ -72,7 +72,9 @@ class BenchCase:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def draw(singles: int, nulls: int, pairs: int, outside: int, seed: int) -> Iterator[BenchCase]:
+def draw_cases(
+    singles: int, nulls: int, pairs: int, outside: int, seed: int
+) -> Iterator[BenchCase]:
     """Draw cases: `singles` of every effect and size, and so many of the other kinds."""
     rng = np.random.default_rng(seed)
     names = list(TYPICAL)

@@ -44,7 +44,7 @@ class Equation:
     counts: Any
 
 
-def equations(
+def missing_in_equations(
     trial: Trial, p: dict[str, float], twin: dict[str, Array], driven: dict[str, Array]
 ) -> dict[str, Equation]:
     """Residual and library of each equation.
@@ -61,7 +61,7 @@ def equations(
     """
     meta, step_s = trial.meta, trial.step_s
     angle, current = trial.columns["angle_1_rad"], trial.columns["current_1_a"]
-    rate, acceleration = slope(angle, step_s), slope(angle, step_s, 2)
+    rate, acceleration = derivative(angle, step_s), derivative(angle, step_s, 2)
     leaning = np.arctan2(trial.columns["tip_x_m"], trial.columns["tip_z_m"])
     bend, radius = leaning - angle, meta.base_offset_m + meta.link_length_m
     own = p["link_mass_kg"] * (meta.base_offset_m + meta.link_length_m / 2)
@@ -73,7 +73,7 @@ def equations(
     off_axis = meta.payload_kg * gravity * radius * np.cos(angle)
     share = step_s / CREEP_S
     crept = lfilter([share], [1, share - 1], bend, zi=[bend[0] * (1 - share)])[0]
-    runs = time_s > 0
+    runs, bend_rate = time_s > 0, derivative(bend, step_s)
     torque = {
         "load_offset": one, "coulomb_friction": direction, "viscous_friction": rate,
         "stribeck_friction": direction * np.exp(-((rate / STRIBECK_RAD_S) ** 2)),
@@ -85,13 +85,13 @@ def equations(
     bending = {
         "prebend": one, "sync_offset": rate, "directional_stiffness": np.abs(bend),
         "stiffness_softening": bend * np.abs(bend), "stiffness_hardening": bend**3,
-        "pressure_leak": time_s * bend, "hysteresis": np.tanh(slope(bend, step_s) / YIELD_RAD_S),
+        "pressure_leak": time_s * bend, "hysteresis": np.tanh(bend_rate / YIELD_RAD_S),
         "creep": crept, "backlash": np.tanh(load / PLAY_NM), "joint_elasticity": bend,
         "unmodelled_payload": np.sin(leaning), "payload_offset": off_axis,
-        "aerodynamic_drag": rate * np.abs(rate), "(damping)": slope(bend, step_s),
+        "aerodynamic_drag": rate * np.abs(rate), "(damping)": bend_rate,
     }  # fmt: skip
     command = {
-        "dead_time": slope(trial.columns["goal_1_rad"], step_s), "current_scale": current,
+        "dead_time": derivative(trial.columns["goal_1_rad"], step_s), "current_scale": current,
         "current_saturation": np.sign(current) * (np.abs(current) > 0.95 * np.abs(current).max()),
         "(constant)": one,
     }  # fmt: skip
@@ -100,7 +100,7 @@ def equations(
     leak = step_s / p["velocity_integral_time_1_s"]
     error = lfilter([1, -1], [1 + leak, -1], twin["current_1_a"]) / p["velocity_gain_1_a_s_rad"]
     gain = p["position_gain_1_per_s"]
-    goal = twin["angle_1_rad"] + (slope(twin["angle_1_rad"], step_s) + error) / gain
+    goal = twin["angle_1_rad"] + (derivative(twin["angle_1_rad"], step_s) + error) / gain
     moves = runs & (np.abs(rate) > 2 * p["friction_speed_1_rad_s"])
     return {
         "torque": Equation(constant * driven["current_1_a"], torque, moves),
@@ -109,6 +109,6 @@ def equations(
     }
 
 
-def slope(rows: Array, step_s: float, order: int = 1) -> Array:
+def derivative(rows: Array, step_s: float, order: int = 1) -> Array:
     """Derivative of smoothed rows (PySINDy's `SmoothedFiniteDifference` smooths alike)."""
     return np.asarray(savgol_filter(rows, 9, 3, deriv=order, delta=step_s))

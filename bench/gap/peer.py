@@ -30,22 +30,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.gap.case_run import laboratory, lean_trials
+from bench.gap.case_run import bench_trials, rig_of
 from bench.gap.cases import BenchCase
-from bench.gap.library import Equation, equations
-from bench.gap.score_summary import beside
+from bench.gap.library import Equation, missing_in_equations
+from bench.gap.score_summary import peer_comparison
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import floor_of
+from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.residuals.fit_parameters import (
     FitParameter,
-    full_plant,
-    nuisance_knobs,
-    trial_knobs,
+    nuisance_fit_parameters,
+    plant_with_every_effect,
+    trial_fit_parameters,
 )
 from models.gap.residuals.residuals import SUBSTEP_S, Residuals
-from models.gap.residuals.spectrum import Array, restore
+from models.gap.residuals.spectrum import Array, inverse_cosine_transform
 from models.plant.identification.simulation_fit import weights
 from models.plant.plant import Plant, Unit, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
@@ -59,10 +59,12 @@ RIDGE: Final = 0.1
 """Ridge of STLSQ for each row."""
 
 
-def refitted(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
+def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
     """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
-    problem = Residuals(plant, trials, nuisance_knobs(plant, 1) + trial_knobs(plant, trials))
-    floor = floor_of(plant, 1)
+    problem = Residuals(
+        plant, trials, nuisance_fit_parameters(plant, 1) + trial_fit_parameters(plant, trials)
+    )
+    floor = noise_floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
     estimator = GaussNewton(problem, floor)
     start = estimator.at(np.zeros(len(problem.knobs)))
@@ -70,26 +72,30 @@ def refitted(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]
     (group,), (means,) = problem.groups, estimator.means
     units: dict[Unit, CompiledModel] = {}
     for unit in ("twin", "driven"):
-        model = full_plant(plant).step_model(1, unit)
+        model = plant_with_every_effect(plant).step_model(1, unit)
         units[unit] = CompiledModel(replace(model, max_substep_s=SUBSTEP_S))
     result = []
     for k, trial in enumerate(trials):
         knobs = zip(problem.knobs, values, strict=True)
         turned = [(knob, value) for knob, value in knobs if knob.trial in (None, k)]
-        loop, p = simulated(units["twin"], trial, turned)
+        loop, p = simulated_signals(units["twin"], trial, turned)
         moved = replace(trial, columns={**trial.columns, "angle_1_rad": loop["angle_1_rad"]})
-        at_loop, at_measured = (simulated(units["driven"], t, turned)[0] for t in (moved, trial))
+        at_loop, at_measured = (
+            simulated_signals(units["driven"], t, turned)[0] for t in (moved, trial)
+        )
         twin = {}
         for b, s in enumerate(group.signals):
-            known = restore(means[k, b], len(trial)) / np.maximum(weights(trial, s), 0.05)
+            known = inverse_cosine_transform(means[k, b], len(trial)) / np.maximum(
+                weights(trial, s), 0.05
+            )
             twin[s] = trial.columns[s] - loop[s] - known if s in trial.columns else known
         # Against the driven link on the loop's own motion: what its filter does drops out.
         driven = {s: twin[s] + at_loop[s] - y for s, y in at_measured.items() if s in twin}
-        result.append(equations(trial, p, twin, driven))
+        result.append(missing_in_equations(trial, p, twin, driven))
     return result
 
 
-def simulated(
+def simulated_signals(
     unit: CompiledModel, trial: Trial, turned: Sequence[tuple[FitParameter, float]]
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Outputs by name, and the parameters, with knobs turned."""
@@ -109,13 +115,13 @@ def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[floa
     found: dict[str, float] = {}
     for name in trials[0]:
         rows = [t[name] for t in trials]
-        for effect, size in sparse(rows, noise(rows, payloads)).items():
+        for effect, size in sparse_terms(rows, repetition_noise(rows, payloads)).items():
             if not effect.startswith("("):
                 found[effect] = max(found.get(effect, 0.0), size)
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
+def repetition_noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
     """Root mean square of what differs between two repetitions, for one of them."""
     squares = [
         np.mean((a.missing - b.missing)[both] ** 2) / 2
@@ -125,9 +131,9 @@ def noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def sparse(rows: Sequence[Equation], unit: float) -> dict[str, float]:
+def sparse_terms(rows: Sequence[Equation], unit: float) -> dict[str, float]:
     """Size of each term of one equation that survives, in units of `unit`."""
-    sindy = pysindy()
+    sindy = import_pysindy()
     effects = list(rows[0].columns)
     library = [np.column_stack([r.columns[e] for e in effects])[r.counts] for r in rows]
     missing = [r.missing[r.counts, None] / unit for r in rows]
@@ -145,7 +151,7 @@ def sparse(rows: Sequence[Equation], unit: float) -> dict[str, float]:
     return {e: float(c) for e, c in zip(effects, found, strict=True) if c > 0}
 
 
-def pysindy() -> Any:
+def import_pysindy() -> Any:
     """The package, which is not among the locked ones."""
     try:
         return importlib.import_module("pysindy")
@@ -156,10 +162,10 @@ def pysindy() -> Any:
         ) from error  # fmt: skip
 
 
-def run(case: BenchCase, plant: Plant, path: Path) -> None:
+def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
     """Write the result of one case, in the form that `bench.gap.score_summary` reads."""
-    trials = lean_trials(laboratory(case).hide(case.hidden), case.seed)
-    found = contributions(refitted(plant, trials), [t.meta.payload_kg for t in trials])
+    trials = bench_trials(rig_of(case).hide(case.hidden), case.seed)
+    found = contributions(refitted_equations(plant, trials), [t.meta.payload_kg for t in trials])
     result = {
         "case": asdict(case), "verdict": "reduced" if found else "no gap",
         "named": list(found), "contributions": found,
@@ -176,7 +182,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="results of the benchmark")
     args = parser.parse_args()
     try:
-        pysindy()
+        import_pysindy()
         plant, out = read_plant(args.plant), args.out / "peer"
         out.mkdir(exist_ok=True)
         stand = {p.name: json.loads(p.read_text()) for p in sorted(args.out.glob("*.json"))}
@@ -187,12 +193,12 @@ def main() -> int:
         }  # fmt: skip
         progress = Progress("bench.gap.peer", len(left))
         for path, case in left.items():
-            run(case, plant, path)
+            run_peer_case(case, plant, path)
             progress.step(case.kind)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps(beside(args.out), indent=1))
+    print(json.dumps(peer_comparison(args.out), indent=1))
     return 0
 
 

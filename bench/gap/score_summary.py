@@ -17,22 +17,22 @@ CLEAR = 15.0
 FAINT = (3.5, 8.0)
 
 
-def interval(count: int, total: int) -> tuple[float, float]:
+def clopper_pearson(count: int, total: int) -> tuple[float, float]:
     """Clopper–Pearson 95 % interval of a share."""
     low = beta.ppf(0.025, count, total - count + 1) if count else 0.0
     high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
     return float(low), float(high)
 
 
-def share(rows: Sequence[bool]) -> dict[str, Any]:
+def fraction_with_interval(rows: Sequence[bool]) -> dict[str, Any]:
     """A share with its interval."""
     if not rows:
         return {"of": 0}
-    low, high = interval(sum(rows), len(rows))
+    low, high = clopper_pearson(sum(rows), len(rows))
     return {"share": sum(rows) / len(rows), "interval": [low, high], "of": len(rows)}
 
 
-def summarise(directory: Path) -> dict[str, Any]:
+def benchmark_figures(directory: Path) -> dict[str, Any]:
     """Figures over every result that stands."""
     results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
     possible = [r for r in results if "impossible" not in r]
@@ -45,31 +45,35 @@ def summarise(directory: Path) -> dict[str, Any]:
     return {
         "cases": len(results),
         "impossible": len(results) - len(possible),
-        "detected": share([bool(r["named"]) for r in singles]),
-        "top_1": share([_top(r, 1) for r in detected]),
-        "top_1_clear": share([_top(r, 1) for r in clear]),
-        "top_1_faint": share([_top(r, 1) for r in faint]),
-        "top_2": share([_top(r, 2) for r in detected]),
-        "top_1_unique": share([_top(r, 1) for r in detected if not r["look_alikes"][0]]),
-        "class": share([_in_class(r) for r in detected]),
-        "nothing_beside": share([len(r["named"]) == 1 for r in detected]),
-        "false_alarms": share([r["verdict"] != "no gap" for r in of("null")]),
+        "detected": fraction_with_interval([bool(r["named"]) for r in singles]),
+        "top_1": fraction_with_interval([_top(r, 1) for r in detected]),
+        "top_1_clear": fraction_with_interval([_top(r, 1) for r in clear]),
+        "top_1_faint": fraction_with_interval([_top(r, 1) for r in faint]),
+        "top_2": fraction_with_interval([_top(r, 2) for r in detected]),
+        "top_1_unique": fraction_with_interval(
+            [_top(r, 1) for r in detected if not r["look_alikes"][0]]
+        ),
+        "class": fraction_with_interval([_in_class(r) for r in detected]),
+        "nothing_beside": fraction_with_interval([len(r["named"]) == 1 for r in detected]),
+        "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
         "largest_on_nulls": sorted(round(r["largest"], 2) for r in of("null"))[-5:],
-        "pairs_exact": share([set(r["named"]) == set(r["case"]["hidden"]) for r in of("pair")]),
-        "pairs_in_class": share([_pair_in_class(r) for r in of("pair")]),
-        "outside_said": share([_said(r) for r in of("outside") if r["separable"]]),
-        "outside_said_all": share([_said(r) for r in of("outside")]),
-        "inside_said": share([_said(r) for r in detected]),
+        "pairs_exact": fraction_with_interval(
+            [set(r["named"]) == set(r["case"]["hidden"]) for r in of("pair")]
+        ),
+        "pairs_in_class": fraction_with_interval([_pair_in_class(r) for r in of("pair")]),
+        "outside_said": fraction_with_interval([_said(r) for r in of("outside") if r["separable"]]),
+        "outside_said_all": fraction_with_interval([_said(r) for r in of("outside")]),
+        "inside_said": fraction_with_interval([_said(r) for r in detected]),
         "share_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
-        "coverage": share([c for r in detected if (c := _covered(r)) is not None]),
+        "coverage": fraction_with_interval([c for r in detected if (c := _covered(r)) is not None]),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
         "cpu_s": _quantiles([r["cpu_s"] for r in possible]),
-        "peer": beside(directory),
+        "peer": peer_comparison(directory),
     }
 
 
-def beside(directory: Path) -> dict[str, Any]:
+def peer_comparison(directory: Path) -> dict[str, Any]:
     """Figures of PySINDy (`bench.gap.peer`) and of ours, on the cases that both have.
 
     Of a pair the first two names count, whatever else is named.
@@ -83,14 +87,16 @@ def _plain(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
     of = lambda kind: [r for r in results if r["case"]["kind"] == kind]  # noqa: E731
     singles = of("single")
     return {
-        "top_1_detected": share([_top(r, 1) for r in singles if r["named"]]),
-        "top_1_all": share([_top(r, 1) for r in singles]),
-        "false_alarms": share([r["verdict"] != "no gap" for r in of("null")]),
-        "pairs_exact": share([set(r["named"][:2]) == set(r["case"]["hidden"]) for r in of("pair")]),
+        "top_1_detected": fraction_with_interval([_top(r, 1) for r in singles if r["named"]]),
+        "top_1_all": fraction_with_interval([_top(r, 1) for r in singles]),
+        "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
+        "pairs_exact": fraction_with_interval(
+            [set(r["named"][:2]) == set(r["case"]["hidden"]) for r in of("pair")]
+        ),
     }
 
 
-def confusion(directory: Path) -> str:
+def confusion_matrix_svg(directory: Path) -> str:
     """Which effect was named for which: an SVG with counts."""
     cells: dict[tuple[str, str], float] = {}
     for path in sorted(directory.glob("*.json")):

@@ -37,23 +37,23 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.diagnosis import (
         diagnose,  # loads CasADi and SciPy, which a typo need not wait for
     )
-    from models.gap.report.gap_json import document, in_words
-    from models.gap.report.gap_page import write_report
+    from models.gap.report.gap_json import gap_document, gap_in_words
+    from models.gap.report.gap_page import write_gap_page
     from models.gap.report.waterfall import waterfall_steps
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
     progress = Progress("gap", 12)
     found = diagnose(plant, trials, progress.step, args.without)
-    data = document(found, trials)
+    data = gap_document(found, trials)
     data["waterfall"] = [
         {"step": step, "floors": floors} for step, floors in waterfall_steps(found, trials)
     ]
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "gap.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     found.improved.write(args.out / "plant.json")
-    report = write_report(data, found.plant, found.improved, trials, args.out / "report.html")
+    report = write_gap_page(data, found.plant, found.improved, trials, args.out / "report.html")
     progress.total = progress.done + 1
     progress.step("done")
-    emit(args, data, f"{in_words(data)}\n{report}")
+    emit(args, data, f"{gap_in_words(data)}\n{report}")
     return NEGATIVE if found.verdict == "not in the catalogue" else DONE

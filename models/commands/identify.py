@@ -13,7 +13,7 @@ import msgspec
 
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import as_text
-from models.gap.estimation.noise_floor_fit import with_floor
+from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.fit_picture import draw
 from models.plant.identification.identification import identify
 from models.plant.plant import read_plant
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     trials = read_trials(args.trials, plant.signals)
     progress = Progress("identify", 110)
     found = identify(plant, trials, progress.step)
-    plant = with_floor(found.plant, trials)
+    plant = with_noise_floor(found.plant, trials)
     progress.total = progress.done + 1
     progress.step("done")
     plant.write(args.out)

@@ -12,27 +12,27 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor, floor_of_residual
-from models.gap.estimation.noise_floor_fit import fitted, floor_of, guess
-from models.gap.estimation.nuisance_bias import strained
+from models.gap.estimation.noise_floor_fit import fitted_point, guessed_noise_floor, noise_floor_of
+from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.fit_parameters import (
     FitParameter,
-    candidates,
-    effect_knobs,
-    nuisance_knobs,
-    trial_knobs,
+    candidate_effects,
+    effect_fit_parameters,
+    nuisance_fit_parameters,
+    trial_fit_parameters,
 )
-from models.gap.residuals.localisation import GapRegion, locate
+from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
-from models.gap.search.candidate import Naming
-from models.gap.search.effect_search import EffectSearch, Report
-from models.gap.search.strength_consistency import StrengthConsistency, constancy
+from models.gap.search.candidate import SearchResult
+from models.gap.search.effect_search import EffectSearch, ReportProgress
+from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
 from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 from models.plant.provenance import Provenance
 from models.trials.trial_files import TrialSet
 
-Verdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
+GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
 
 EQUATION: Final = {"stiffness": 0.3, "bend_torque": 0.3, "servo_torque": 0.1}
 """What the equation of an effect may miss of its strength, by port; 0.03 elsewhere. Two hinges a
@@ -60,12 +60,12 @@ class Diagnosis:
         As given, and with what was named and the nuisance refitted.
     namer : EffectSearch
         With problem and estimator.
-    naming : Naming
+    naming : SearchResult
         Result of the search.
     constancy : dict of str to StrengthConsistency
         Whether the strength of each named effect is the same everywhere.
     verdict : str
-        See `Verdict`.
+        See `GapVerdict`.
     left : float
         Share of the gap's amplitude that is left, in units of the noise floor.
     located, remaining : list of GapRegion
@@ -75,9 +75,9 @@ class Diagnosis:
     plant: Plant
     improved: Plant
     namer: EffectSearch
-    naming: Naming
+    naming: SearchResult
     constancy: dict[str, StrengthConsistency]
-    verdict: Verdict
+    verdict: GapVerdict
     left: float
     located: list[GapRegion]
     remaining: list[GapRegion]
@@ -86,7 +86,7 @@ class Diagnosis:
 def diagnose(
     plant: Plant,
     trials: TrialSet,
-    report: Report = lambda text: None,
+    report: ReportProgress = lambda text: None,
     leave_out: Sequence[str] = (),
 ) -> Diagnosis:
     """Find, name and add what is missing.
@@ -107,7 +107,7 @@ def diagnose(
     InputError
         If the trials are of one and of two joints, or an effect to leave out is unknown.
     """
-    catalogue = candidates(plant)
+    catalogue = candidate_effects(plant)
     for name in leave_out:
         if name not in catalogue:
             raise InputError(
@@ -115,60 +115,64 @@ def diagnose(
                 "choose from " + ", ".join(catalogue),
             )  # fmt: skip
     catalogue = [e for e in catalogue if e not in leave_out]
-    problem = Residuals(plant, trials.trials, all_knobs(plant, trials, catalogue))
-    floor = floor_of(plant, trials[0].meta.dof) or own_floor(problem)
+    problem = Residuals(plant, trials.trials, all_fit_parameters(plant, trials, catalogue))
+    floor = noise_floor_of(plant, trials[0].meta.dof) or floor_of_nuisance_fit(problem)
     namer = EffectSearch(GaussNewton(problem, floor), catalogue, report)
     naming = namer.search()
-    constant = constancies(namer, naming)
-    verdict, left = judge(namer, naming, constant)
+    constant = consistencies_of_named(namer, naming)
+    verdict, left = gap_verdict(namer, naming, constant)
     where = [
-        locate(problem.groups, problem.trials, namer.first.whitened(point.rows))
+        locate_gap(problem.groups, problem.trials, namer.first.whitened(point.rows))
         for point in (naming.before, naming.after)
     ]
-    improved = improve(plant, namer, naming, trials)
+    improved = improved_plant(plant, namer, naming, trials)
     return Diagnosis(plant, improved, namer, naming, constant, verdict, left, *where)
 
 
-def all_knobs(plant: Plant, trials: Sequence[Any], catalogue: Sequence[str]) -> list[FitParameter]:
+def all_fit_parameters(
+    plant: Plant, trials: Sequence[Any], catalogue: Sequence[str]
+) -> list[FitParameter]:
     """Nuisance, trial variation and every effect of the catalogue."""
     dof = trials[0].meta.dof
-    effects = [k for e in catalogue for k in effect_knobs(plant, e, dof)]
-    return nuisance_knobs(plant, dof) + trial_knobs(plant, trials) + effects
+    effects = [k for e in catalogue for k in effect_fit_parameters(plant, e, dof)]
+    return nuisance_fit_parameters(plant, dof) + trial_fit_parameters(plant, trials) + effects
 
 
-def own_floor(problem: Residuals) -> NoiseFloor:
+def floor_of_nuisance_fit(problem: Residuals) -> NoiseFloor:
     """Floor where the plant file carries none: the spectrum of what the nuisance fit leaves."""
     base = np.array([k.kind != "effect" for k in problem.knobs])
-    floor = guess(problem)
+    floor = guessed_noise_floor(problem)
     for _ in range(2):
-        point = fitted(problem, floor, base)
+        point = fitted_point(problem, floor, base)
         floor = floor_of_residual(problem.groups, problem.trials, point.rows)
     return floor
 
 
-def constancies(namer: EffectSearch, naming: Naming) -> dict[str, StrengthConsistency]:
+def consistencies_of_named(
+    namer: EffectSearch, naming: SearchResult
+) -> dict[str, StrengthConsistency]:
     """Constancy of each strength; not of an effect with a threshold, which has no share."""
     free = namer.free(naming.named)
     return {
-        effect: constancy(
+        effect: strength_consistency_of(
             namer.estimator, naming.after, free, namer.of[effect], EFFECTS[effect].port
         )
         for effect in naming.named if effect not in naming.unexcited
     }  # fmt: skip
 
 
-def judge(
-    namer: EffectSearch, naming: Naming, constant: Mapping[str, StrengthConsistency]
-) -> tuple[Verdict, float]:
+def gap_verdict(
+    namer: EffectSearch, naming: SearchResult, constant: Mapping[str, StrengthConsistency]
+) -> tuple[GapVerdict, float]:
     """Verdict, and the share of the gap's amplitude that is left.
 
     What is named is not what is there where its strength would have to differ from one payload,
     signal or band to the next, where most of the gap is left, or where it has gone into what
     differs from trial to trial.
     """
-    before, after = (excess(namer, p.rows) for p in (naming.before, naming.after))
+    before, after = (power_beyond_noise(namer, p.rows) for p in (naming.before, naming.after))
     left = float(np.sqrt(after / before)) if before > 0 else 0.0
-    hides = bool(strained(namer.knobs, naming.after))
+    hides = bool(excessive_nuisance_bias(namer.knobs, naming.after))
     if not naming.named:
         gap = hides or namer.has_gap(naming.before)
         return ("not in the catalogue", 1.0) if gap else ("no gap", 0.0)
@@ -181,13 +185,15 @@ def judge(
     return ("reduced" if namer.has_gap(naming.after) else "closed"), left
 
 
-def excess(namer: EffectSearch, rows: list[Array]) -> float:
+def power_beyond_noise(namer: EffectSearch, rows: list[Array]) -> float:
     """Mean square of a residual, in noise floors, beyond that of noise."""
     white = namer.first.whitened(rows)
     return max(sum(float(np.sum(w**2)) for w in white) / sum(w.size for w in white) - 1.0, 0.0)
 
 
-def improve(plant: Plant, namer: EffectSearch, naming: Naming, trials: TrialSet) -> Plant:
+def improved_plant(
+    plant: Plant, namer: EffectSearch, naming: SearchResult, trials: TrialSet
+) -> Plant:
     """Plant with what was named and the refitted nuisance, its parentage in the provenance."""
     free = namer.free(naming.named)
     values = naming.after.values

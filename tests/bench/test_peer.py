@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench.gap import peer
-from bench.gap.library import Equation, equations
-from bench.gap.score_summary import beside
+from bench.gap.library import Equation, missing_in_equations
+from bench.gap.score_summary import peer_comparison
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
@@ -48,12 +48,12 @@ def trial():
 def test_an_equation_misses_what_was_hidden_in_it(units, trial, effect):
     name, parameter, strength = HIDDEN[effect]
     hidden = [(FitParameter(effect, "effect", {parameter: 1.0}), strength)]
-    measured, p = peer.simulated(units["twin"], trial, hidden)
+    measured, p = peer.simulated_signals(units["twin"], trial, hidden)
     seen = replace(trial, columns={**trial.columns, **measured})
-    loop, _ = peer.simulated(units["twin"], seen, [])
-    link, _ = peer.simulated(units["driven"], seen, [])
+    loop, _ = peer.simulated_signals(units["twin"], seen, [])
+    link, _ = peer.simulated_signals(units["driven"], seen, [])
     twin, driven = ({s: measured[s] - y[s] for s in y} for y in (loop, link))
-    found = equations(seen, p, twin, driven)[name]
+    found = missing_in_equations(seen, p, twin, driven)[name]
     column, missing = found.columns[effect][found.counts], found.missing[found.counts]
     estimate = column @ missing / (column @ column)
     assert abs(abs(estimate) / strength - 1) < 0.15
@@ -72,7 +72,7 @@ def made(rng, gain):
 
 def test_noise_is_what_differs_between_repetitions_of_one_payload(rng):
     rows = [t["torque"] for t in made(rng, 20.0)]
-    assert peer.noise(rows, [0.0, 0.0, 1.0, 1.0]) == pytest.approx(1.0, rel=0.2)
+    assert peer.repetition_noise(rows, [0.0, 0.0, 1.0, 1.0]) == pytest.approx(1.0, rel=0.2)
 
 
 def test_the_term_that_contributes_most_is_named_and_noise_is_not(rng):
@@ -87,7 +87,7 @@ def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch, capsys
 
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(InputError):
-        peer.pysindy()
+        peer.import_pysindy()
     monkeypatch.setattr(
         sys, "argv", ["peer", "--plant", str(tmp_path / "plant.json"), "--out", str(tmp_path)]
     )
@@ -113,7 +113,7 @@ def test_both_are_counted_on_the_cases_that_both_have(tmp_path):
         result(tmp_path / f"{name}.json", kind, hidden, ours)
         result(tmp_path / "peer" / f"{name}.json", kind, hidden, peers)
     result(tmp_path / "e.json", "null", {}, ["creep"])  # the peer has not come to it yet
-    figures = beside(tmp_path)
+    figures = peer_comparison(tmp_path)
     counted = {
         who: [round(f["share"] * f["of"]) for f in rows.values()] for who, rows in figures.items()
     }

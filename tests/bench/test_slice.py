@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.gap.__main__ import run_all
-from bench.gap.cases import draw
-from bench.gap.score_summary import summarise
+from bench.gap.__main__ import run_cases
+from bench.gap.cases import draw_cases
+from bench.gap.score_summary import benchmark_figures
 from firmware_py.motion import Motion
-from models.gap.estimation.noise_floor_fit import with_floor
+from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.identification import identify
 from models.plant.plant import read_plant
 from models.rig.rig_parameters import read_parameters
@@ -28,15 +28,15 @@ def results(tmp_path_factory):
     rig = read_parameters()
     own = [run_case(rig, TrialCase(Motion(), p, n, 1)) for p in PAYLOADS_KG for n in (1, 2)]
     trials = TrialSet(tuple(own))
-    plant = with_floor(identify(read_plant(), trials).plant, trials.trials)
+    plant = with_noise_floor(identify(read_plant(), trials).plant, trials.trials)
     plant.write(directory / "plant.json")
-    drawn = list(draw(1, NULLS, 0, 0, seed=0))
-    run_all(drawn[:SINGLES] + drawn[-NULLS:], directory / "plant.json", directory / "out")
+    drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
+    run_cases(drawn[:SINGLES] + drawn[-NULLS:], directory / "plant.json", directory / "out")
     return directory / "out"
 
 
 def test_what_is_hidden_is_found_and_nothing_else(results):
-    figures = summarise(results)
+    figures = benchmark_figures(results)
     assert figures["detected"]["share"] == 1.0
     assert figures["class"]["share"] == 1.0
     assert figures["nothing_beside"]["share"] == 1.0
@@ -48,8 +48,8 @@ def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
     files = sorted(results.glob("*.json"))
     assert len(files) == SINGLES + NULLS
     before = {f: f.stat().st_mtime_ns for f in files}
-    drawn = list(draw(1, NULLS, 0, 0, seed=0))
-    run_all(drawn[:SINGLES], Path("no such plant"), results)
+    drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
+    run_cases(drawn[:SINGLES], Path("no such plant"), results)
     assert {f: f.stat().st_mtime_ns for f in files} == before
     kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
     assert sorted(kinds) == ["null", "single", "single"]

@@ -13,7 +13,7 @@ from hil.report.gap.gap_curves import key, robot_curves, unit_curves
 from hil.report.gap.gap_figures import judged_of, same_in_python
 from hil.report.gap.gap_inputs import GapInputs
 from hil.report.report_tables import NO_VALUE, percent
-from models.gap.report.gap_page import lead, sections, short
+from models.gap.report.gap_page import gap_lead, gap_sections, short_signal
 from models.shared.html_page import Section, page_of, panels_of, readable, table_of
 
 HEADINGS: Final = {
@@ -24,7 +24,7 @@ HEADINGS: Final = {
 
 def render_gap(inputs: GapInputs, data: Mapping[str, Any], hidden: Mapping[str, float]) -> str:
     """The whole page as HTML; `data` as `gap_figures.summary` gives it."""
-    *own, others = sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
+    *own, others = gap_sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
     parts = [
         Section(
             "glance", "At a glance", _glance(data),
@@ -37,7 +37,7 @@ def render_gap(inputs: GapInputs, data: Mapping[str, Any], hidden: Mapping[str, 
         others,
         Section("made", "How it was made", _commands(inputs.commands)),
     ]  # fmt: skip
-    opening = lead(inputs.found) + f"<p>{_told(data)}</p>"
+    opening = gap_lead(inputs.found) + f"<p>{_told(data)}</p>"
     return page_of("A hidden effect, from trial to robot", opening, parts)
 
 
@@ -78,7 +78,7 @@ def _unit(inputs: GapInputs, data: Mapping[str, Any]) -> Section:
     units = runs["before"][heaviest_kg]["units"]
     signals = [s for s in runs["before"][heaviest_kg]["rms"] if not s.startswith("predicted_")]
     rows = [
-        [html.escape(short(signal)),
+        [html.escape(short_signal(signal)),
          *(readable(float(np.sqrt(np.mean([r["rms"][signal] ** 2 for r in of.values()]))),
                     units[signal]) for of in runs.values())]
         for signal in signals

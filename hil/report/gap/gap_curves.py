@@ -11,7 +11,7 @@ from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.gap_figures import PART
 from hil.report.gap.gap_inputs import GapInputs
-from models.gap.report.gap_page import short
+from models.gap.report.gap_page import short_signal
 from models.plant.identification.evaluation import TIP
 from models.plant.identification.simulation_fit import measured_signals
 from models.shared import svg_charts
@@ -43,7 +43,8 @@ def unit_curves(inputs: GapInputs, payload_kg: float) -> list[Titled]:
     least = inputs.units.get("without", {}).get(payload_kg)
     return [
         _panel(
-            short(signal), trial.time_s, {v: measured[signal] - rows[v][signal] for v in rows},
+            short_signal(signal), trial.time_s,
+            {v: measured[signal] - rows[v][signal] for v in rows},
             units[signal], least["rms"][signal] if least else None,
         )
         for signal in UNIT_SIGNALS if signal in measured and signal in units
@@ -64,7 +65,9 @@ def robot_curves(inputs: GapInputs, payload_kg: float) -> list[Titled]:
         k = TIP.index(axis)
         series = {"before": before[1][:shared, k], "after": after[1][:shared, k]}
         floor = None if least is None else _rms(least[1][:, k])
-        panels.append(_panel(f"predicted {short(axis)}", before[0][:shared], series, "m", floor))
+        panels.append(
+            _panel(f"predicted {short_signal(axis)}", before[0][:shared], series, "m", floor)
+        )
     return panels
 
 

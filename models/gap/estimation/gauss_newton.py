@@ -26,7 +26,7 @@ CONVERGED: Final = 0.3
 
 
 @dataclass
-class Point:
+class FitPoint:
     """Where the knobs stand, and what is left there.
 
     Attributes
@@ -99,14 +99,14 @@ class GaussNewton:
             for w, r in zip(self.whiteners, rows, strict=True)
         ]
 
-    def at(self, values: Array) -> Point:
+    def at(self, values: Array) -> FitPoint:
         """Cost and residuals at some values."""
         rows = self.problem.residuals(values)
         squares = sum(float(np.sum(w**2)) for w in self.whitened(rows))
         cost = 0.5 * squares + 0.5 * float(self.precision @ values**2)
-        return Point(values, cost if np.isfinite(cost) else np.inf, rows)
+        return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
-    def linearise(self, point: Point) -> Point:
+    def linearise(self, point: FitPoint) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
         if not point.exact:
             _, slopes = self.problem.jacobian(point.values)
@@ -115,14 +115,14 @@ class GaussNewton:
             point.exact = True
         return point
 
-    def _set_slopes(self, point: Point, slopes: list[Array]) -> None:
+    def _set_slopes(self, point: FitPoint, slopes: list[Array]) -> None:
         residual = [w.ravel() for w in self.whitened(point.rows)]
         normal = sum(s.T @ s for s in slopes) + np.diag(self.precision)
         gradient = sum(s.T @ r for s, r in zip(slopes, residual, strict=True))
         point.slopes, point.normal = slopes, np.asarray(normal)
         point.gradient = np.asarray(gradient - self.precision * point.values)
 
-    def carry(self, start: Point, end: Point) -> Point:
+    def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
         """Derivatives at the end of a step: those at its start, put right along the step."""
         if end.exact or end is start:
             return end
@@ -137,7 +137,7 @@ class GaussNewton:
         self._set_slopes(end, slopes)
         return end
 
-    def step(self, point: Point, free: Array) -> tuple[Array, float]:
+    def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
         """Bounded step of the free knobs (zero elsewhere), and the fall of the cost it promises."""
         if not point.slopes:
             self.linearise(point)
@@ -159,7 +159,7 @@ class GaussNewton:
         result[index] = step / size
         return result, promised
 
-    def fit(self, start: Point, free: Array, steps: int = 12, relative: float = 0.0) -> Point:
+    def fit(self, start: FitPoint, free: Array, steps: int = 12, relative: float = 0.0) -> FitPoint:
         """Lower the cost over the free knobs; never returns a higher one.
 
         Where secants promise less than `CONVERGED`, or than a share `relative` of the fall so far,
@@ -179,7 +179,7 @@ class GaussNewton:
                 self.linearise(point)
         return point
 
-    def search(self, point: Point, step: Array) -> Point | None:
+    def search(self, point: FitPoint, step: Array) -> FitPoint | None:
         """First point along a step whose cost is lower; None where there is none."""
         for share in (1.0, 0.5, 0.2, 0.05):
             values = np.clip(point.values + share * step, self.low, self.high)
@@ -188,7 +188,7 @@ class GaussNewton:
                 return self.carry(point, tried)
         return None
 
-    def covariance(self, point: Point, free: Array) -> Array:
+    def covariance(self, point: FitPoint, free: Array) -> Array:
         """Covariance of the free knobs, shape (free, free)."""
         index = np.flatnonzero(free)
         normal = self.linearise(point).normal[np.ix_(index, index)]

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.residuals.residuals import Group
+from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.plant.plant import Plant
 from models.trials.trial import Trial
@@ -36,7 +36,7 @@ class ModelDiscrepancy:
     Attributes
     ----------
     key : str
-        Motion of the trials, as `models.gap.residuals.residuals.Group.key`.
+        Motion of the trials, as `models.gap.residuals.residuals.TrialGroup.key`.
     payload_kg : ndarray, shape (P,)
         Payloads, ascending.
     signals : tuple of str
@@ -50,7 +50,7 @@ class ModelDiscrepancy:
     signals: tuple[str, ...]
     table: Array
 
-    def rows(self, group: Group, trials: Sequence[Trial]) -> Array:
+    def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown."""
         shape = len(group.trials), len(group.signals), group.coefficients
         result = np.zeros((len(self.table), *shape))

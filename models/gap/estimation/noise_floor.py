@@ -25,8 +25,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from models.gap.residuals.residuals import Group
-from models.gap.residuals.spectrum import Array, frequencies_hz, smooth
+from models.gap.residuals.residuals import TrialGroup
+from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.trials.trial import Trial
 
 CARRIED: Final = 0.35
@@ -78,7 +78,7 @@ class NoiseFloor:
     formulation: Mapping[str, Array] = field(default_factory=dict)
 
     def widened(
-        self, groups: Sequence[Group], trials: Sequence[Trial], gap: Sequence[Array]
+        self, groups: Sequence[TrialGroup], trials: Sequence[Trial], gap: Sequence[Array]
     ) -> NoiseFloor:
         """Floor that also allows for an error in the equation of what closes the gap: a share.
 
@@ -92,15 +92,17 @@ class NoiseFloor:
         """
         table: dict[str, list[Array]] = {}
         for group, rows in zip(groups, gap, strict=True):
-            hz = group_hz(group, trials)
+            hz = group_frequencies_hz(group, trials)
             power = FORMULATION**2 * np.mean(rows**2, axis=0)
             for signal, row in zip(group.signals, power, strict=True):
-                table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth(row)))
+                table.setdefault(signal, []).append(
+                    np.interp(self.frequency_hz, hz, smoothed_power(row))
+                )
         return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
 
-    def whitener(self, group: Group, trials: Sequence[Trial]) -> Array:
+    def whitener(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Inverse Cholesky factors, shape (signals, K, trials, trials)."""
-        own, hz = [trials[k] for k in group.trials], group_hz(group, trials)
+        own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
         alike = np.exp(-np.abs(payload[:, None] - payload) / PAYLOAD_REACH_KG)
         known = group.key in self.curves
@@ -122,7 +124,7 @@ class NoiseFloor:
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
 
-    def mean(self, group: Group, trials: Sequence[Trial]) -> Array:
+    def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Error to expect of the plant, shape (trials, signals, K); zero where none is known."""
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known = self.curves.get(group.key, {})
@@ -147,13 +149,13 @@ def _between(at: float, places: Array, table: Array) -> Array:
     return np.asarray((1 - share) * table[above - 1] + share * table[above])
 
 
-def group_hz(group: Group, trials: Sequence[Trial]) -> Array:
+def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
     """Frequencies of the coefficients of a group."""
     first = trials[group.trials[0]]
-    return frequencies_hz(len(first), first.step_s)
+    return coefficient_frequencies_hz(len(first), first.step_s)
 
 
-def first_guess(signals: Sequence[str], scale: Mapping[str, float]) -> NoiseFloor:
+def flat_floor(signals: Sequence[str], scale: Mapping[str, float]) -> NoiseFloor:
     """Flat floor of the given errors, twelve samples counting as one.
 
     docs/sources.md, "Naming a missing effect".
@@ -164,14 +166,17 @@ def first_guess(signals: Sequence[str], scale: Mapping[str, float]) -> NoiseFloo
 
 
 def floor_of_residual(
-    groups: Sequence[Group], trials: Sequence[Trial], rows: Sequence[Array]
+    groups: Sequence[TrialGroup], trials: Sequence[Trial], rows: Sequence[Array]
 ) -> NoiseFloor:
     """Floor that is the smoothed spectrum of a residual."""
-    return learn(groups, trials, rows, repeated=False)
+    return floor_from_residuals(groups, trials, rows, repeated=False)
 
 
-def learn(
-    groups: Sequence[Group], trials: Sequence[Trial], rows: Sequence[Array], repeated: bool = True
+def floor_from_residuals(
+    groups: Sequence[TrialGroup],
+    trials: Sequence[Trial],
+    rows: Sequence[Array],
+    repeated: bool = True,
 ) -> NoiseFloor:
     """Floor from residuals of data without a gap.
 
@@ -184,14 +189,14 @@ def learn(
     repeated : bool
         Whether to tell noise from the model's error by repetitions; without any, all is noise.
     """
-    hz = max((group_hz(g, trials) for g in groups), key=len)
+    hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
     signals = list(dict.fromkeys(s for g in groups for s in g.signals))
     noise: dict[str, list[Array]] = {s: [] for s in signals}
     model: dict[str, list[Array]] = {s: [] for s in signals}
     curves: dict[str, dict[float, dict[str, Array]]] = {}
     repeats = []
     for group, residual in zip(groups, rows, strict=True):
-        own = group_hz(group, trials)
+        own = group_frequencies_hz(group, trials)
         payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
         parts = [residual[payloads == p] for p in np.unique(payloads)]
         within = [np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts if len(p) > 1]
@@ -199,10 +204,10 @@ def learn(
         split = repeated and freedom > 0
         for b, signal in enumerate(group.signals):
             if split:
-                varying = smooth(sum(w[b] for w in within) / freedom)
+                varying = smoothed_power(sum(w[b] for w in within) / freedom)
             else:
-                varying = smooth(np.mean(residual[:, b] ** 2, axis=0))
-            mean_power = smooth(np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0))
+                varying = smoothed_power(np.mean(residual[:, b] ** 2, axis=0))
+            mean_power = smoothed_power(np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0))
             count = len(group.trials) / len(parts)
             repeats.append(count)
             standing = np.maximum(mean_power - varying / count, 0.0) if split else 0 * varying
@@ -222,7 +227,7 @@ def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
     return {signal: np.mean(rows, axis=0) for signal, rows in table.items()}
 
 
-def write(floor: NoiseFloor) -> dict[str, Any]:
+def floor_to_plain(floor: NoiseFloor) -> dict[str, Any]:
     """Plain form of a floor for the plant file: a series of numbers is one string."""
     return {
         "frequency_hz": _text(floor.frequency_hz),
@@ -236,7 +241,7 @@ def write(floor: NoiseFloor) -> dict[str, Any]:
     }
 
 
-def read(document: Mapping[str, Any]) -> NoiseFloor:
+def floor_from_plain(document: Mapping[str, Any]) -> NoiseFloor:
     """Floor from its plain form."""
     return NoiseFloor(
         _row(document["frequency_hz"]),

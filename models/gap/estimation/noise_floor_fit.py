@@ -9,10 +9,16 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from models.gap.estimation.gauss_newton import GaussNewton, Point
-from models.gap.estimation.noise_floor import NoiseFloor, first_guess, learn, read, write
-from models.gap.residuals.fit_parameters import nuisance_knobs, trial_knobs
-from models.gap.residuals.residuals import Residuals, group_key
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.noise_floor import (
+    NoiseFloor,
+    flat_floor,
+    floor_from_plain,
+    floor_from_residuals,
+    floor_to_plain,
+)
+from models.gap.residuals.fit_parameters import nuisance_fit_parameters, trial_fit_parameters
+from models.gap.residuals.residuals import Residuals, trial_group_key
 from models.plant.identification.simulation_fit import SCALE
 from models.plant.plant import Plant
 from models.plant.provenance import FloorRecord
@@ -22,7 +28,7 @@ ROUNDS: Final = 3
 """Times that floor and trial variation are found in turn."""
 
 
-def with_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
+def with_noise_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
     """Plant whose provenance also holds the noise floor of trials that hold no hidden effect.
 
     Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
@@ -31,39 +37,40 @@ def with_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
     floors: dict[str, FloorRecord] = {}
     for dof in sorted({t.meta.dof for t in trials} & {1}):
         own = [t for t in trials if t.meta.dof == dof]
-        conditions = {(group_key(t), t.meta.payload_kg) for t in own}
+        conditions = {(trial_group_key(t), t.meta.payload_kg) for t in own}
         if len(conditions) < len(own):
-            floors[str(dof)] = msgspec.convert(write(learn_floor(plant, own)), FloorRecord)
+            plain = floor_to_plain(measure_noise_floor(plant, own))
+            floors[str(dof)] = msgspec.convert(plain, FloorRecord)
     return replace(plant, provenance=msgspec.structs.replace(plant.provenance, noise_floor=floors))
 
 
-def learn_floor(plant: Plant, trials: Sequence[Trial]) -> NoiseFloor:
+def measure_noise_floor(plant: Plant, trials: Sequence[Trial]) -> NoiseFloor:
     """Floor of trials of one number of joints; of the knobs only trial variation is fitted."""
     dof = trials[0].meta.dof
-    knobs = nuisance_knobs(plant, dof) + trial_knobs(plant, trials)
+    knobs = nuisance_fit_parameters(plant, dof) + trial_fit_parameters(plant, trials)
     problem = Residuals(plant, trials, knobs)
-    floor = guess(problem)
+    floor = guessed_noise_floor(problem)
     free = np.array([k.kind == "trial" for k in knobs])
     for _ in range(ROUNDS):
-        point = fitted(problem, replace(floor, curves={}), free)
-        floor = learn(problem.groups, problem.trials, point.rows)
+        point = fitted_point(problem, replace(floor, curves={}), free)
+        floor = floor_from_residuals(problem.groups, problem.trials, point.rows)
     return floor
 
 
-def guess(problem: Residuals) -> NoiseFloor:
+def guessed_noise_floor(problem: Residuals) -> NoiseFloor:
     """Floor before anything is known of the signals."""
     units = {v.name: v.unit for v in problem.model.outputs}
     signals = list(dict.fromkeys(s for g in problem.groups for s in g.signals))
-    return first_guess(signals, {s: SCALE[units[s]] for s in signals})
+    return flat_floor(signals, {s: SCALE[units[s]] for s in signals})
 
 
-def fitted(problem: Residuals, floor: NoiseFloor, free: Any) -> Point:
+def fitted_point(problem: Residuals, floor: NoiseFloor, free: Any) -> FitPoint:
     """Fit of the free knobs against a floor."""
     estimator = GaussNewton(problem, floor)
     return estimator.fit(estimator.at(np.zeros(len(problem.knobs))), free)
 
 
-def floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
+def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
     """Floor that the plant file carries for a number of joints."""
     record = plant.provenance.noise_floor.get(str(dof))
-    return read(msgspec.to_builtins(record)) if record else None
+    return floor_from_plain(msgspec.to_builtins(record)) if record else None

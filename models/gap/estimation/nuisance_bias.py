@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.gauss_newton import Point
+from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.residuals.fit_parameters import FitParameter
 
 STRAINED: Final = 8.0
@@ -30,14 +30,14 @@ PLACED: Final = ("eccentricity_m", "frame_m", "sync_s")
 nothing hidden, 9 beside a softening that was rightly named."""
 
 
-def strains(knobs: Sequence[FitParameter], point: Point) -> dict[str, float]:
+def nuisance_biases(knobs: Sequence[FitParameter], point: FitPoint) -> dict[str, float]:
     """Sum z by kind of variation, see the module's text.
 
     Parameters
     ----------
     knobs : sequence of FitParameter
         Of the problem.
-    point : Point
+    point : FitPoint
         Fit of the nuisance, with what was named.
     """
     shares: dict[str, list[float]] = {}
@@ -48,6 +48,6 @@ def strains(knobs: Sequence[FitParameter], point: Point) -> dict[str, float]:
     return {kind: float(np.sum(z) / np.sqrt(len(z))) for kind, z in shares.items()}
 
 
-def strained(knobs: Sequence[FitParameter], point: Point) -> dict[str, float]:
+def excessive_nuisance_bias(knobs: Sequence[FitParameter], point: FitPoint) -> dict[str, float]:
     """Those kinds whose z is too large."""
-    return {kind: z for kind, z in strains(knobs, point).items() if abs(z) > STRAINED}
+    return {kind: z for kind, z in nuisance_biases(knobs, point).items() if abs(z) > STRAINED}

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from models.gap.diagnosis import Diagnosis
-from models.gap.estimation.nuisance_bias import strained
-from models.gap.residuals.localisation import as_row, plain, sentence
+from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
+from models.gap.residuals.localisation import as_row, location_sentence, plain
 from models.gap.residuals.spectrum import Array
-from models.gap.search.look_alikes import as_document, look_alikes, separating_motion
+from models.gap.search.look_alikes import as_document, look_alikes_of, separating_motion
 from models.plant.identification.evaluation import compare, signal_errors
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
@@ -20,16 +20,16 @@ SCHEMA = 1
 MOST_CELLS = 40
 
 
-def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
+def gap_document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
     """Content of gap.json."""
     namer, naming = found.namer, found.naming
     cells, left = found.located, found.remaining
-    floor = floor_rms(found)
+    floor = noise_floor_rms(found)
     lost = namer.estimator.problem.lost()
     fit, held_out = trials.split()
     parts = {"fitted": fit, "held_out": held_out} if len(held_out) else {"fitted": fit}
     before, after = (
-        {part: errors(plant, own, floor, lost) for part, own in parts.items()}
+        {part: errors_in_floors(plant, own, floor, lost) for part, own in parts.items()}
         for plant in (found.plant, found.improved)
     )
     return {
@@ -41,23 +41,23 @@ def document(found: Diagnosis, trials: TrialSet) -> dict[str, Any]:
             "signals": floor,
             "dispersion": round(namer.dispersion(naming.before), 4),
         },
-        "strained": strained(namer.knobs, naming.after),
+        "strained": excessive_nuisance_bias(namer.knobs, naming.after),
         "lost_at_row": lost,
-        "sentence": sentence(cells),
+        "sentence": location_sentence(cells),
         "located": [plain(c) for c in cells if c.significant][:MOST_CELLS],
         "map": [as_row(c) for c in cells],
         "named": [_named(found, turn) for turn in range(len(naming.chosen))],
         "before": before,
         "after": after,
         "remaining": {
-            "sentence": sentence(left),
+            "sentence": location_sentence(left),
             "located": [plain(c) for c in left if c.significant][:10],
         },
-        "rejected": rejected(found),
+        "rejected": rejected_effects(found),
     }
 
 
-def floor_rms(found: Diagnosis) -> dict[str, dict[str, float]]:
+def noise_floor_rms(found: Diagnosis) -> dict[str, dict[str, float]]:
     """Noise floor of each signal as root mean squares over the spectrum."""
     floor = found.namer.first.floor
     return {
@@ -71,7 +71,7 @@ def _rms(variance: Array) -> float:
     return float(np.sqrt(np.mean(variance)))
 
 
-def errors(
+def errors_in_floors(
     plant: Any, trials: Sequence[Trial], floor: Any, lost: Mapping[str, int]
 ) -> dict[str, dict[str, float]]:
     """Root mean square of each signal's error, and the same in noise floors.
@@ -94,7 +94,7 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
     """One inclusion: effects, values, evidence, look-alikes."""
     namer, naming = found.namer, found.naming
     chosen = naming.chosen[turn]
-    alike = look_alikes(naming, turn)
+    alike = look_alikes_of(naming, turn)
     constant = [found.constancy[e] for e in chosen.effects if e in found.constancy]
     result: dict[str, Any] = {
         "effect": " + ".join(chosen.effects),
@@ -124,7 +124,7 @@ def _named(found: Diagnosis, turn: int) -> dict[str, Any]:
     return result
 
 
-def rejected(found: Diagnosis) -> list[dict[str, Any]]:
+def rejected_effects(found: Diagnosis) -> list[dict[str, Any]]:
     """Effects that were not named, each with its reason."""
     naming = found.naming
     refitted = {e: c for r in naming.rounds for c in r for e in c.effects}
@@ -154,7 +154,7 @@ def rejected(found: Diagnosis) -> list[dict[str, Any]]:
     return result
 
 
-def lost_in_words(data: Mapping[str, Any]) -> str:
+def goal_not_followed_in_words(data: Mapping[str, Any]) -> str:
     """What of the trials was not used, and why; empty where all was."""
     if not data.get("lost_at_row"):
         return ""
@@ -162,7 +162,7 @@ def lost_in_words(data: Mapping[str, Any]) -> str:
     return f"not used, because the drive gave its all and the joint fell behind: {where}"
 
 
-def strain_in_words(data: Mapping[str, Any]) -> str:
+def nuisance_bias_in_words(data: Mapping[str, Any]) -> str:
     """In what all trials would have to differ alike from the usual; empty if in nothing."""
     kinds = ", ".join(
         f"{kind} by {z:+.0f} standard deviations" for kind, z in data.get("strained", {}).items()
@@ -170,10 +170,12 @@ def strain_in_words(data: Mapping[str, Any]) -> str:
     return kinds and f"every trial would have to differ from the usual in the same way: {kinds}"
 
 
-def in_words(data: dict[str, Any]) -> str:
+def gap_in_words(data: dict[str, Any]) -> str:
     """gap.json for people."""
     lines = [f"verdict: {data['verdict']}", data["sentence"]]
-    lines += [text for text in (lost_in_words(data), strain_in_words(data)) if text]
+    lines += [
+        text for text in (goal_not_followed_in_words(data), nuisance_bias_in_words(data)) if text
+    ]
     for row in data["named"]:
         values = ", ".join(
             f"{name} = {q['value']:.4g} ± {q['error'] or 0:.2g} {q['unit']}"

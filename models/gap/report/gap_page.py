@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from models.gap.report.gap_json import lost_in_words, strain_in_words
-from models.gap.residuals.localisation import spoken
+from models.gap.report.gap_json import goal_not_followed_in_words, nuisance_bias_in_words
+from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare
 from models.plant.plant import Plant
@@ -37,7 +37,7 @@ _SHORT: Final = {
 RIVALS: Final = 8
 
 
-def write_report(
+def write_gap_page(
     data: Mapping[str, Any], before: Plant, after: Plant, trials: TrialSet, path: Path
 ) -> Path:
     """Write the page of a diagnosis.
@@ -53,16 +53,16 @@ def write_report(
     path : Path
         Page to write; returned.
     """
-    text = page_of("The gap between plant and measurement", lead(data),
-                sections(data, before, after, trials))  # fmt: skip
+    text = page_of("The gap between plant and measurement", gap_lead(data),
+                gap_sections(data, before, after, trials))  # fmt: skip
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def lead(data: Mapping[str, Any]) -> str:
+def gap_lead(data: Mapping[str, Any]) -> str:
     """Verdict, where the gap is in one sentence, and what became of the tip."""
     said = html.escape(data["sentence"])
-    for more in (lost_in_words(data), strain_in_words(data)):
+    for more in (goal_not_followed_in_words(data), nuisance_bias_in_words(data)):
         said += f" {html.escape(more[0].upper() + more[1:])}." if more else ""
     off = [_tip_m(data[when]) for when in ("before", "after")]
     if data["named"] and off[0]:
@@ -73,7 +73,7 @@ def lead(data: Mapping[str, Any]) -> str:
     return f'<p class="lead"><b>{_verdict(data)}</b> {said}</p>'
 
 
-def sections(
+def gap_sections(
     data: Mapping[str, Any],
     before: Plant,
     after: Plant,
@@ -145,7 +145,7 @@ def _where(cells: Sequence[Mapping[str, Any]], trials: TrialSet) -> str:
             continue
         levels = sorted({c["level"] for c in own}, key=_order)
         place = {c["level"]: _SHORT.get(c["level"], _plain(c["level"])) for c in own}
-        rows = {c["signal"]: short(c["signal"]) for c in own}
+        rows = {c["signal"]: short_signal(c["signal"]) for c in own}
         drawing = svg_charts.heat_map(
             [rows[s] for s in signals if s in rows], [place[level] for level in levels],
             {(rows[c["signal"]], place[c["level"]]): c["size"] for c in own},
@@ -177,7 +177,7 @@ def _cycle(trial: Trial) -> Array:
     return np.asarray(joint[:: max(1, len(joint) // 80)] / max(float(np.abs(joint).max()), 1e-9))
 
 
-def short(signal: str) -> str:
+def short_signal(signal: str) -> str:
     """A signal in a word or two."""
     stem = signal.rsplit("_", 1)[0]
     return "DI" if signal == "di" else stem.replace("_", " ")
@@ -250,7 +250,7 @@ def _compared(data: Mapping[str, Any], before: Plant, after: Plant, trials: Tria
     part = "held_out" if "held_out" in data["before"] else "fitted"
     rows = [
         [
-            html.escape(spoken(signal)), readable(row["rms"], row["unit"]),
+            html.escape(signal_in_words(signal)), readable(row["rms"], row["unit"]),
             readable(data["after"][part][signal]["rms"], row["unit"]),
             readable(row["rms"] / row["floors"], row["unit"]) if row["floors"] else "",
         ]
@@ -286,5 +286,5 @@ def _residuals(
         floor = factor * row["rms"] / row["floors"] if row["floors"] else None
         drawing = svg_charts.traces(both[0].trial.time_s, named, unit, floor)
         sizes = " → ".join(f"{np.sqrt(np.nanmean(values**2)):.3g}" for _, values in named)
-        panels.append((f"{short(signal)}, {sizes} {unit} RMS", drawing))
+        panels.append((f"{short_signal(signal)}, {sizes} {unit} RMS", drawing))
     return panels

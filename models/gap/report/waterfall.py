@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.diagnosis import Diagnosis, all_knobs
+from models.gap.diagnosis import Diagnosis, all_fit_parameters
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
@@ -53,7 +53,7 @@ def _estimator(found: Diagnosis, trials: Sequence[Trial]) -> GaussNewton:
     catalogue = list(
         dict.fromkeys(k.effect for k in found.namer.knobs if k.effect in found.naming.named)
     )
-    knobs = all_knobs(found.plant, trials, catalogue)
+    knobs = all_fit_parameters(found.plant, trials, catalogue)
     return GaussNewton(Residuals(found.plant, trials, knobs), found.namer.first.floor)
 
 

@@ -73,12 +73,12 @@ class FitParameter:
     effect: str = ""
 
 
-def full_plant(plant: Plant) -> Plant:
+def plant_with_every_effect(plant: Plant) -> Plant:
     """Plant that holds every effect it can; those that it lacked at zero strength."""
-    return plant.with_effects(*candidates(plant))
+    return plant.with_effects(*candidate_effects(plant))
 
 
-def candidates(plant: Plant) -> list[str]:
+def candidate_effects(plant: Plant) -> list[str]:
     """Effects that may be missing: all that a plant of this kind can hold.
 
     Of a plant that is not the link those that it holds already are nuisance: it was identified on
@@ -90,9 +90,9 @@ def candidates(plant: Plant) -> list[str]:
     return [name for name in every if name not in plant.effects]
 
 
-def nuisance_knobs(plant: Plant, dof: int) -> list[FitParameter]:
+def nuisance_fit_parameters(plant: Plant, dof: int) -> list[FitParameter]:
     """Nominal parameters that are refitted before anything counts as missing."""
-    full = full_plant(plant)
+    full = plant_with_every_effect(plant)
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
         return [
@@ -115,13 +115,13 @@ def nuisance_knobs(plant: Plant, dof: int) -> list[FitParameter]:
     return sorted(result, key=lambda k: k.name)
 
 
-def trial_knobs(
+def trial_fit_parameters(
     plant: Plant, trials: Sequence[Trial], spread: Mapping[str, float] = TRIAL_SPREAD
 ) -> list[FitParameter]:
     """What varies from trial to trial, for each trial."""
     if LOADS[plant.load].kind != "link":
         return []
-    full = full_plant(plant)
+    full = plant_with_every_effect(plant)
     result = []
     for k, trial in enumerate(trials):
         own = [full.parameters[n] for n in _owned(full, trial.meta.dof)]
@@ -144,13 +144,13 @@ def trial_knobs(
     return result
 
 
-def effect_knobs(plant: Plant, name: str, dof: int) -> list[FitParameter]:
+def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParameter]:
     """Knobs of one effect: its strength first, then what else of it may be fitted.
 
     A servo's effect is the same in every joint (`models.shared.catalogue`); the bend's may differ
     by plane, and then have a strength each.
     """
-    full = full_plant(plant)
+    full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
     scope = Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[plant.load].suffix))
     declared = [q.name for q in effect.parameters(scope)]
@@ -181,7 +181,7 @@ def effect_knobs(plant: Plant, name: str, dof: int) -> list[FitParameter]:
     return sorted(result, key=lambda k: k.name not in strengths)
 
 
-def parameters_of(knobs: Iterable[FitParameter]) -> list[str]:
+def moved_parameters(knobs: Iterable[FitParameter]) -> list[str]:
     """Every parameter that some knob moves, once."""
     return list(dict.fromkeys(n for k in knobs for n in k.parameters))
 
@@ -200,5 +200,5 @@ def _owned(full: Plant, dof: int) -> list[str]:
 def strength_of(plant: Plant, name: str, dof: int) -> dict[str, Any]:
     """Present value of each strength of an effect."""
     scope = Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[plant.load].suffix))
-    full = full_plant(plant)
+    full = plant_with_every_effect(plant)
     return {n: full.parameters[n].value for n in EFFECTS[name].strengths(scope)}

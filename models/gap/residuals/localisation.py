@@ -15,8 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from models.gap.residuals.residuals import Group
-from models.gap.residuals.spectrum import Array, frequencies_hz, restore
+from models.gap.residuals.residuals import TrialGroup
+from models.gap.residuals.spectrum import (
+    Array,
+    coefficient_frequencies_hz,
+    inverse_cosine_transform,
+)
 from models.trials.trial import Trial
 
 BANDS_HZ: Final = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
@@ -55,8 +59,8 @@ class GapRegion:
     significant: bool = False
 
 
-def locate(
-    groups: Sequence[Group], trials: Sequence[Trial], white: Sequence[Array], seed: int = 0
+def locate_gap(
+    groups: Sequence[TrialGroup], trials: Sequence[Trial], white: Sequence[Array], seed: int = 0
 ) -> list[GapRegion]:
     """Cells of all signals and factors, largest first.
 
@@ -79,14 +83,18 @@ def locate(
         null = _null(rng, pairs, series.shape, round(BLOCK_S / own[0].step_s))
         for b, signal in enumerate(group.signals):
             cells += _cells(signal, series[:, b], masks, null)
-            cells += _bands(signal, rows[:, b], frequencies_hz(len(own[0]), own[0].step_s), rng)
+            cells += _bands(
+                signal, rows[:, b], coefficient_frequencies_hz(len(own[0]), own[0].step_s), rng
+            )
     return sorted(_discover(cells), key=lambda c: (not c.significant, -c.floors))
 
 
 def _series(rows: Array, samples: int) -> Array:
     """Whitened residual in time with unit variance under noise, (trials, signals, n)."""
     scale = np.sqrt(samples / rows.shape[-1])
-    return np.asarray(scale * np.moveaxis(restore(np.moveaxis(rows, -1, 0), samples), 0, -1))
+    return np.asarray(
+        scale * np.moveaxis(inverse_cosine_transform(np.moveaxis(rows, -1, 0), samples), 0, -1)
+    )
 
 
 def _pairs(own: Sequence[Trial], rows: Array, samples: int) -> Array:
@@ -195,7 +203,7 @@ SPOKEN: Final = {
 }  # fmt: skip
 
 
-def sentence(cells: Sequence[GapRegion]) -> str:
+def location_sentence(cells: Sequence[GapRegion]) -> str:
     """Where the gap is, in one sentence."""
     found = [c for c in cells if c.significant]
     if not found:
@@ -209,9 +217,9 @@ def sentence(cells: Sequence[GapRegion]) -> str:
     if abs(top.mean) > 0.5 * top.floors:
         side = " too large" if top.mean > 0 else " too small"
     band = _largest(own, "band")
-    parts = [f"{spoken(top.signal)} is off most {where}"]
+    parts = [f"{signal_in_words(top.signal)} is off most {where}"]
     if side:
-        parts = [f"{spoken(top.signal)} is measured{side} for the plant {where}"]
+        parts = [f"{signal_in_words(top.signal)} is measured{side} for the plant {where}"]
     parts.append(f"{top.floors:.1f} noise floors")
     if band:
         parts.append(f"mostly at {band.level}")
@@ -233,7 +241,7 @@ def _largest(cells: Sequence[GapRegion], factor: str) -> GapRegion | None:
     return max(own, key=lambda c: c.floors) if own else None
 
 
-def spoken(signal: str) -> str:
+def signal_in_words(signal: str) -> str:
     """A signal in words."""
     if signal in SPOKEN:
         return SPOKEN[signal]

@@ -10,8 +10,17 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.gap.residuals.fit_parameters import FitParameter, full_plant, parameters_of
-from models.gap.residuals.spectrum import Array, kept, restore, transform
+from models.gap.residuals.fit_parameters import (
+    FitParameter,
+    moved_parameters,
+    plant_with_every_effect,
+)
+from models.gap.residuals.spectrum import (
+    Array,
+    coefficient_count,
+    cosine_transform,
+    inverse_cosine_transform,
+)
 from models.plant.identification.simulation_fit import measured_signals, weights
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import (
@@ -36,7 +45,7 @@ that share of the largest current."""
 
 
 @dataclass(frozen=True)
-class Group:
+class TrialGroup:
     """Trials of one motion, whose spectra can be compared coefficient by coefficient.
 
     Attributes
@@ -57,7 +66,7 @@ class Group:
     coefficients: int
 
 
-def group_key(trial: Trial) -> str:
+def trial_group_key(trial: Trial) -> str:
     """Condition of a trial apart from payload and repetition."""
     m = trial.meta
     conditions = "".join(f" {name}={value:.5g}" for name, value in sorted(m.conditions.items()))
@@ -81,7 +90,7 @@ class Residuals:
 
     Attributes
     ----------
-    groups : list of Group
+    groups : list of TrialGroup
         By motion.
     model : StepModel
         The twin with every effect.
@@ -94,10 +103,10 @@ class Residuals:
         if len(dofs) != 1:
             raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
         self.plant, self.trials, self.knobs = plant, tuple(trials), tuple(knobs)
-        model = full_plant(plant).step_model(dofs.pop(), "twin")
+        model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         substep_s = SUBSTEP_S if plant.load == "link" else model.max_substep_s
         self.model = replace(model, max_substep_s=substep_s)
-        moved = [n for n in parameters_of(knobs) if n in names(model.parameters)]
+        moved = [n for n in moved_parameters(knobs) if n in names(model.parameters)]
         self._plain = CompiledModel(self.model)
         self._sensitive = CompiledModel(sensitivity(model, moved, substep_s))
         self._outputs = names(model.outputs)
@@ -120,14 +129,14 @@ class Residuals:
         self._high = np.array([v.maximum for v in model.parameters])
         driven = plant.load == "link"
         self._counted = [
-            counted(t, self._follows(k)) if driven else np.ones(len(t))
+            rows_that_follow(t, self._follows(k)) if driven else np.ones(len(t))
             for k, t in enumerate(trials)
         ]
 
-    def _group(self) -> list[Group]:
+    def _group(self) -> list[TrialGroup]:
         found: dict[str, list[int]] = {}
         for k, trial in enumerate(self.trials):
-            found.setdefault(group_key(trial), []).append(k)
+            found.setdefault(trial_group_key(trial), []).append(k)
         result = []
         for key, rows in found.items():
             seen = [
@@ -136,7 +145,11 @@ class Residuals:
                        for k in rows)
             ]  # fmt: skip
             first = self.trials[rows[0]]
-            result.append(Group(key, tuple(rows), tuple(seen), kept(len(first), first.step_s)))
+            result.append(
+                TrialGroup(
+                    key, tuple(rows), tuple(seen), coefficient_count(len(first), first.step_s)
+                )
+            )
         return result
 
     def residuals(self, values: Array) -> list[Array]:
@@ -192,32 +205,34 @@ class Residuals:
         ]
         return y[:, :count] + self._by_output @ (values * self._turns[k]), slopes
 
-    def _spectra(self, g: Group, runs: Sequence[Array]) -> Array:
+    def _spectra(self, g: TrialGroup, runs: Sequence[Array]) -> Array:
         rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
         for a, k in enumerate(g.trials):
             for b, signal in enumerate(g.signals):
                 residual = self._measured[k][signal] - runs[k][:, self._outputs.index(signal)]
-                rows[a, b] = self._coefficients(k, signal, fill(residual))
+                rows[a, b] = self._coefficients(k, signal, interpolate_missing(residual))
         return rows
 
-    def as_counted(self, g: Group, spectra: Array) -> Array:
+    def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
         """Spectra (…, trials, signals, K) of what the counted rows of each trial would hold."""
         result = spectra.copy()
         for a, k in enumerate(g.trials):
             rows, trial = self._counted[k], self.trials[k]
             if not rows.all():
-                curves = restore(np.moveaxis(spectra[..., a, :, :], -1, 0), len(trial))
-                kept_rows = transform((rows * curves.T).T, trial.step_s)
+                curves = inverse_cosine_transform(
+                    np.moveaxis(spectra[..., a, :, :], -1, 0), len(trial)
+                )
+                kept_rows = cosine_transform((rows * curves.T).T, trial.step_s)
                 result[..., a, :, :] = np.moveaxis(kept_rows, 0, -1)
         return result
 
     def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
         trial = self.trials[k]
         weight = self._counted[k] * weights(trial, signal)
-        return transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
+        return cosine_transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
 
 
-def counted(trial: Trial, follows_rad: Array) -> Array:
+def rows_that_follow(trial: Trial, follows_rad: Array) -> Array:
     """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike.
 
     Parameters
@@ -233,7 +248,7 @@ def counted(trial: Trial, follows_rad: Array) -> Array:
     return np.asarray(np.cumsum(lost) == 0, dtype=np.float64)
 
 
-def fill(rows: Array) -> Array:
+def interpolate_missing(rows: Array) -> Array:
     """Rows with what is missing interpolated."""
     seen = np.isfinite(rows)
     if seen.all():

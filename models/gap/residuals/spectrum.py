@@ -20,27 +20,29 @@ LIMIT_HZ: Final = 8.0
 """Highest frequency that is looked at."""
 
 
-def kept(samples: int, step_s: float) -> int:
+def coefficient_count(samples: int, step_s: float) -> int:
     """Number of coefficients of a trial that are looked at."""
     return max(4, min(samples, int(2 * samples * step_s * LIMIT_HZ)))
 
 
-def frequencies_hz(samples: int, step_s: float) -> Array:
+def coefficient_frequencies_hz(samples: int, step_s: float) -> Array:
     """Frequency of each coefficient that is kept, shape (K,)."""
-    return np.arange(kept(samples, step_s)) / (2 * samples * step_s)
+    return np.arange(coefficient_count(samples, step_s)) / (2 * samples * step_s)
 
 
-def transform(rows: Array, step_s: float) -> Array:
+def cosine_transform(rows: Array, step_s: float) -> Array:
     """Coefficients (K, …) of rows (n, …)."""
-    return np.asarray(dct(rows, type=2, norm="ortho", axis=0)[: kept(len(rows), step_s)])
+    return np.asarray(
+        dct(rows, type=2, norm="ortho", axis=0)[: coefficient_count(len(rows), step_s)]
+    )
 
 
-def restore(coefficients: Array, samples: int) -> Array:
+def inverse_cosine_transform(coefficients: Array, samples: int) -> Array:
     """Rows (n, …) of coefficients (K, …)."""
     return np.asarray(idct(coefficients, type=2, norm="ortho", axis=0, n=samples))
 
 
-def smooth(power: Array, width: float = 0.25, least: int = 4) -> Array:
+def smoothed_power(power: Array, width: float = 0.25, least: int = 4) -> Array:
     """Mean of power over neighbouring coefficients, within a share `width` of the frequency.
 
     Parameters

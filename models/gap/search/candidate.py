@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.gauss_newton import Point
+from models.gap.estimation.gauss_newton import FitPoint
 
 ALIKE: Final = 3.0
 """Separation below which two effects cannot be told apart
@@ -19,7 +19,7 @@ class Candidate:
     """A candidate (one effect, or two) and its fit."""
 
     effects: tuple[str, ...]
-    point: Point
+    point: FitPoint
     gain: float
     least: float
     promised: float = 0.0
@@ -38,12 +38,12 @@ class Candidate:
 
 
 @dataclass
-class Naming:
+class SearchResult:
     """What the search found.
 
     Attributes
     ----------
-    before, after : Point
+    before, after : FitPoint
         Fit of nuisance and trial variation alone, and with what was named.
     named : list of str
         In order of inclusion.
@@ -55,8 +55,8 @@ class Naming:
         Effects that these trials could not show at any strength within bounds.
     """
 
-    before: Point
-    after: Point
+    before: FitPoint
+    after: FitPoint
     named: list[str] = field(default_factory=list)
     rounds: list[list[Candidate]] = field(default_factory=list)
     screened: dict[str, float] = field(default_factory=dict)

@@ -14,25 +14,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from models.gap.estimation.gauss_newton import GaussNewton, Point
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.residuals.spectrum import Array
 from models.trials.trial import Trial
 
-Model = tuple[Point, Array]
+FittedModel = tuple[FitPoint, Array]
 """Where a model was fitted, and the knobs that it may turn."""
 
 
-def held_out_gains(estimator: GaussNewton, without: Model, with_: Model) -> Array:
+def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
     """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that."""
     return np.array(
         [
             _held_out_cost(estimator, *without, fold) - _held_out_cost(estimator, *with_, fold)
-            for fold in folds(estimator.problem.trials)
+            for fold in left_out_folds(estimator.problem.trials)
         ]
     )
 
 
-def folds(trials: Sequence[Trial]) -> list[list[int]]:
+def left_out_folds(trials: Sequence[Trial]) -> list[list[int]]:
     """Trials that are left out together."""
     for what in ("payload_kg", "conditions", "motion", "trial"):
         keys = [str(getattr(t.meta, what)) for t in trials]
@@ -41,7 +41,9 @@ def folds(trials: Sequence[Trial]) -> list[list[int]]:
     return [[i] for i in range(len(trials))]
 
 
-def _held_out_cost(estimator: GaussNewton, point: Point, free: Array, fold: Sequence[int]) -> float:
+def _held_out_cost(
+    estimator: GaussNewton, point: FitPoint, free: Array, fold: Sequence[int]
+) -> float:
     """Cost of the trials of a fold when the effects are fitted without them."""
     estimator.linearise(point)
     inside: tuple[list[Array], list[Array]] = ([], [])

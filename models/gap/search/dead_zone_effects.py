@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.gauss_newton import GaussNewton, Point
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import ALIKE
 from models.plant.effects import EFFECTS
@@ -25,8 +25,8 @@ REFINED: Final = 5
 """Times that the ladder is made denser around its best rung."""
 
 
-def unexcited(
-    estimator: GaussNewton, point: Point, base: Array, of: Mapping[str, Array]
+def unexcited_effects(
+    estimator: GaussNewton, point: FitPoint, base: Array, of: Mapping[str, Array]
 ) -> list[str]:
     """Effects whose whole range changes these trials by less than can be told apart.
 
@@ -34,7 +34,7 @@ def unexcited(
     ----------
     estimator : GaussNewton
         Of the trials.
-    point : Point
+    point : FitPoint
         Where nothing is missing but the nuisance.
     base : ndarray of bool, shape (knobs,)
         Knobs of nuisance and trial variation.
@@ -58,14 +58,16 @@ def unexcited(
     return result
 
 
-def ladder(estimator: GaussNewton, here: Point, effect: str, own: Array) -> list[Point]:
+def strength_ladder(
+    estimator: GaussNewton, here: FitPoint, effect: str, own: Array
+) -> list[FitPoint]:
     """Points along the strength of an effect, denser around the best.
 
     Parameters
     ----------
     estimator : GaussNewton
         Of the trials.
-    here : Point
+    here : FitPoint
         Where the other knobs stand.
     effect : str
         Its name.

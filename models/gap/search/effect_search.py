@@ -22,14 +22,14 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.gauss_newton import GaussNewton, Point
-from models.gap.estimation.nuisance_bias import strained
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
-from models.gap.search.candidate import Candidate, Naming
+from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.cross_validation import held_out_gains
-from models.gap.search.dead_zone_effects import ladder, unexcited
-from models.gap.search.null_distribution import null_of
-from models.gap.search.strength_consistency import constancy
+from models.gap.search.dead_zone_effects import strength_ladder, unexcited_effects
+from models.gap.search.null_distribution import null_distribution_of
+from models.gap.search.strength_consistency import strength_consistency_of
 from models.plant.effects import EFFECTS
 
 ROUNDS: Final = 2
@@ -49,7 +49,7 @@ effects such errors were up to 0.25 of the first."""
 AFAR: Final = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
 """Shares of its bounds from which what was chosen is fitted again where much is left."""
 
-Report = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 class EffectSearch:
@@ -66,10 +66,13 @@ class EffectSearch:
     """
 
     def __init__(
-        self, estimator: GaussNewton, catalogue: Sequence[str], report: Report = lambda text: None
+        self,
+        estimator: GaussNewton,
+        catalogue: Sequence[str],
+        report: ReportProgress = lambda text: None,
     ) -> None:
         self.estimator = self.first = estimator
-        self.null = null_of(estimator.problem.plant)
+        self.null = null_distribution_of(estimator.problem.plant)
         self.report = report
         self.knobs = estimator.problem.knobs
         self.base = np.array([k.kind != "effect" for k in self.knobs])
@@ -80,7 +83,7 @@ class EffectSearch:
         }
         self.absent = [e for e in catalogue if e not in self.of]
 
-    def search(self) -> Naming:
+    def search(self) -> SearchResult:
         """Run the whole search."""
         before = zero = self.estimator.at(np.zeros(len(self.knobs)))
         for _ in range(ROUNDS):  # the floor allows for a share of the gap, which depends on it
@@ -89,8 +92,10 @@ class EffectSearch:
         zero = self.estimator.linearise(self.estimator.at(zero.values))
         self.estimator.linearise(before)
         self.report("nuisance fitted")
-        found = Naming(before, before)
-        found.unexcited = self.absent + unexcited(self.estimator, before, self.base, self.of)
+        found = SearchResult(before, before)
+        found.unexcited = self.absent + unexcited_effects(
+            self.estimator, before, self.base, self.of
+        )
         while len(found.named) < MOST:
             here = found.after
             screen = self._screen(here, [zero] if not found.named else [], found)
@@ -117,7 +122,7 @@ class EffectSearch:
         return trial.score + max(trial.promised - trial.gain, 0.0)
 
     def _candidate(
-        self, effects: tuple[str, ...], point: Point, here: Point, promised: float = 0.0
+        self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, promised: float = 0.0
     ) -> Candidate:
         gain = here.cost - point.cost
         return Candidate(effects, point, gain, self.null.least(effects), promised)
@@ -130,7 +135,7 @@ class EffectSearch:
         return free
 
     def _screen(
-        self, here: Point, others: Sequence[Point], found: Naming
+        self, here: FitPoint, others: Sequence[FitPoint], found: SearchResult
     ) -> dict[tuple[str, ...], Candidate]:
         """One simulated step of each effect that is not yet named."""
         result: dict[tuple[str, ...], Candidate] = {}
@@ -143,13 +148,13 @@ class EffectSearch:
                 if start.cost - promised < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
             if effect in found.unexcited and effect not in self.absent:
-                tried += ladder(self.estimator, here, effect, self.of[effect])
+                tried += strength_ladder(self.estimator, here, effect, self.of[effect])
             point = min(tried, key=lambda p: p.cost)
             result[effect,] = self._candidate((effect,), point, here, most)
         self.report(f"{len(result)} effects screened")
         return result
 
-    def _refit(self, trial: Candidate, here: Point, named: Sequence[str]) -> Candidate:
+    def _refit(self, trial: Candidate, here: FitPoint, named: Sequence[str]) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""
         free = self.free([*named, *trial.effects])
         starts = [trial.point]
@@ -164,7 +169,7 @@ class EffectSearch:
         self.report(" + ".join(trial.effects))
         return self._candidate(trial.effects, point, here)
 
-    def _settled(self, choice: Candidate, here: Point, free: Array) -> Point:
+    def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
         """Fit of what was chosen; where much is left, also from strengths far from the search's.
 
         A delay and friction that make up for each other are valleys beside each other, and no step
@@ -185,7 +190,7 @@ class EffectSearch:
         return best if nearest is best else self.estimator.fit(nearest, free, 20)
 
     def _accept(
-        self, refitted: Sequence[Candidate], here: Point, found: Naming
+        self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
     ) -> Candidate | None:
         """Best candidate that passes threshold and cross-validation.
 
@@ -197,10 +202,10 @@ class EffectSearch:
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
         doubted = max(missed, sum((DOUBTED * c.separation) ** 2 for c in linear))
-        hides = strained(self.knobs, here)
+        hides = excessive_nuisance_bias(self.knobs, here)
         for trial in (t for t in refitted if t.score >= refitted[0].score / 2):
             beyond = 2 * trial.gain - max(self.left(trial.point), 1.0) * trial.least**2
-            eases = hides and not strained(self.knobs, trial.point)
+            eases = hides and not excessive_nuisance_bias(self.knobs, trial.point)
             free = self.free([*found.named, *trial.effects])
             if beyond <= (0.0 if eases else missed):
                 continue
@@ -219,7 +224,9 @@ class EffectSearch:
     def _holds(self, trial: Candidate, free: Array) -> bool:
         """Whether each strength of a candidate is the same everywhere."""
         return all(
-            constancy(self.estimator, trial.point, free, self.of[e], EFFECTS[e].port).holds
+            strength_consistency_of(
+                self.estimator, trial.point, free, self.of[e], EFFECTS[e].port
+            ).holds
             for e in trial.effects
         )
 
@@ -227,20 +234,20 @@ class EffectSearch:
     def _missed(chosen: Candidate) -> float:
         return max(NEXT.get(EFFECTS[e].port, 0.1) for e in chosen.effects)
 
-    def left(self, point: Point) -> float:
+    def left(self, point: FitPoint) -> float:
         """Mean squared residual, in noise floors."""
         rows = self.estimator.whitened(point.rows)
         return sum(float(np.sum(w**2)) for w in rows) / sum(w.size for w in rows)
 
-    def dispersion(self, point: Point) -> float:
+    def dispersion(self, point: FitPoint) -> float:
         """The same, at least 1, at most what counts as explained."""
         return float(np.clip(self.left(point), 1.0, self.null.explained))
 
-    def has_gap(self, point: Point) -> bool:
+    def has_gap(self, point: FitPoint) -> bool:
         """Whether more is left than noise explains."""
         return self.left(point) > self.null.explained
 
-    def _pairs(self, here: Point, found: Naming) -> Candidate | None:
+    def _pairs(self, here: FitPoint, found: SearchResult) -> Candidate | None:
         """Best pair of effects, by the linear promise, then refitted."""
         if len(found.named) + 2 > MOST:
             return None
@@ -257,7 +264,7 @@ class EffectSearch:
         refitted.sort(key=lambda t: t.score, reverse=True)
         return self._accept(refitted, here, found)
 
-    def _widen(self, point: Point) -> None:
+    def _widen(self, point: FitPoint) -> None:
         """Allow for an error of a share of the gap that a fit of the nuisance leaves."""
         problem = self.estimator.problem
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
@@ -265,7 +272,7 @@ class EffectSearch:
             problem, self.first.floor.widened(problem.groups, problem.trials, gap)
         )
 
-    def _delete(self, found: Naming) -> None:
+    def _delete(self, found: SearchResult) -> None:
         """Drop what is no longer needed beside what came later."""
         for effect in found.named[:-1]:
             rest = [e for e in found.named if e != effect]

@@ -21,7 +21,7 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import FORMULATION
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
-from models.gap.search.candidate import ALIKE, Candidate, Naming
+from models.gap.search.candidate import ALIKE, Candidate, SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
@@ -39,7 +39,7 @@ SWAPPED_KG: Final = 2.0
 """Payload of the swap, or none where the trials carried more than half of it."""
 
 
-def look_alikes(naming: Naming, turn: int) -> list[Candidate]:
+def look_alikes_of(naming: SearchResult, turn: int) -> list[Candidate]:
     """Candidates that did nearly as well as the one included in a turn.
 
     Where an equation misses a share ε of the gap, the gains of two effects that look alike differ

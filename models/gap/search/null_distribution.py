@@ -56,7 +56,7 @@ class NullDistribution:
         return self.threshold * float(np.sqrt(squares))
 
 
-def null_of(plant: Plant) -> NullDistribution:
+def null_distribution_of(plant: Plant) -> NullDistribution:
     """Null of a plant: as measured for the link, five standard deviations for any other load."""
     if plant.load != "link" or not PATH.exists():
         return NullDistribution()
@@ -64,7 +64,9 @@ def null_of(plant: Plant) -> NullDistribution:
     return NullDistribution(document["threshold"], document["explained"], document["scatter"])
 
 
-def calibrate(separations: Sequence[Mapping[str, float]], left: Sequence[float]) -> dict[str, Any]:
+def calibrated_null_distribution(
+    separations: Sequence[Mapping[str, float]], left: Sequence[float]
+) -> dict[str, Any]:
     """Content of `null_distribution.json`.
 
     Parameters

@@ -21,8 +21,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from models.gap.estimation.gauss_newton import GaussNewton, Point
-from models.gap.residuals.residuals import Group
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
 
 BANDS: Final = 3
@@ -64,8 +64,8 @@ class StrengthConsistency:
         return self.spread <= self.tolerated or self.chance >= CHANCE
 
 
-def constancy(
-    estimator: GaussNewton, point: Point, free: Array, own: Array, port: str
+def strength_consistency_of(
+    estimator: GaussNewton, point: FitPoint, free: Array, own: Array, port: str
 ) -> StrengthConsistency:
     """Constancy of the strength of one effect.
 
@@ -73,7 +73,7 @@ def constancy(
     ----------
     estimator : GaussNewton
         Whose floor allows for errors of the equations.
-    point : Point
+    point : FitPoint
         Common fit.
     free : ndarray of bool, shape (knobs,)
         Knobs that were fitted.
@@ -115,14 +115,14 @@ def _blocks(estimator: GaussNewton, part: Sequence[Array]) -> Iterator[list[Arra
                     yield block
 
 
-def _bands(group: Group) -> list[slice]:
+def _bands(group: TrialGroup) -> list[slice]:
     edges = np.round(np.geomspace(1, group.coefficients, BANDS + 1)).astype(int)
     edges[0] = 0
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
 def _released(
-    estimator: GaussNewton, point: Point, free: Array, blocks: Array
+    estimator: GaussNewton, point: FitPoint, free: Array, blocks: Array
 ) -> tuple[Array, Array]:
     """Scores and information of the blocks' strengths, the common knobs refitted."""
     index = np.flatnonzero(free)

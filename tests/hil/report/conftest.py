@@ -20,7 +20,7 @@ from hil.commands.sil import write_results
 from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
 from models.commands.train import name_tests
-from models.gap.report.gap_json import errors
+from models.gap.report.gap_json import errors_in_floors
 from models.plant.identification.evaluation import evaluation
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
@@ -130,7 +130,7 @@ def diagnosis(before, after, trials):
         }],
         "rejected": [rival],
         "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
-        **{when: {part: errors(plant, own, floor, {})
+        **{when: {part: errors_in_floors(plant, own, floor, {})
                   for part, own in (("fitted", fit), ("held_out", held_out))}
            for when, plant in (("before", before), ("after", after))},
     }  # fmt: skip

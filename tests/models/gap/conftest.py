@@ -7,7 +7,7 @@ import pytest
 
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
-from models.gap.estimation.noise_floor_fit import with_floor
+from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -64,7 +64,7 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
 def plant():
     """Nominal plant with the noise floor of its own trials."""
     nominal = read_plant()
-    return with_floor(nominal, make_trials(nominal, 1).trials)
+    return with_noise_floor(nominal, make_trials(nominal, 1).trials)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import pytest
 
 from models.__main__ import main
 from models.gap.diagnosis import diagnose
-from models.gap.residuals.fit_parameters import candidates
+from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -50,9 +50,9 @@ def swings(plant, seed):
 
 
 def test_a_plant_without_a_measured_current_is_diagnosed(pendulum):
-    full = pendulum.with_effects(*candidates(pendulum))
+    full = pendulum.with_effects(*candidate_effects(pendulum))
     trials = swings(full.with_values({"coulomb_friction_1_nm": 0.05}), 5)
-    others = [e for e in candidates(pendulum) if e not in CONSIDERED]
+    others = [e for e in candidate_effects(pendulum) if e not in CONSIDERED]
     found = diagnose(pendulum, trials, leave_out=others)
     assert found.naming.named == ["coulomb_friction"]
     q = found.improved.parameters["coulomb_friction_1_nm"]
@@ -70,7 +70,7 @@ def test_recordings_of_a_servo_without_a_current_sensor_are_diagnosed(tmp_path, 
             assert main(["import", log, *table, "--out", str(trials)]) == 0
     plant = read_plant(f"{EXAMPLES}/xl330_pendulum.toml")
     kept = (*CONSIDERED, "load_dependent_friction")
-    denied = [a for e in candidates(plant) if e not in kept for a in ("--without", e)]
+    denied = [a for e in candidate_effects(plant) if e not in kept for a in ("--without", e)]
     out = tmp_path / "gap"
     code = main(["gap", str(trials), "--plant", f"{EXAMPLES}/xl330_pendulum.toml",
                  "--out", str(out), *denied])  # fmt: skip

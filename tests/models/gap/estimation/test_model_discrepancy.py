@@ -14,13 +14,17 @@ from models.gap.estimation.model_discrepancy import (
     patterns_of,
 )
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.residuals.residuals import Group, group_key
-from models.gap.residuals.spectrum import kept
-from models.gap.search.null_distribution import LEAST, NullDistribution, calibrate
+from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.residuals.spectrum import coefficient_count
+from models.gap.search.null_distribution import (
+    LEAST,
+    NullDistribution,
+    calibrated_null_distribution,
+)
 from models.plant.plant import read_plant
 
 COUNT, STEP_S = 200, 0.017
-SIZE = kept(COUNT, STEP_S)
+SIZE = coefficient_count(COUNT, STEP_S)
 PAYLOADS_KG = np.array([0.0, 1.0])
 
 
@@ -31,7 +35,7 @@ def trials(make_trial):
 
 @pytest.fixture
 def group(trials):
-    return Group(group_key(trials[0]), (0, 1, 2, 3), ("x",), SIZE)
+    return TrialGroup(trial_group_key(trials[0]), (0, 1, 2, 3), ("x",), SIZE)
 
 
 def planted(rng, links=60, sizes=(30.0, 15.0)):
@@ -56,9 +60,9 @@ def test_rows_follow_the_payload_and_vanish_for_another_motion(trials, group):
     table = np.stack([np.full((1, SIZE), 1.0), np.full((1, SIZE), 3.0)])[None]
     known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), table)
     assert known.rows(group, trials)[0, :, 0, 0].tolist() == [1.0, 1.0, 3.0, 3.0]
-    other = Group("another", group.trials, group.signals, SIZE)
+    other = TrialGroup("another", group.trials, group.signals, SIZE)
     assert not known.rows(other, trials).any()
-    assert not known.rows(Group(group.key, group.trials, ("y",), SIZE), trials).any()
+    assert not known.rows(TrialGroup(group.key, group.trials, ("y",), SIZE), trials).any()
 
 
 @dataclass
@@ -105,7 +109,7 @@ def test_other_loads_have_none_and_the_links_file_holds_the_studys_motion():
 def test_prices_rise_with_what_an_effect_shows_without_a_gap():
     rng = np.random.default_rng(2)
     rows = [{"quiet": abs(q), "loud": 6 * abs(s)} for q, s in rng.standard_normal((400, 2))]
-    found = calibrate(rows, [1.0] * 400)
+    found = calibrated_null_distribution(rows, [1.0] * 400)
     assert found["scatter"]["quiet"] == pytest.approx(1.0, abs=0.1)
     assert found["scatter"]["loud"] == pytest.approx(6.0, rel=0.1)
     assert found["threshold"] == LEAST

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from models.gap.estimation import noise_floor
-from models.gap.estimation.noise_floor_fit import floor_of, with_floor
-from models.gap.residuals.residuals import Group, group_key
-from models.gap.residuals.spectrum import kept, restore, transform
+from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
+from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.residuals.spectrum import (
+    coefficient_count,
+    cosine_transform,
+    inverse_cosine_transform,
+)
 
 COUNT, STEP_S = 512, 0.017
 
@@ -24,13 +28,13 @@ def ar_noise(rng, trials, pole):
 
 def group_of(trials):
     """The only group of trials of one motion with a signal x."""
-    size = kept(COUNT, STEP_S)
-    return Group(group_key(trials[0]), tuple(range(len(trials))), ("x",), size)
+    size = coefficient_count(COUNT, STEP_S)
+    return TrialGroup(trial_group_key(trials[0]), tuple(range(len(trials))), ("x",), size)
 
 
 def spectra(rows):
     """(trials, 1, K)."""
-    return transform(rows.T, STEP_S).T[:, None]
+    return cosine_transform(rows.T, STEP_S).T[:, None]
 
 
 @pytest.fixture
@@ -48,7 +52,7 @@ def trials(make_trial):
 def test_whitened_noise_has_unit_variance_however_slow_it_is(trials, pole):
     rng = np.random.default_rng(3)
     group = group_of(trials)
-    floor = noise_floor.learn([group], trials, [spectra(ar_noise(rng, 8, pole))])
+    floor = noise_floor.floor_from_residuals([group], trials, [spectra(ar_noise(rng, 8, pole))])
     fresh = replace(floor, curves={}, model={"x": np.zeros_like(floor.noise["x"])})
     whitener = fresh.whitener(group, trials)
     white = np.einsum("skij,jsk->isk", whitener, spectra(ar_noise(rng, 8, pole)))
@@ -59,10 +63,12 @@ def test_an_error_that_repeats_is_found_as_the_models(trials):
     rng = np.random.default_rng(4)
     group = group_of(trials)
     error = 3.0 * np.sin(2 * np.pi * 1.0 * STEP_S * np.arange(COUNT))
-    floor = noise_floor.learn([group], trials, [spectra(ar_noise(rng, 8, 0.0) + error)])
+    floor = noise_floor.floor_from_residuals(
+        [group], trials, [spectra(ar_noise(rng, 8, 0.0) + error)]
+    )
     assert np.max(floor.model["x"]) > 20 * np.max(floor.noise["x"])
     mean = floor.mean(group, trials)[0, 0]
-    assert np.std(restore(mean, COUNT) - error) < 0.8
+    assert np.std(inverse_cosine_transform(mean, COUNT) - error) < 0.8
 
 
 def test_repeating_a_trial_does_not_multiply_the_evidence_of_a_shared_error(trials):
@@ -82,16 +88,16 @@ def test_the_plant_file_carries_the_floor(plant, tmp_path):
     from models.plant.plant import read_plant
 
     plant.write(tmp_path / "plant.json")
-    again = floor_of(read_plant(tmp_path / "plant.json"), 1)
-    first = floor_of(plant, 1)
+    again = noise_floor_of(read_plant(tmp_path / "plant.json"), 1)
+    first = noise_floor_of(plant, 1)
     assert again.noise.keys() == first.noise.keys()
     assert np.allclose(again.noise["tip_x_m"], first.noise["tip_x_m"], rtol=1e-3)
     assert again.curves.keys() == first.curves.keys()
-    assert floor_of(plant, 2) is None
+    assert noise_floor_of(plant, 2) is None
 
 
 def test_the_learned_noise_is_that_which_was_put_in(plant):
-    floor = floor_of(plant, 1)
+    floor = noise_floor_of(plant, 1)
     fast = floor.frequency_hz > 4
     assert np.sqrt(np.mean(floor.noise["tip_z_m"][fast])) == pytest.approx(2e-4, rel=0.25)
     assert np.sqrt(np.mean(floor.noise["current_1_a"][fast])) < 0.025
@@ -100,5 +106,5 @@ def test_the_learned_noise_is_that_which_was_put_in(plant):
 def test_trials_without_repetition_leave_no_floor(plant):
     from models.plant.plant import read_plant
 
-    single = with_floor(read_plant(), [])
+    single = with_noise_floor(read_plant(), [])
     assert single.provenance.noise_floor == {}

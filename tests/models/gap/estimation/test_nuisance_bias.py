@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.gauss_newton import Point
-from models.gap.estimation.nuisance_bias import STRAINED, strained, strains
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.estimation.nuisance_bias import STRAINED, excessive_nuisance_bias, nuisance_biases
 from models.gap.residuals.fit_parameters import FitParameter
 
 TRIALS = 6
@@ -19,12 +19,14 @@ SPREAD = np.array([k.spread for k in KNOBS])
 
 
 def point(values):
-    return Point(values, 0.0, [])
+    return FitPoint(values, 0.0, [])
 
 
 def test_chance_is_standard_normal_and_never_strains():
     rng = np.random.default_rng(11)
-    drawn = [strains(KNOBS, point(SPREAD * rng.standard_normal(len(KNOBS)))) for _ in range(400)]
+    drawn = [
+        nuisance_biases(KNOBS, point(SPREAD * rng.standard_normal(len(KNOBS)))) for _ in range(400)
+    ]
     assert set(drawn[0]) == {"eccentricity_m", "frame_m tip_x_m", "sync_s"}, "no nuisance of all"
     every = np.array([list(z.values()) for z in drawn])
     assert abs(every.mean()) < 0.15 and abs(every.std() - 1) < 0.1
@@ -35,6 +37,8 @@ def test_what_all_trials_share_adds_up_and_what_cancels_does_not():
     values = np.zeros(len(KNOBS))
     own = np.array([k.name == "eccentricity_m" for k in KNOBS])
     values[own] = 4 * 0.003
-    assert strained(KNOBS, point(values)) == pytest.approx({"eccentricity_m": 4 * TRIALS**0.5})
+    assert excessive_nuisance_bias(KNOBS, point(values)) == pytest.approx(
+        {"eccentricity_m": 4 * TRIALS**0.5}
+    )
     values[own] *= np.resize([1.0, -1.0], TRIALS)
-    assert not strained(KNOBS, point(values))
+    assert not excessive_nuisance_bias(KNOBS, point(values))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.gap.residuals.localisation import locate, sentence
-from models.gap.residuals.residuals import Group, group_key
-from models.gap.residuals.spectrum import kept, transform
+from models.gap.residuals.localisation import locate_gap, location_sentence
+from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.residuals.spectrum import coefficient_count, cosine_transform
 
 COUNT, STEP_S = 512, 0.017
 
@@ -22,7 +22,12 @@ def trials(make_trial):
 
 def group_of(trials):
     signals = ("angle_1_rad", "tip_x_m")
-    return Group(group_key(trials[0]), tuple(range(len(trials))), signals, kept(COUNT, STEP_S))
+    return TrialGroup(
+        trial_group_key(trials[0]),
+        tuple(range(len(trials))),
+        signals,
+        coefficient_count(COUNT, STEP_S),
+    )
 
 
 def noise(rng, group):
@@ -33,7 +38,8 @@ def test_noise_alone_is_seldom_located(trials):
     group = group_of(trials)
     found = [
         any(
-            c.significant for c in locate([group], trials, [noise(np.random.default_rng(s), group)])
+            c.significant
+            for c in locate_gap([group], trials, [noise(np.random.default_rng(s), group)])
         )
         for s in range(20)
     ]
@@ -47,15 +53,15 @@ def test_a_lag_on_the_return_is_said_so(trials):
     back = (angle > 0.05) & (np.gradient(angle) < 0)
     rows = noise(rng, group)
     for a, trial in enumerate(trials):
-        rows[a, 1] += transform(6.0 * trial.meta.payload_kg * back, STEP_S)
-    cells = locate([group], trials, [rows])
+        rows[a, 1] += cosine_transform(6.0 * trial.meta.payload_kg * back, STEP_S)
+    cells = locate_gap([group], trials, [rows])
     top = next(c for c in cells if c.factor == "stroke")
     assert top.significant
     assert (top.signal, top.level) == ("tip_x_m", "return from positive angles")
-    text = sentence(cells)
+    text = location_sentence(cells)
     assert "return from positive angles" in text
     assert "growing with payload" in text
 
 
 def test_agreement_is_said_so():
-    assert sentence([]) == "Simulation and measurement agree within the noise floor."
+    assert location_sentence([]) == "Simulation and measurement agree within the noise floor."

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from models.gap.diagnosis import diagnose
-from models.gap.report.gap_json import document, errors, in_words
-from models.gap.report.gap_page import write_report
-from models.gap.residuals.fit_parameters import candidates
-from models.gap.residuals.residuals import LOST_RAD, counted
+from models.gap.report.gap_json import errors_in_floors, gap_document, gap_in_words
+from models.gap.report.gap_page import write_gap_page
+from models.gap.residuals.fit_parameters import candidate_effects
+from models.gap.residuals.residuals import LOST_RAD, rows_that_follow
 from models.gap.search.effect_search import NEXT
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
@@ -26,7 +26,7 @@ def hidden(plant, trials_of):
     """Two payloads of the plant with something hidden, never from the floor's own seed."""
 
     def hide(**strengths):
-        full = plant.with_effects(*candidates(plant))
+        full = plant.with_effects(*candidate_effects(plant))
         values = {name: full.parameters[name].value + s for name, s in strengths.items()}
         return trials_of(full.with_values(values), 7, (0.0, 1.0))
 
@@ -34,7 +34,7 @@ def hidden(plant, trials_of):
 
 
 def diagnosed(plant, trials):
-    others = [e for e in candidates(plant) if e not in CONSIDERED]
+    others = [e for e in candidate_effects(plant) if e not in CONSIDERED]
     return diagnose(plant, trials, leave_out=others)
 
 
@@ -94,7 +94,7 @@ def test_no_nested_model_costs_more(late):
 
 def test_gap_json_holds_what_the_contract_names(late, tmp_path):
     found, trials = late
-    data = json.loads(json.dumps(document(found, trials)))
+    data = json.loads(json.dumps(gap_document(found, trials)))
     assert {"verdict", "noise_floor", "located", "named", "before", "after", "rejected"} <= set(
         data
     )
@@ -107,8 +107,8 @@ def test_gap_json_holds_what_the_contract_names(late, tmp_path):
     assert all({"signal", "size"} <= set(row) for row in data["located"])
     assert {row["effect"] for row in data["rejected"]} == set(CONSIDERED) - {"dead_time"}
     assert all(row["reason"] for row in data["rejected"])
-    assert "dead_time" in in_words(data)
-    page = write_report(
+    assert "dead_time" in gap_in_words(data)
+    page = write_gap_page(
         data, found.plant, found.improved, trials, tmp_path / "report.html"
     ).read_text()
     assert page.count("<svg") >= 4
@@ -129,13 +129,13 @@ def test_a_trial_counts_until_its_joint_has_lost_the_goal(trials_of, plant):
     """An arm that falls does so differently each time; what came before still counts."""
     trial = trials_of(plant, 3, (1.0,), 1)[0]
     follows_rad = np.abs(trial.goal_rad - trial.angle_rad).max(axis=0)
-    assert counted(trial, follows_rad).all()
+    assert rows_that_follow(trial, follows_rad).all()
     late = {name: column.copy() for name, column in trial.columns.items()}
     late["angle_1_rad"][150:170] += 2 * (follows_rad[0] + LOST_RAD)
     late["current_1_a"][150:170] = 0.0
-    assert counted(replace(trial, columns=late), follows_rad).all(), "it does not even try"
+    assert rows_that_follow(replace(trial, columns=late), follows_rad).all(), "it does not even try"
     late["current_1_a"][150:170] = -np.abs(trial.current_a).max()
-    rows = counted(replace(trial, columns=late), follows_rad)
+    rows = rows_that_follow(replace(trial, columns=late), follows_rad)
     assert rows[:150].all() and not rows[150:].any()
 
 
@@ -146,13 +146,13 @@ def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden):
     limit_a = plant.parameters["current_limit_1_a"].value
     trials = hidden(current_saturation_1_a=limit_a - 0.7 * current_a)
     found = diagnosed(plant, trials)
-    data = document(found, trials)
+    data = gap_document(found, trials)
     lost = data["lost_at_row"]
     trial = next(t for t in trials if t.name in lost)
     other = {name: column.copy() for name, column in trial.columns.items()}
     other["angle_1_rad"][lost[trial.name] :] += 1.0
     rms = [
-        errors(plant, [t], {}, lost)["angle_1_rad"]["rms"]
+        errors_in_floors(plant, [t], {}, lost)["angle_1_rad"]["rms"]
         for t in (trial, replace(trial, columns=other))
     ]
     assert rms[0] == rms[1], "the fall itself, where no simulation follows, is left out"
@@ -176,14 +176,16 @@ def test_what_hides_in_the_variation_of_the_trials_is_missed(plant, hidden):
     trials = hidden(payload_offset_share=0.06)
     found = diagnosed(plant, trials)
     assert found.verdict == "not in the catalogue"
-    data = document(found, trials)
+    data = gap_document(found, trials)
     assert abs(data["strained"]["eccentricity_m"]) > 8
-    assert "eccentricity_m" in in_words(data)
+    assert "eccentricity_m" in gap_in_words(data)
 
 
 def test_what_eases_such_a_strain_need_not_stand_out_beside_the_first(plant, hidden):
     trials = hidden(hardening_share=1.0, payload_offset_share=0.03)
-    others = [e for e in candidates(plant) if e not in ("stiffness_hardening", "payload_offset")]
+    others = [
+        e for e in candidate_effects(plant) if e not in ("stiffness_hardening", "payload_offset")
+    ]
     naming = diagnose(plant, trials, leave_out=others).naming
     assert naming.named == ["stiffness_hardening", "payload_offset"]
     first, second = naming.chosen

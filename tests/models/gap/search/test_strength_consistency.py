@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from models.gap.diagnosis import all_knobs
+from models.gap.diagnosis import all_fit_parameters
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import floor_of
+from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.residuals.residuals import Residuals
-from models.gap.search.strength_consistency import constancy
+from models.gap.search.strength_consistency import strength_consistency_of
 from models.plant.effects import EFFECTS as CATALOGUE
 
 EFFECTS = ("dead_time", "viscous_friction", "current_bias", "unmodelled_payload")
@@ -21,12 +21,12 @@ def of(plant, trials_of):
         full = plant.with_effects(*EFFECTS)
         value = full.parameters[hidden].value + strength
         trials = trials_of(full.with_values({hidden: value}), seed)
-        problem = Residuals(plant, trials.trials, all_knobs(plant, trials, EFFECTS))
-        estimator = GaussNewton(problem, floor_of(plant, 1))
+        problem = Residuals(plant, trials.trials, all_fit_parameters(plant, trials, EFFECTS))
+        estimator = GaussNewton(problem, noise_floor_of(plant, 1))
         own = np.array([k.effect == named for k in problem.knobs])
         free = own | np.array([k.kind != "effect" for k in problem.knobs])
         point = estimator.fit(estimator.at(np.zeros(len(free))), free)
-        return constancy(estimator, point, free, own, CATALOGUE[named].port)
+        return strength_consistency_of(estimator, point, free, own, CATALOGUE[named].port)
 
     return fitted
 

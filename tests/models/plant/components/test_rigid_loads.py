@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ellipk
 
 from firmware_py.errors import InputError
-from models.gap.residuals.fit_parameters import effect_knobs
+from models.gap.residuals.fit_parameters import effect_fit_parameters
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 
@@ -163,6 +163,8 @@ def test_what_a_document_knows_of_an_effect_holds_once_the_plant_holds_it(plant_
     for known in (read, read_plant(again)):
         freed = known.with_effects("stribeck_friction").parameters["stribeck_load_1"]
         assert (freed.high, freed.role) == (0.4, "effect")
-    knobs = [k.name for k in effect_knobs(read, "stribeck_friction", 1)]
+    knobs = [k.name for k in effect_fit_parameters(read, "stribeck_friction", 1)]
     assert "stribeck_load_1" in knobs
-    assert "stribeck_load_1" not in [k.name for k in effect_knobs(plant, "stribeck_friction", 1)]
+    assert "stribeck_load_1" not in [
+        k.name for k in effect_fit_parameters(plant, "stribeck_friction", 1)
+    ]
