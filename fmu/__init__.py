@@ -1,1 +1,1 @@
-"""FMI export: plant and predictor as co-simulation units."""
+"""FMI export: plant, predictor and observer as co-simulation FMUs."""

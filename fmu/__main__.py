@@ -1,4 +1,4 @@
-"""FMI units: build, check and simulate."""
+"""Commands of the FMI export: build, check and simulate FMUs."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
-    Command("build", "fmu.commands.build", "build a twin, predictor or observer unit"),
-    Command("check", "fmu.commands.check", "validate a unit and its parity with Python"),
-    Command("simulate", "fmu.commands.simulate", "step a unit in FMPy and plot it"),
+    Command("build", "fmu.commands.build", "build a twin, predictor or observer FMU"),
+    Command("check", "fmu.commands.check", "validate an FMU and compare it with the Python model"),
+    Command("simulate", "fmu.commands.simulate", "step an FMU in FMPy and plot the run"),
 )
 
 

@@ -1,4 +1,4 @@
-"""Put the observer unit into a bundle, with golden ticks that the unit did not make itself."""
+"""Observer FMU of a bundle, with golden ticks computed independently of its binary."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import GOLDEN, read_golden, record_golden, verify, write_golden
 from firmware_py.inference.predictor import OnnxPredictor
-from fmu.fmu_builder import build_unit
-from fmu.fmu_models import PLANT, PREDICTOR, Parts
+from fmu.fmu_builder import build_fmu
+from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
 from models.plant.step_model import StepModel, names
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ OBSERVER = "observer.fmu"
 
 
 class ModelEstimator:
-    """`DeformationEstimator` on the interpreted model: the reference for the compiled unit."""
+    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU."""
 
     def __init__(self, model: StepModel) -> None:
         self._model, self._parameters = model, model.parameter_values()
@@ -46,27 +46,37 @@ class ModelEstimator:
         return Estimate(float(di), float(payload_kg))
 
 
-def add_observer(bundle: Path, manifest: Manifest, parts: Parts) -> Path:
-    """Build the observer into a bundle and make it the bundle's estimator.
+def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
+    """Build the observer FMU into a bundle and make it the bundle's estimator.
 
-    The golden ticks keep their motion; their answers are computed anew by the interpreted model,
-    so that the robot's replay proves the binary. The manifest is replaced last, at once.
+    The golden ticks keep their motion. Their expected outputs are recomputed by the interpreted
+    model, so the replay on the robot tests the binary. The manifest is replaced last, atomically.
+
+    Parameters
+    ----------
+    bundle : Path
+        Directory of the bundle.
+    manifest : Manifest
+        Manifest of that bundle.
+    parts : FmuParts
+        Parts of an observer FMU.
 
     Returns
     -------
     Path
-        The unit.
+        The FMU.
 
     Raises
     ------
     InputError
-        If the bundle holds no golden ticks, or the unit does not replay them.
+        If the bundle holds no golden ticks, or the FMU does not reproduce them; if
+        `parts` has no plant.
     """
-    assert parts.plant is not None
-    if parts.plant.sha256() != manifest.plant_sha256:
+    plant = parts.required_plant()
+    if plant.sha256() != manifest.plant_sha256:
         print(
-            f"{bundle}: the predictor was trained with another plant's observer; train it again "
-            "for its best accuracy",
+            f"{bundle}: the predictor was trained with the observer of another plant; train it "
+            "again with this plant for the best accuracy",
             file=sys.stderr,
         )
     model = parts.model()
@@ -75,17 +85,17 @@ def add_observer(bundle: Path, manifest: Manifest, parts: Parts) -> Path:
     golden = record_golden(
         ModelEstimator(model), predictor, motion.angle_rad, motion.current_a, motion.step_s
     )
-    scratch = build_unit(
+    scratch = build_fmu(
         model,
         bundle / f".{OBSERVER}",
         description=parts.description(),
         resources=parts.resources(),
     )
-    with FmuInstance(scratch) as unit:
-        verify(golden, ObserverEstimator(unit, parts.dof), predictor, bundle / OBSERVER)
+    with FmuInstance(scratch) as fmu:
+        verify(golden, ObserverEstimator(fmu, parts.dof), predictor, bundle / OBSERVER)
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
-    parts.plant.write(bundle / PLANT)
-    renewed = {"estimator": "observer", "plant_sha256": parts.plant.sha256()}
+    plant.write(bundle / PLANT)
+    renewed = {"estimator": "observer", "plant_sha256": plant.sha256()}
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
     return bundle / OBSERVER

@@ -1,4 +1,4 @@
-"""A unit in FMPy, the same for FMI 2.0 and FMI 3.0: what check, simulate and the tests step."""
+"""FMUs unpacked and stepped in FMPy, with one interface for FMI 2.0 and FMI 3.0."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from firmware_py.errors import InputError
 Array = NDArray[np.float64]
 
 
-class Archive:
-    """An unpacked unit; a context manager that removes it again.
+class FmuArchive:
+    """An unpacked FMU; a context manager that removes the unpacked files.
 
     Attributes
     ----------
     path, directory : Path
-        The .fmu file, and where its content lies.
+        The .fmu file, and the directory of its unpacked content.
     description : fmpy ModelDescription
         Of FMI 2.0 or 3.0.
 
@@ -46,10 +46,10 @@ class Archive:
         except Exception as error:  # zip, XML and FMPy each raise types of their own
             self.close()
             reason = str(error).strip().splitlines() or ["damaged"]
-            raise InputError(path, f"is no FMI unit ({reason[0]})", remedy) from None
+            raise InputError(path, f"is not an FMU ({reason[0]})", remedy) from None
         if self.description.coSimulation is None or self.description.fmiVersion[0] not in "23":
             self.close()
-            raise InputError(path, "is not an FMI 2.0 or 3.0 unit for Co-Simulation", remedy)
+            raise InputError(path, "is not an FMI 2.0 or 3.0 FMU for Co-Simulation", remedy)
 
     @property
     def fmi(self) -> int:
@@ -57,40 +57,40 @@ class Archive:
         return int(self.description.fmiVersion[0])
 
     def binary(self) -> Path:
-        """Library for Linux on x86-64."""
+        """Path of the library for Linux on x86-64."""
         folder = "linux64" if self.fmi == 2 else "x86_64-linux"
         name = self.description.coSimulation.modelIdentifier
         return self.directory / "binaries" / folder / f"{name}.so"
 
-    def instance(self) -> Instance:
-        """Instantiate; several may live at once."""
-        return Instance(self)
+    def instance(self) -> FmpyInstance:
+        """Instantiate; several instances may exist at once."""
+        return FmpyInstance(self)
 
     def close(self) -> None:
         """Remove the unpacked files."""
         shutil.rmtree(self.directory, ignore_errors=True)
 
-    def __enter__(self) -> Archive:
+    def __enter__(self) -> FmuArchive:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
 
-class Instance:
-    """An instance of a unit; variables by name, truths as 1 and 0.
+class FmpyInstance:
+    """An instance of an FMU; variables by name, Booleans as 1 and 0.
 
     Attributes
     ----------
     fmu : FMU2Slave or FMU3Slave
-        FMPy's object, for calls that have no name here.
+        FMPy's object, for calls that this class does not wrap.
     messages : list of str
-        What the unit has logged.
+        Messages that the FMU has logged.
     time_s : float
-        Where it stands.
+        Current time of the instance.
     """
 
-    def __init__(self, archive: Archive) -> None:
+    def __init__(self, archive: FmuArchive) -> None:
         self.fmi = archive.fmi
         self.messages: list[str] = []
         self.variables = {v.name: v for v in archive.description.modelVariables}
@@ -101,7 +101,7 @@ class Instance:
         self.time_s = 0.0
 
     def _log(self, *arguments: Any) -> None:
-        """Take the message, the last argument in either version."""
+        """Keep the message, the last argument in either version."""
         message = arguments[-1]
         self.messages.append(message.decode() if isinstance(message, bytes) else str(message))
 
@@ -115,7 +115,7 @@ class Instance:
         self.time_s = 0.0
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Set variables; FMPy raises FMICallException where the unit refuses."""
+        """Set variables; FMPy raises FMICallException where the FMU refuses."""
         references = [self.variables[name].valueReference for name in values]
         if references:
             put = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
@@ -125,12 +125,12 @@ class Instance:
         """Return the values of variables, shape (n,)."""
         fetch = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
         values = np.empty(len(names))
-        truths = np.array([self.variables[name].type == "Boolean" for name in names], dtype=bool)
+        booleans = np.array([self.variables[name].type == "Boolean" for name in names], dtype=bool)
         references = np.array([self.variables[name].valueReference for name in names], dtype=int)
-        if truths.any():
-            values[truths] = self.fmu.getBoolean(references[truths].tolist())
-        if not truths.all():
-            values[~truths] = fetch(references[~truths].tolist())
+        if booleans.any():
+            values[booleans] = self.fmu.getBoolean(references[booleans].tolist())
+        if not booleans.all():
+            values[~booleans] = fetch(references[~booleans].tolist())
         return values
 
     def step(self, step_s: float) -> None:
@@ -167,7 +167,7 @@ class Instance:
         """Free the instance."""
         self.fmu.freeInstance()
 
-    def __enter__(self) -> Instance:
+    def __enter__(self) -> FmpyInstance:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,4 +1,4 @@
-"""A run of a unit in FMPy along a motion or a trial."""
+"""Run of an FMU in FMPy along a motion or a trial."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, tip_names
-from fmu.fmpy_instance import Archive, Instance
-from fmu.fmu_models import parts_inside
-from fmu.stimulus import motion_inputs, trial_inputs
+from fmu.fmpy_instance import FmpyInstance, FmuArchive
+from fmu.fmu_models import embedded_parts
+from fmu.stimulus import inputs_from_motion, inputs_from_trial
 from models.plant.step_model import names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
@@ -29,7 +29,7 @@ class FmuRun:
     Attributes
     ----------
     title : str
-        What was run.
+        FMU and source of the inputs.
     time_s : ndarray, shape (n,)
         Time of each row.
     columns : dict of str to ndarray, shape (n,)
@@ -37,7 +37,7 @@ class FmuRun:
     units : dict of str to str
         Unit of each column.
     measured : dict of str to ndarray, shape (n,)
-        The trial's own values of the outputs, where there is a trial.
+        Measured values of the outputs, where the source is a trial.
     """
 
     title: str
@@ -54,21 +54,21 @@ class FmuRun:
         }
 
 
-def simulate(
-    archive: Archive,
+def simulate_fmu(
+    archive: FmuArchive,
     source: Motion | Trial,
     payload_kg: float,
     step_s: float,
     parameters: Mapping[str, float],
 ) -> FmuRun:
-    """Run a unit.
+    """Run an FMU.
 
     Parameters
     ----------
-    archive : Archive
-        The unit.
+    archive : FmuArchive
+        The FMU.
     source : Motion or Trial
-        Where the inputs come from.
+        Source of the inputs.
     payload_kg, step_s : float
         Payload and communication step; a trial has its own.
     parameters : mapping of str to float
@@ -77,17 +77,19 @@ def simulate(
     Raises
     ------
     InputError
-        If the unit is not one of ours, or refuses a parameter.
+        If the FMU is not one of ours, or refuses a parameter.
     """
-    parts = parts_inside(archive.directory / "resources")
+    parts = embedded_parts(archive.directory / "resources")
     if parts is None:
-        raise InputError(archive.path, "does not say what it is", "simulate a unit of ours")
+        raise InputError(
+            archive.path, "carries no parts of ours", "give one that 'python -m fmu build' wrote"
+        )
     model = parts.model()
     inputs, outputs = names(model.inputs), names(model.outputs)
     if isinstance(source, Trial):
-        u, step_s = trial_inputs(parts, model, source), source.step_s
+        u, step_s = inputs_from_trial(parts, model, source), source.step_s
     else:
-        u = motion_inputs(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
+        u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
     # A goal holds over the step that follows it, a measured sample ends the step before it.
     goals = parts.kind == "twin"
     with archive.instance() as instance:
@@ -104,7 +106,7 @@ def simulate(
     )
 
 
-def _set(archive: Archive, instance: Instance, parameters: Mapping[str, float]) -> None:
+def _set(archive: FmuArchive, instance: FmpyInstance, parameters: Mapping[str, float]) -> None:
     for name, value in parameters.items():
         if name not in instance.variables:
             raise InputError(archive.path, f"has no variable {name}", "see its documentation")
@@ -116,7 +118,7 @@ def _set(archive: Archive, instance: Instance, parameters: Mapping[str, float]) 
 
 
 def _measured(trial: Trial, outputs: Sequence[str]) -> dict[str, Array]:
-    """What the trial itself says of the outputs; the predicted tip is held against its tip."""
+    """Measured values of the outputs; the predicted tip is compared with the measured tip."""
     columns = {**trial.columns, DI.name: deformation_index(trial)}
     columns[PAYLOAD.name] = np.full(len(trial), trial.meta.payload_kg)
     for name, predicted in zip(tip_names(), tip_names("predicted_"), strict=True):

@@ -1,4 +1,4 @@
-"""Compile a `StepModel` into an FMI unit: generated C, our wrapper, one binary a platform, a zip.
+"""Builder of FMUs: generated C, the C wrapper, one binary per platform, packed into a zip.
 
 Two builds of the same inputs give the same bytes: the token is a hash of the content, and every
 date is fixed (SOURCE_DATE_EPOCH, or 1980).
@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import fmpy
 
 from fmu.interface import Interface, interface_of
-from fmu.model_description import FmiVersion, describe, document
+from fmu.model_description import FmiVersion, documentation_page, model_description_xml
 from fmu.variables_c import write_variables
 from models.plant.simulation.model_c import write_model
 from models.plant.step_model import StepModel
@@ -32,7 +32,7 @@ HEADERS: Final = Path(fmpy.__file__).parent / "c-code"
 
 
 class Platform(NamedTuple):
-    """Where a binary runs: the compiler's name of it, FMI's two, and the library's suffix."""
+    """Platform of a binary: compiler target, folders in FMI 2.0 and 3.0, suffix of the library."""
 
     target: str
     fmi2: str
@@ -43,13 +43,13 @@ class Platform(NamedTuple):
 PLATFORMS: Final = {
     "x86_64-linux": Platform("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux", ".so"),
 }
-"""Platforms that a unit is built for."""
+"""Platforms that an FMU is built for."""
 
 _EARLIEST_ZIP_S: Final = 315_532_800
 """1980-01-01, the earliest date that a zip can hold."""
 
 
-def build_unit(
+def build_fmu(
     model: StepModel,
     output: Path,
     *,
@@ -58,18 +58,18 @@ def build_unit(
     resources: Mapping[str, bytes] | None = None,
     platforms: Sequence[str] = tuple(PLATFORMS),
 ) -> Path:
-    """Build a unit.
+    """Build an FMU from a step model.
 
     Parameters
     ----------
     model : StepModel
-        What the unit steps.
+        Model that the FMU steps.
     output : Path
-        The .fmu file; replaced at once when it is complete.
+        The .fmu file; replaced atomically when it is complete.
     fmi : {2, 3}
         Version of the standard.
     description : str
-        One sentence for people.
+        One sentence that describes the FMU.
     resources : mapping of str to bytes, optional
         Files to embed under resources/.
     platforms : sequence of str
@@ -88,9 +88,10 @@ def build_unit(
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "fmu_core.c", model_c, variables_c]
+        xml = model_description_xml(interface, fmi, token, description, _generated())
         content = {
-            "modelDescription.xml": describe(interface, fmi, token, description, _generated()),
-            "documentation/index.html": document(interface, description).encode(),
+            "modelDescription.xml": xml,
+            "documentation/index.html": documentation_page(interface, description).encode(),
             "documentation/licenses/license.txt": _licences(),
             **{f"resources/{name}": data for name, data in resources.items()},
         }
@@ -112,8 +113,8 @@ def _token(
     model_c: Path,
     resources: Mapping[str, bytes],
 ) -> str:
-    """A GUID that is a hash of all that the unit consists of."""
-    digest = hashlib.sha256(describe(interface, fmi, "", description, ""))
+    """A GUID that is a hash of everything that the FMU consists of."""
+    digest = hashlib.sha256(model_description_xml(interface, fmi, "", description, ""))
     for path in (model_c, *sorted(WRAPPER.glob("*.[ch]"))):
         digest.update(path.read_bytes())
     for name in sorted(resources):
@@ -123,7 +124,7 @@ def _token(
 
 def _licences() -> bytes:
     notice = (
-        "This unit is licensed as below. Its interface follows the FMI headers\n"
+        "This FMU is licensed as below. Its interface follows the FMI headers\n"
         "(Modelica Association Project FMI, BSD-2-Clause); its equations were written out by\n"
         "CasADi, whose template code is under MIT-0.\n\n"
     )

@@ -1,8 +1,8 @@
-"""Is a unit sound? FMPy's validation, and what that does not look at.
+"""Checks of an FMU: FMPy's validation, and what that validation does not cover.
 
-The binary exports every function of the standard, every number has a unit, a saved state
-continues bit by bit, calls that must be refused are refused, and the unit follows the interpreted
-model that it was built from (it carries the parts) within `PARITY`, fixed and varying steps.
+The binary exports every function of the standard, every number has an SI unit, a saved state
+continues bit by bit, and illegal calls are refused. The FMU carries the parts that it was built
+from: its outputs agree with their interpreted model within `PARITY`, at fixed and varying steps.
 """
 
 from __future__ import annotations
@@ -20,28 +20,35 @@ from fmpy.validation import validate_fmu
 
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
-from fmu.fmpy_instance import Archive, Instance
+from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_builder import HEADERS
-from fmu.fmu_models import Parts
-from fmu.parity import PARITY, Check, onnx_parity, parity, saved_states, step_times_us
-from fmu.stimulus import motion_inputs
+from fmu.fmu_models import FmuParts
+from fmu.parity import (
+    PARITY,
+    FmuCheck,
+    check_onnx_parity,
+    check_saved_states,
+    check_step_parity,
+    step_times_us,
+)
+from fmu.stimulus import inputs_from_motion
 
 PAYLOAD_KG: Final = 1.0
 STEPS: Final = 256
-"""Steps of a parity run: one cycle of the study, both directions."""
+"""Steps of a parity run: one cycle of the study's motion."""
 
 
 @dataclass
-class Report:
-    """What a check found.
+class FmuReport:
+    """Result of the checks of an FMU.
 
     Attributes
     ----------
     path : Path
-        The unit.
+        The FMU.
     fmi : int
         Version of the standard.
-    checks : list of Check
+    checks : list of FmuCheck
         In the order in which they ran.
     parity : dict of str to float
         Largest difference from the interpreted model by output, over fixed and varying steps.
@@ -51,17 +58,17 @@ class Report:
 
     path: Path
     fmi: int
-    checks: list[Check] = field(default_factory=list)
+    checks: list[FmuCheck] = field(default_factory=list)
     parity: dict[str, float] = field(default_factory=dict)
     step_us: dict[str, float] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
-        """Everything holds."""
+        """Whether every check passed."""
         return all(check.passed for check in self.checks)
 
     def data(self) -> dict[str, Any]:
-        """As plain types."""
+        """Return the report as plain types, for --json."""
         return {
             "file": str(self.path),
             "fmi": self.fmi,
@@ -74,7 +81,7 @@ class Report:
         }
 
     def text(self) -> str:
-        """For people."""
+        """Return the report as text."""
         lines = [f"{'ok  ' if c.passed else 'FAIL'} {c.name}: {c.detail}" for c in self.checks]
         times = ", ".join(
             f"{us:.0f} µs {what.replace('_', ' ')}" for what, us in self.step_us.items()
@@ -84,17 +91,17 @@ class Report:
         return "\n".join([*lines, f"{self.path}: {'sound' if self.passed else 'NOT sound'}"])
 
 
-def check_unit(archive: Archive, parts: Parts | None) -> Report:
-    """Check an unpacked unit.
+def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
+    """Check an unpacked FMU.
 
     Parameters
     ----------
-    archive : Archive
-        The unit.
-    parts : Parts or None
-        What it was built from; without them its numbers cannot be judged.
+    archive : FmuArchive
+        The FMU.
+    parts : FmuParts or None
+        What it was built from; without them the parity checks are skipped.
     """
-    report = Report(archive.path, archive.fmi)
+    report = FmuReport(archive.path, archive.fmi)
     report.checks.append(_validation(archive.path))
     report.checks.append(_units(archive))
     report.checks.append(_exports(archive))
@@ -103,15 +110,19 @@ def check_unit(archive: Archive, parts: Parts | None) -> Report:
     report.checks += _refusals(archive)
     if parts is None:
         report.checks.append(
-            Check("parity", True, "not judged: the unit does not carry what it was built from")
+            FmuCheck(
+                "parity",
+                True,
+                "not tested: the FMU does not carry the parts that it was built from",
+            )
         )
         return report
     model = parts.model()
-    u = motion_inputs(parts, model, Motion(dof=parts.dof), PAYLOAD_KG)[:STEPS]
-    report.checks += parity(archive, model, u, report.parity)
-    report.checks.append(saved_states(archive, model, u))
+    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG)[:STEPS]
+    report.checks += check_step_parity(archive, model, u, report.parity)
+    report.checks.append(check_saved_states(archive, model, u))
     if parts.predictor:
-        report.checks.append(onnx_parity(archive, parts, model, u))
+        report.checks.append(check_onnx_parity(archive, parts, model, u))
     report.step_us.update(step_times_us(archive, model, u))
     return report
 
@@ -122,31 +133,31 @@ def exported_functions(fmi: int) -> list[str]:
     return sorted(set(re.findall(rf"fmi{fmi}FullName\((fmi{fmi}\w+)\)", text)))
 
 
-def _validation(path: Path) -> Check:
+def _validation(path: Path) -> FmuCheck:
     problems = [" ".join(p.split()) for p in validate_fmu(str(path))]
-    return Check("fmpy validate", not problems, "; ".join(problems) or "no problem")
+    return FmuCheck("fmpy validate", not problems, "; ".join(problems) or "no problem")
 
 
-def _units(archive: Archive) -> Check:
+def _units(archive: FmuArchive) -> FmuCheck:
     numbers = [v for v in archive.description.modelVariables if v.type in ("Real", "Float64")]
     bare = [v.name for v in numbers if not v.unit]
     detail = "missing on " + ", ".join(bare) if bare else f"on all {len(numbers)} numbers"
-    return Check("units", not bare, detail)
+    return FmuCheck("units", not bare, detail)
 
 
-def _exports(archive: Archive) -> Check:
+def _exports(archive: FmuArchive) -> FmuCheck:
     wanted = exported_functions(archive.fmi)
     try:
         library = ctypes.CDLL(str(archive.binary()))
     except OSError as error:
-        return Check("binary", False, f"does not load ({error})")
+        return FmuCheck("binary", False, f"does not load ({error})")
     missing = [name for name in wanted if not hasattr(library, name)]
-    detail = "misses " + ", ".join(missing) if missing else f"exports all {len(wanted)} functions"
-    return Check("binary", not missing, detail)
+    detail = "lacks " + ", ".join(missing) if missing else f"exports all {len(wanted)} functions"
+    return FmuCheck("binary", not missing, detail)
 
 
-def _refusals(archive: Archive) -> Iterator[Check]:
-    """Each wrong call is refused with a sentence, and the instance lives on."""
+def _refusals(archive: FmuArchive) -> Iterator[FmuCheck]:
+    """Illegal calls are refused with a message, and the instance stays usable."""
     variables = archive.description.modelVariables
     with archive.instance() as instance:
         wrong: list[tuple[str, Any]] = [
@@ -159,7 +170,7 @@ def _refusals(archive: Archive) -> Iterator[Check]:
         bounded = next((v for v in variables if v.causality == "parameter" and v.max), None)
         wrong = [("a step of zero", lambda: instance.step(0.0))]
         if number:
-            wrong.append(("an input that is no number", lambda: instance.set({number: np.nan})))
+            wrong.append(("an input that is not a number", lambda: instance.set({number: np.nan})))
         if output:
             wrong.append(("setting an output", lambda: instance.set({output: 0.0})))
         if bounded:
@@ -169,16 +180,16 @@ def _refusals(archive: Archive) -> Iterator[Check]:
         instance.step(PERIOD_S)
 
 
-def _refused(instance: Instance, wrong: Sequence[tuple[str, Any]]) -> Check:
-    taken = []
+def _refused(instance: FmpyInstance, wrong: Sequence[tuple[str, Any]]) -> FmuCheck:
+    accepted = []
     for what, call in wrong:
         told = len(instance.messages)
         try:
             call()
-            taken.append(what)
+            accepted.append(what)
         except FMICallException:
             if len(instance.messages) == told:
-                taken.append(f"{what} (refused without a sentence)")
+                accepted.append(f"{what} (refused without a message)")
     names_ = ", ".join(what for what, _ in wrong)
-    detail = "takes " + ", ".join(taken) if taken else f"refuses {names_}"
-    return Check("refusals", not taken, detail)
+    detail = "accepts " + ", ".join(accepted) if accepted else f"refuses {names_}"
+    return FmuCheck("refusals", not accepted, detail)

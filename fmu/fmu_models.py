@@ -1,4 +1,4 @@
-"""What the units are: plant, predictor and observer joined into one `StepModel` each.
+"""Models of the three kinds of FMU, each composed into one `StepModel`.
 
 ======== =============================== ====================================================
 kind     inputs                          outputs
@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeVar
+from typing import Final, Literal, NamedTuple
 
 import casadi as ca
 
@@ -26,10 +26,8 @@ from models.plant.step_model import StepModel, Variable, names
 
 Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
-PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "unit.json"
-"""Files that a unit carries in its resources: what it was built from, and its kind and dof."""
-
-_T = TypeVar("_T")
+PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
+"""Files in the resources of an FMU: the parts that it was built from, and its kind and dof."""
 
 DESCRIPTIONS: Final[dict[Kind, str]] = {
     "twin": "Digital twin of the drop-stitch inflatable link with {dof} joint(s): servo and link "
@@ -41,8 +39,8 @@ DESCRIPTIONS: Final[dict[Kind, str]] = {
 }
 
 
-class Parts(NamedTuple):
-    """What a unit is built from.
+class FmuParts(NamedTuple):
+    """Parts that an FMU is built from.
 
     Attributes
     ----------
@@ -62,27 +60,58 @@ class Parts(NamedTuple):
     predictor: Path | None
 
     def model(self) -> StepModel:
-        """Compose the unit's model."""
+        """Compose the FMU's model.
+
+        Raises
+        ------
+        InputError
+            If a part that this kind needs is absent, or the plant lacks a feature of the
+            predictor.
+        """
         if self.kind == "predictor":
-            return _predictor(self.dof, _given(self.predictor))
-        model = _given(self.plant).step_model(self.dof, self.kind)
+            return _predictor(self.dof, self.required_predictor())
+        model = self.required_plant().step_model(self.dof, self.kind)
         if self.kind == "observer":
             return model
-        return _with_predictor(model, self.dof, _given(self.predictor))
+        return _with_predictor(model, self.dof, self.required_predictor())
 
-    def instead(self, plant: Path | None, bundle: Path | None) -> Parts:
-        """Parts with the plant, or the predictor of a bundle, put in the place of their own."""
+    def required_plant(self) -> Plant:
+        """Return the plant.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if self.plant is None:
+            raise InputError(f"{self.kind} FMU", "has no plant", "build it with --plant")
+        return self.plant
+
+    def required_predictor(self) -> Path:
+        """Return the path of the ONNX file.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if self.predictor is None:
+            raise InputError(f"{self.kind} FMU", "has no predictor", "build it from a bundle")
+        return self.predictor
+
+    def replaced_by(self, plant: Path | None, bundle: Path | None) -> FmuParts:
+        """Return these parts with another plant, or with the predictor of another bundle."""
         return self._replace(
             plant=read_plant(plant) if plant and self.plant else self.plant,
             predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
         )
 
     def description(self) -> str:
-        """One sentence for people."""
+        """Return one sentence that describes the FMU."""
         return DESCRIPTIONS[self.kind].format(dof=self.dof)
 
     def resources(self) -> dict[str, bytes]:
-        """Files that the unit carries, so that it can be checked without anything else."""
+        """Return the files to embed, by name; with them the FMU can be checked by itself."""
         files = {CARD: json.dumps({"kind": self.kind, "dof": self.dof}).encode()}
         if self.plant:
             files[PLANT] = json.dumps(self.plant.document(), indent=1).encode()
@@ -91,24 +120,26 @@ class Parts(NamedTuple):
         return files
 
 
-def parts_of(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> Parts:
-    """Find the parts of a unit in a directory: a bundle, or the resources of a unit.
+def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> FmuParts:
+    """Read the parts of an FMU from a directory: a bundle, or the resources of an FMU.
 
     Parameters
     ----------
-    kind, dof
-        As in `Parts`.
+    kind : str
+        "twin", "predictor" or "observer".
+    dof : int
+        Number of joints.
     directory : Path
-        Where predictor.onnx and plant.json lie.
+        Directory of predictor.onnx and plant.json.
     plant : Path, optional
-        Another plant document.
+        Plant document to use in place of that directory's plant.json.
 
     Raises
     ------
     InputError
         If a file is missing or cannot be used.
     """
-    return Parts(
+    return FmuParts(
         kind,
         dof,
         None if kind == "predictor" else read_plant(plant or directory / PLANT),
@@ -116,23 +147,18 @@ def parts_of(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -
     )
 
 
-def parts_inside(resources: Path) -> Parts | None:
-    """Parts that an unpacked unit carries; None where it is not one of ours."""
+def embedded_parts(resources: Path) -> FmuParts | None:
+    """Return the parts that an unpacked FMU carries; None where it is not one of ours."""
     try:
         card = json.loads((resources / CARD).read_bytes())
         kind, dof = card["kind"], int(card["dof"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return parts_of(kind, dof, resources) if kind in KINDS else None
-
-
-def _given(part: _T | None) -> _T:
-    assert part is not None, "parts_of gives each kind what it needs"
-    return part
+    return read_parts(kind, dof, resources) if kind in KINDS else None
 
 
 def _variables(*names: str) -> tuple[Variable, ...]:
-    """Variables of these names as the table of signals has them."""
+    """Variables of these names, as the signal table defines them."""
     table = {s.name: s for s in tick_signals(dof=2)}
     return tuple(Variable(name, table[name].unit, 0.0, table[name].description) for name in names)
 
@@ -140,17 +166,17 @@ def _variables(*names: str) -> tuple[Variable, ...]:
 _OUTPUTS: Final = _variables(
     *tip_names("predicted_"), IN_RANGE.name, *(f"half_width_{axis}_m" for axis in "xyz")
 )
-"""What the predictor answers."""
+"""Outputs of the predictor."""
 
 
-def _answers(path: Path, features: ca.MX) -> ca.MX:
-    """Answers of the graph, stacked in the order of `_OUTPUTS`."""
-    answers = predictor_function(path)(features=features)
-    return ca.vertcat(answers["tip_m"], answers["in_range"], answers["half_width_m"])
+def _predictions(path: Path, features: ca.MX) -> ca.MX:
+    """Outputs of the ONNX graph, stacked in the order of `_OUTPUTS`."""
+    values = predictor_function(path)(features=features)
+    return ca.vertcat(values["tip_m"], values["in_range"], values["half_width_m"])
 
 
 def _predictor(dof: int, path: Path) -> StepModel:
-    """The predictor alone: no states, the outputs follow the inputs at once."""
+    """The predictor alone: no states, direct feedthrough."""
     inputs = _variables(*feature_names(dof))
     x, u, p, h = ca.MX.sym("x", 0), ca.MX.sym("u", len(inputs)), ca.MX.sym("p", 0), ca.MX.sym("h")
     stay = ca.Function("stay", [x, u, p, h], [x])
@@ -164,13 +190,13 @@ def _predictor(dof: int, path: Path) -> StepModel:
         begin=stay,
         flow=stay,
         finish=stay,
-        output=ca.Function("output", [x, u, p], [_answers(path, u)]),
+        output=ca.Function("output", [x, u, p], [_predictions(path, u)]),
         max_substep_s=1.0,
     )
 
 
 def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
-    """The plant with the predictor's answers to its angles, currents and DI beside its outputs."""
+    """The plant, with the predictor's outputs for its angles, currents and DI added to its own."""
     x, u, p = (
         ca.MX.sym(name, len(group))
         for name, group in (("x", plant.states), ("u", plant.inputs), ("p", plant.parameters))
@@ -178,10 +204,11 @@ def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
     missing = set(feature_names(dof)) - set(names(plant.outputs))
     if missing:
         raise InputError(
-            f"plant of {plant.name}", f"gives no {sorted(missing)[0]}, which the predictor takes",
+            f"plant of {plant.name}",
+            f"has no output {sorted(missing)[0]}, which the predictor needs",
             "choose a plant of the link",
         )  # fmt: skip
     y = plant.output(x, u, p)
     rows = [names(plant.outputs).index(name) for name in feature_names(dof)]
-    output = ca.Function("output", [x, u, p], [ca.vertcat(y, _answers(path, y[rows]))])
+    output = ca.Function("output", [x, u, p], [ca.vertcat(y, _predictions(path, y[rows]))])
     return replace(plant, outputs=(*plant.outputs, *_OUTPUTS), output=output)

@@ -1,7 +1,7 @@
-"""The variable table of a unit: the one source for its C, its XML, its documents and its tests.
+"""Variable table of an FMU: the one source of its C, its XML, its documentation and its tests.
 
-Value references number the variables through: time, inputs, parameters, outputs. A parameter of
-the model stands under `parameters.NAME`.
+Value references number the variables in this order: time, inputs, parameters, outputs. A parameter
+of the model is named `parameters.NAME`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _VARIABILITY = {"parameter": "tunable"}
 
 @dataclass(frozen=True)
 class FmiVariable:
-    """One scalar variable of a unit.
+    """Scalar variable of an FMU.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class FmiVariable:
     type : str
         "Float64" or "Boolean" (FMI 3.0 names).
     name, unit, start, minimum, maximum, nominal, description
-        As in `models.plant.step_model.Variable`, of which this is the outside.
+        As in `models.plant.step_model.Variable`, from which it is made.
     """
 
     reference: int
@@ -63,7 +63,7 @@ class FmiVariable:
 
 @dataclass(frozen=True)
 class Interface:
-    """What a unit shows to the outside.
+    """External interface of an FMU.
 
     Attributes
     ----------
@@ -72,8 +72,8 @@ class Interface:
     variables : tuple of FmiVariable
         The index is the value reference.
     dependencies, initial_dependencies : dict of int to tuple of int
-        For each output the references of the inputs and parameters that it follows directly, at a
-        communication point and in initialization.
+        For each output the references of the inputs and parameters on which it depends directly,
+        at a communication point and in initialization mode.
     """
 
     name: str
@@ -87,12 +87,18 @@ class Interface:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Every unit in use, sorted."""
+        """Every SI unit in use, sorted."""
         return tuple(sorted({v.unit for v in self.variables if v.type == "Float64"}))
 
 
 def interface_of(model: StepModel) -> Interface:
-    """Derive the variable table and the dependencies of a model."""
+    """Derive the variable table and the dependencies of a model.
+
+    Parameters
+    ----------
+    model : StepModel
+        Its name becomes the model identifier.
+    """
     time = Variable(signals.TIME.name.removesuffix("_s"), "s", description="simulation time")
     parameters = [Variable(**{**vars(v), "name": f"parameters.{v.name}"}) for v in model.parameters]
     groups: tuple[tuple[Causality, Sequence[Variable]], ...] = (
@@ -125,7 +131,7 @@ def _number(groups: Sequence[tuple[Causality, Sequence[Variable]]]) -> Iterator[
 
 
 def _first(variables: Sequence[FmiVariable], causality: Causality) -> int:
-    """First reference of a causality; where it has none, where it would begin."""
+    """First reference of a causality; if it has no variables, the reference of the next one."""
     order = ("independent", "input", "parameter", "output")
     return sum(order.index(v.causality) < order.index(causality) for v in variables)
 
@@ -149,7 +155,7 @@ def _dependencies(
     return {output: tuple(sorted(known)) for output, known in found.items()}
 
 
-def bounds(variable: FmiVariable) -> dict[str, float]:
-    """The finite ones among minimum and maximum, under their FMI names."""
+def finite_bounds(variable: FmiVariable) -> dict[str, float]:
+    """Return the finite bounds of a variable by their FMI names, "min" and "max"."""
     pair = {"min": variable.minimum, "max": variable.maximum}
     return {name: value for name, value in pair.items() if math.isfinite(value)}

@@ -1,4 +1,4 @@
-"""modelDescription.xml of a unit for FMI 2.0 and FMI 3.0, and the page of documentation."""
+"""Model description (modelDescription.xml) and documentation page of an FMU."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Literal
 from xml.etree import ElementTree as ET
 
 from firmware_py.signals import PERIOD_S
-from fmu.interface import FmiVariable, Interface, bounds
+from fmu.interface import FmiVariable, Interface, finite_bounds
 from fmu.si_units import DISPLAY_UNITS, base_exponents
 
 FmiVersion = Literal[2, 3]
 
 STOP_TIME_S = 2 * 256 * PERIOD_S
-"""Two cycles of the study's motion (paper, section IV-A)."""
+"""Default stop time: two cycles of the study's motion (paper, section IV-A)."""
 
 
-def describe(
+def model_description_xml(
     interface: Interface, fmi: FmiVersion, token: str, description: str, generated: str
 ) -> bytes:
-    """Write the model description.
+    """Write modelDescription.xml for FMI 2.0 or FMI 3.0.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def describe(
     token : str
         GUID (FMI 2.0) or instantiation token (FMI 3.0).
     description : str
-        One sentence on the unit.
+        One sentence that describes the FMU.
     generated : str
         Date and time, like "2026-11-21T00:00:00Z".
 
@@ -126,7 +126,7 @@ def _values(variable: FmiVariable) -> dict[str, str]:
         attributes["unit"] = variable.unit
         if variable.unit in DISPLAY_UNITS:
             attributes["displayUnit"] = DISPLAY_UNITS[variable.unit].name
-        attributes.update({name: repr(value) for name, value in bounds(variable).items()})
+        attributes.update({name: repr(value) for name, value in finite_bounds(variable).items()})
         if variable.causality != "independent":
             attributes["nominal"] = repr(variable.nominal)
     if variable.causality in ("input", "parameter"):
@@ -177,8 +177,16 @@ def _list(numbers: list[int]) -> str:
     return " ".join(map(str, numbers))
 
 
-def document(interface: Interface, description: str) -> str:
-    """Write documentation/index.html: what the unit is and the table of its variables."""
+def documentation_page(interface: Interface, description: str) -> str:
+    """Write documentation/index.html: the description and the table of variables.
+
+    Parameters
+    ----------
+    interface : Interface
+        Variables.
+    description : str
+        One sentence that describes the FMU.
+    """
     rows = "\n".join(
         "<tr>"
         + "".join(
@@ -194,18 +202,18 @@ def document(interface: Interface, description: str) -> str:
 td,th{{text-align:left;padding:.1em .8em .1em 0;border-bottom:1px solid #ddd}}</style></head>
 <body><h1>{interface.name}</h1>
 <p>{html.escape(description)}</p>
-<p>Co-Simulation, any communication step; outputs follow inputs and parameters that are set
-between two steps at once. A call that is refused leaves the instance as it was and logs one
-sentence under <code>logStatusError</code>. The plant and the predictor that the unit was built
-from lie in <code>resources/</code>.</p>
-<table><tr><th>Variable</th><th>Causality</th><th>Unit</th><th>Range</th><th>Meaning</th></tr>
+<p>Co-Simulation with any communication step size. A value that is set between two steps acts on
+the outputs immediately. A refused call leaves the instance unchanged and logs one message under
+<code>logStatusError</code>. The folder <code>resources/</code> holds the plant and the predictor
+that the FMU was built from.</p>
+<table><tr><th>Variable</th><th>Causality</th><th>Unit</th><th>Range</th><th>Description</th></tr>
 {rows}
 </table></body></html>
 """
 
 
 def _range(variable: FmiVariable) -> str:
-    limits = bounds(variable)
+    limits = finite_bounds(variable)
     if not limits:
         return ""
     return f"{limits.get('min', '')} … {limits.get('max', '')}"

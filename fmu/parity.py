@@ -1,4 +1,4 @@
-"""The numbers of a unit against the interpreted model and against onnxruntime."""
+"""Parity of an FMU's outputs with the interpreted model and with onnxruntime."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.signals import IN_RANGE, PERIOD_S, feature_names, tip_names
-from fmu.fmpy_instance import Archive, Instance
-from fmu.fmu_models import Parts
+from fmu.fmpy_instance import FmpyInstance, FmuArchive
+from fmu.fmu_models import FmuParts
 from models.plant.step_model import StepModel, names
 
 Array = NDArray[np.float64]
@@ -21,8 +21,8 @@ PARITY: Final = 1e-9
 """Largest difference from the interpreted model, in the unit of each output."""
 
 
-class Check(NamedTuple):
-    """One thing looked at: what, whether it holds, and what was found."""
+class FmuCheck(NamedTuple):
+    """Result of one check: name, whether it passed, and detail."""
 
     name: str
     passed: bool
@@ -30,13 +30,13 @@ class Check(NamedTuple):
 
 
 def varying_steps_s(count: int) -> Array:
-    """Communication steps from a fifth of the period to twice of it, without pattern."""
+    """Return communication steps of 0.2 to 2 periods, in a quasi-random order, shape (count,)."""
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     return np.asarray(PERIOD_S * (0.2 + 1.8 * ((np.arange(count) * golden) % 1.0)))
 
 
 def _simulate(model: StepModel, u: Array, steps_s: Array) -> Array:
-    """Outputs of the interpreted model, steps of any length."""
+    """Outputs of the interpreted model for steps of any length, shape (n + 1, outputs)."""
     p = model.parameter_values()
     x = np.asarray(model.initial(u[0], p)).ravel()
     rows = [np.asarray(model.output(x, u[0], p)).ravel()]
@@ -46,10 +46,22 @@ def _simulate(model: StepModel, u: Array, steps_s: Array) -> Array:
     return np.array(rows)
 
 
-def parity(
-    archive: Archive, model: StepModel, u: Array, found: dict[str, float]
-) -> Iterator[Check]:
-    """Compare runs with fixed and varying steps; `found` takes the worst difference by output."""
+def check_step_parity(
+    archive: FmuArchive, model: StepModel, u: Array, found: dict[str, float]
+) -> Iterator[FmuCheck]:
+    """Compare runs with fixed and varying steps with the interpreted model.
+
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    model : StepModel
+        Model that it was built from.
+    u : ndarray, shape (n, inputs)
+        Row k drives step k.
+    found : dict of str to float
+        Receives the largest difference by output.
+    """
     inputs, outputs = names(model.inputs), names(model.outputs)
     runs = {"fixed": np.full(len(u), PERIOD_S), "varying": varying_steps_s(len(u))}
     for kind, steps_s in runs.items():
@@ -60,17 +72,33 @@ def parity(
             found[name] = max(found.get(name, 0.0), float(value))
         name, value = max(zip(outputs, worst, strict=True), key=lambda pair: pair[1])
         detail = f"{value:.1e} at most ({name}), {len(u)} steps"
-        yield Check(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
+        yield FmuCheck(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
 
 
-def onnx_parity(archive: Archive, parts: Parts, model: StepModel, u: Array) -> Check:
-    """The unit's prediction against onnxruntime on the unit's own features."""
-    assert parts.predictor is not None
+def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u: Array) -> FmuCheck:
+    """Compare the FMU's prediction with onnxruntime's on the same features.
+
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    parts : FmuParts
+        Its parts, with a predictor.
+    model : StepModel
+        Model that it was built from.
+    u : ndarray, shape (n, inputs)
+        Row k drives step k.
+
+    Raises
+    ------
+    InputError
+        If the parts have no predictor.
+    """
     wanted = [*tip_names("predicted_"), IN_RANGE.name]
     features = feature_names(parts.dof)
     with archive.instance() as instance:
         y = instance.run(names(model.inputs), u, np.full(len(u), PERIOD_S), (*features, *wanted))
-    predictor = OnnxPredictor(parts.predictor, parts.dof)
+    predictor = OnnxPredictor(parts.required_predictor(), parts.dof)
     worst = 0.0
     for row in y[1:]:
         angle_rad, current_a, di = (
@@ -81,11 +109,24 @@ def onnx_parity(archive: Archive, parts: Parts, model: StepModel, u: Array) -> C
         answer = predictor.predict(angle_rad, current_a, float(di))
         expected = [*answer.tip_m, answer.in_range]
         worst = max(worst, float(np.abs(row[2 * parts.dof + 1 :] - expected).max()))
-    return Check("parity with onnxruntime", worst <= PARITY, f"{worst:.1e} at most")
+    return FmuCheck("parity with onnxruntime", worst <= PARITY, f"{worst:.1e} at most")
 
 
-def saved_states(archive: Archive, model: StepModel, u: Array) -> Check:
-    """Save half way; go on; go on again from the saved state here and, as bytes, elsewhere."""
+def check_saved_states(archive: FmuArchive, model: StepModel, u: Array) -> FmuCheck:
+    """Compare runs continued from a saved state.
+
+    The state is saved half way. The run continues from there, again after the state is restored,
+    and in a second instance from the serialised state.
+
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    model : StepModel
+        Model that it was built from.
+    u : ndarray, shape (n, inputs)
+        Row k drives step k.
+    """
     inputs, outputs = names(model.inputs), names(model.outputs)
     half = len(u) // 2
     with archive.instance() as first, archive.instance() as second:
@@ -103,10 +144,12 @@ def saved_states(archive: Archive, model: StepModel, u: Array) -> Check:
         runs.append(_continue(second, inputs, u[half:], outputs))
     same = all(np.array_equal(run, runs[0]) for run in runs)
     detail = "restored and deserialized runs are bit-identical" if same else "runs differ"
-    return Check("state", same, f"{detail}, {len(data)} bytes")
+    return FmuCheck("state", same, f"{detail}, {len(data)} bytes")
 
 
-def _continue(instance: Instance, inputs: Sequence[str], u: Array, outputs: Sequence[str]) -> Array:
+def _continue(
+    instance: FmpyInstance, inputs: Sequence[str], u: Array, outputs: Sequence[str]
+) -> Array:
     rows = []
     for row in u:
         instance.set(dict(zip(inputs, row, strict=True)))
@@ -115,8 +158,8 @@ def _continue(instance: Instance, inputs: Sequence[str], u: Array, outputs: Sequ
     return np.array(rows)
 
 
-def step_times_us(archive: Archive, model: StepModel, u: Array) -> dict[str, float]:
-    """Median time of a step in FMPy: bare, and with all inputs set and all outputs got."""
+def step_times_us(archive: FmuArchive, model: StepModel, u: Array) -> dict[str, float]:
+    """Median time of a step in FMPy in µs: bare, and with all inputs set and all outputs read."""
     inputs, outputs = names(model.inputs), names(model.outputs)
     bare, whole = [], []
     with archive.instance() as instance:

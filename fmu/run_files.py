@@ -1,4 +1,4 @@
-"""Write and draw a run of a unit."""
+"""Files of a run of an FMU: the table and the plot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fmu.fmpy_run import FmuRun
 from fmu.si_units import DISPLAY_UNITS, DisplayUnit
 
 
-def write_csv(result: FmuRun, path: Path) -> None:
-    """Write time, inputs and outputs, SI units, one row a step."""
+def write_run(result: FmuRun, path: Path) -> None:
+    """Write time, inputs and outputs as CSV in SI units, one row per step."""
     columns = [result.time_s, *result.columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -24,8 +24,8 @@ def write_csv(result: FmuRun, path: Path) -> None:
         writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
 
 
-def draw(result: FmuRun, path: Path) -> None:
-    """Draw one panel for each quantity; the trial, where there is one, dashed behind."""
+def draw_run(result: FmuRun, path: Path) -> None:
+    """Plot a run, one panel per quantity; the values of the trial, if any, are dashed."""
     panels: dict[tuple[str, str], list[str]] = {}
     for name in result.columns:
         panels.setdefault((_quantity(name), result.units[name]), []).append(name)
@@ -39,7 +39,9 @@ def draw(result: FmuRun, path: Path) -> None:
             (line,) = axis.plot(
                 result.time_s, shown.factor * result.columns[name], lw=1.0, label=name
             )
-            if name in result.measured and not name.startswith("predicted_"):  # drawn once
+            if name in result.measured and not name.startswith(
+                "predicted_"
+            ):  # the tip's own panel shows it
                 axis.plot(
                     result.time_s, shown.factor * result.measured[name], "--", lw=1.0,
                     color=line.get_color(), alpha=0.5, label=f"{name}, trial",
@@ -54,7 +56,7 @@ def draw(result: FmuRun, path: Path) -> None:
 
 
 def _quantity(name: str) -> str:
-    """What a variable is a value of: "tip_x_m" and "predicted_tip_x_m" are both the tip."""
+    """Quantity of a variable: "tip_x_m" and "predicted_tip_x_m" are both the tip."""
     for quantity in ("half_width", "tip", "angle", "goal", "current", "payload", "in_range"):
         if quantity in name:
             return {"goal": "angle", "half_width": "half width"}.get(quantity, quantity)

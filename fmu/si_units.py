@@ -1,6 +1,7 @@
-"""From the spelling of a unit to powers of the SI base units, as FMI wants them.
+"""Parser of SI units: exponents of the base units, as FMI requires, and display units.
 
-A spelling is a product and quotient of symbols like "N.m.s/rad" or "rad/(N.m)"; "1" is no unit.
+A unit is written as a product and quotient of symbols, like "N.m.s/rad" or "rad/(N.m)"; "1" is
+dimensionless.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
 
 
 class DisplayUnit(NamedTuple):
-    """A unit to show a value in: shown = factor * value."""
+    """Unit in which a value is displayed: displayed = factor * value."""
 
     name: str
     factor: float
@@ -41,23 +42,35 @@ DISPLAY_UNITS: Final = {
     "rad/s": DisplayUnit("deg/s", math.degrees(1.0)),
     "m": DisplayUnit("mm", 1000.0),
 }
-"""Units that people read in another one."""
+"""Display unit of an SI unit, where it is not the SI unit itself."""
 
 
 def base_exponents(unit: str) -> dict[str, int]:
-    """Exponents of kg, m, s, A, K and rad; those that are zero are left out.
+    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are left out.
+
+    Parameters
+    ----------
+    unit : str
+        Product and quotient of symbols; an integer after a symbol is its power.
 
     Raises
     ------
     ValueError
-        If the spelling cannot be read.
+        If the text is not a unit.
+
+    Examples
+    --------
+    >>> base_exponents("N.m/rad")
+    {'kg': 1, 'm': 2, 's': -2, 'rad': -1}
+    >>> base_exponents("1")
+    {}
     """
     tokens = _TOKEN.findall(unit)
     if "".join(tokens) != unit or not tokens:
-        raise ValueError(f"{unit!r} is no unit")
+        raise ValueError(f"{unit!r} is not a unit")
     powers, rest = _product(tokens, unit)
     if rest:
-        raise ValueError(f"{unit!r} is no unit: {rest[0]!r} is out of place")
+        raise ValueError(f"{unit!r} is not a unit: {rest[0]!r} is out of place")
     return {symbol: power for symbol, power in powers.items() if power}
 
 
@@ -73,15 +86,15 @@ def _product(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
 
 def _factor(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
     if not tokens:
-        raise ValueError(f"{unit!r} is no unit: it ends early")
+        raise ValueError(f"{unit!r} is not a unit: it ends early")
     first, tokens = tokens[0], tokens[1:]
     if first == "(":
         powers, tokens = _product(tokens, unit)
         if not tokens or tokens[0] != ")":
-            raise ValueError(f"{unit!r} is no unit: a bracket stays open")
+            raise ValueError(f"{unit!r} is not a unit: a bracket stays open")
         return powers, tokens[1:]
     if first not in _SYMBOLS:
-        raise ValueError(f"{unit!r} is no unit: {first!r} is unknown")
+        raise ValueError(f"{unit!r} is not a unit: {first!r} is unknown")
     exponent = 1
     if tokens and re.fullmatch(r"-?\d+", tokens[0]):
         exponent, tokens = int(tokens[0]), tokens[1:]

@@ -1,4 +1,4 @@
-"""The table of variables as C; the equations beside it are `models.plant.simulation.model_c`'s."""
+"""Variable table as C source; `models.plant.simulation.model_c` writes the equations."""
 
 from __future__ import annotations
 
@@ -10,18 +10,23 @@ from models.plant.step_model import StepModel
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
-    """Write `variables.c` and `variables.h`; returns the former.
+    """Write `variables.c` and `variables.h`.
 
     Parameters
     ----------
     model : StepModel
-        For the number of states and the longest sub-step.
+        Gives the number of states and the longest sub-step.
     interface : Interface
-        Of the same model.
+        Variable table of the same model.
     token : str
-        Instantiation token that the unit accepts.
+        Instantiation token that the FMU accepts.
     directory : Path
-        Where the files go.
+        Directory of the files.
+
+    Returns
+    -------
+    Path
+        `variables.c`.
     """
     (directory / "variables.h").write_text(_header(model, interface, token), encoding="utf-8")
     (directory / "variables.c").write_text(_table(interface), encoding="utf-8")
@@ -42,7 +47,7 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
         "#ifndef VARIABLES_H",
         "#define VARIABLES_H",
         "",
-        f'#define UNIT_TOKEN "{token}"',
+        f'#define FMU_TOKEN "{token}"',
         f"#define MAX_SUBSTEP_S {_number(model.max_substep_s)}",
         *(f"#define {name} {value}" for name, value in sizes.items()),
         "",

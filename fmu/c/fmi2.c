@@ -1,7 +1,7 @@
-/* FMI 2.0 for Co-Simulation on top of fmu_core.c.
+/* FMI 2.0 for Co-Simulation: signatures and types of the standard on top of fmu_core.c.
  *
- * Each call names the states in which it is legal (FMI 2.0, section 4.2.4). What this unit does
- * not offer is exported all the same, because importers look every function up: see the end.
+ * Functions that this FMU does not offer are exported too, because importers look up every
+ * function: see the end.
  */
 #include "fmi2Functions.h"
 
@@ -11,29 +11,28 @@
 #include "fmu_core.h"
 
 typedef struct {
-    Unit unit; /* first, so that a pointer to one is a pointer to the other */
+    Fmu fmu; /* first, so that a pointer to one is a pointer to the other */
     fmi2CallbackFunctions callbacks;
     char name[64];
 } Instance;
 
-/* Errors are told whether debug logging is on or not. */
-static fmi2Status done(Instance *self, int well)
+/* Errors are logged whether debug logging is on or not. */
+static fmi2Status done(Instance *self, int ok)
 {
-    if (well)
+    if (ok)
         return fmi2OK;
     if (self->callbacks.logger)
         self->callbacks.logger(self->callbacks.componentEnvironment, self->name, fmi2Error,
-                               "logStatusError", "%s", self->unit.message);
+                               "logStatusError", "%s", self->fmu.message);
     return fmi2Error;
 }
 
-#define ENTER(MODES)                                                                      \
-    Instance *self = c;                                                                   \
-    if (!self)                                                                            \
-        return fmi2Error;                                                                 \
-    if (!unit_allow(&self->unit, __func__, MODES))                                        \
-        return done(self, 0);                                                             \
-    Unit *unit = &self->unit
+#define STATUS fmi2Status
+#define OK fmi2OK
+#define ERROR fmi2Error
+#define HANDLE fmi2Component
+#define REFERENCE fmi2ValueReference
+#include "fmi_calls.h"
 
 /* ---- Creation and destruction -------------------------------------------------------------- */
 
@@ -41,14 +40,11 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+fmi2Status fmi2SetDebugLogging(fmi2Component instance, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[])
 {
     ENTER(ANY_STATE);
-    for (size_t i = 0; i < nCategories; i++)
-        if (!categories[i] || strcmp(categories[i], "logStatusError") != 0)
-            return done(self, unit_refuse(unit, "The only log category is logStatusError."));
-    return fmi2OK;
+    return done(self, fmu_check_log_categories(fmu, categories, nCategories));
 }
 
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
@@ -63,181 +59,151 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         self->callbacks = *functions;
     if (instanceName)
         strncpy(self->name, instanceName, sizeof self->name - 1);
-    unit_reset(&self->unit);
-    if (fmuType == fmi2CoSimulation && fmuGUID && strcmp(fmuGUID, UNIT_TOKEN) == 0)
+    fmu_reset(&self->fmu);
+    int ok = fmuType == fmi2CoSimulation
+                 ? fmu_check_token(&self->fmu, fmuGUID, "GUID")
+                 : fmu_refuse(&self->fmu, "The FMU is for Co-Simulation only.");
+    if (ok)
         return self;
-    unit_refuse(&self->unit, fmuType == fmi2CoSimulation ? "The GUID is of another unit."
-                                                         : "The unit is for co-simulation only.");
     done(self, 0);
     free(self);
     return NULL;
 }
 
-void fmi2FreeInstance(fmi2Component c) { free(c); }
+void fmi2FreeInstance(fmi2Component instance) { free(instance); }
 
 /* ---- Initialization, steps, end ------------------------------------------------------------ */
 
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
-                               fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime)
+fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean toleranceDefined,
+                               fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime)
 {
-    ENTER(INSTANTIATED);
-    return done(self, unit_start_at(unit, startTime));
+    ENTER(LEGAL_TO_ENTER);
+    return done(self, fmu_start_at(fmu, startTime));
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+fmi2Status fmi2EnterInitializationMode(fmi2Component instance)
 {
-    ENTER(INSTANTIATED);
-    unit->memory.mode = INITIALIZING;
-    return fmi2OK;
+    ENTER(LEGAL_TO_ENTER);
+    return done(self, fmu_enter_initialization(fmu));
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+fmi2Status fmi2ExitInitializationMode(fmi2Component instance)
 {
-    ENTER(INITIALIZING);
-    return done(self, unit_exit_initialization(unit));
+    ENTER(LEGAL_TO_EXIT);
+    return done(self, fmu_exit_initialization(fmu));
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
+fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real currentCommunicationPoint,
                       fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint)
 {
-    ENTER(STEPPING);
-    return done(self, unit_step(unit, currentCommunicationPoint, communicationStepSize));
+    ENTER(LEGAL_TO_STEP);
+    return done(self, fmu_step(fmu, currentCommunicationPoint, communicationStepSize));
 }
 
-fmi2Status fmi2Terminate(fmi2Component c)
+fmi2Status fmi2Terminate(fmi2Component instance)
 {
-    ENTER(STEPPING);
-    unit->memory.mode = TERMINATED;
-    return fmi2OK;
+    ENTER(LEGAL_TO_TERMINATE);
+    return done(self, fmu_terminate(fmu));
 }
 
-fmi2Status fmi2Reset(fmi2Component c)
+fmi2Status fmi2Reset(fmi2Component instance)
 {
     ENTER(ANY_STATE);
-    unit_reset(unit);
+    fmu_reset(fmu);
     return fmi2OK;
 }
 
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
+fmi2Status fmi2GetRealStatus(fmi2Component instance, const fmi2StatusKind s, fmi2Real *value)
 {
     ENTER(STEPPING | TERMINATED);
     if (s != fmi2LastSuccessfulTime)
-        return done(self, unit_refuse(unit, "The only real status is the last successful time."));
-    *value = unit->memory.value[0];
+        return done(self, fmu_refuse(fmu, "The only real status is the last successful time."));
+    *value = fmu->memory.value[0];
     return fmi2OK;
 }
 
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)
+fmi2Status fmi2GetBooleanStatus(fmi2Component instance, const fmi2StatusKind s, fmi2Boolean *value)
 {
     ENTER(STEPPING | TERMINATED);
     if (s != fmi2Terminated)
-        return done(self, unit_refuse(unit, "The only Boolean status is 'terminated'."));
-    *value = unit->memory.mode == TERMINATED;
+        return done(self, fmu_refuse(fmu, "The only Boolean status is 'terminated'."));
+    *value = fmu->memory.mode == TERMINATED;
     return fmi2OK;
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+fmi2Status fmi2GetReal(fmi2Component instance, const fmi2ValueReference vr[], size_t nvr,
                        fmi2Real value[])
 {
-    ENTER(INITIALIZING | STEPPING | TERMINATED);
-    return done(self, unit_check_type(unit, vr, nvr, FLOAT64) && unit_get(unit, vr, nvr, value));
+    ENTER(LEGAL_TO_GET);
+    return done(self, fmu_get_float64(fmu, vr, nvr, value));
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueReference vr[], size_t nvr,
                        const fmi2Real value[])
 {
-    ENTER(INSTANTIATED | INITIALIZING | STEPPING);
-    return done(self, unit_check_type(unit, vr, nvr, FLOAT64) && unit_set(unit, vr, nvr, value));
+    ENTER(LEGAL_TO_SET);
+    return done(self, fmu_set_float64(fmu, vr, nvr, value));
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+fmi2Status fmi2GetBoolean(fmi2Component instance, const fmi2ValueReference vr[], size_t nvr,
                           fmi2Boolean value[])
 {
-    ENTER(INITIALIZING | STEPPING | TERMINATED);
-    int well = unit_check_type(unit, vr, nvr, BOOLEAN);
-    for (size_t i = 0; well && i < nvr; i++) {
-        double truth = 0.0;
-        well = unit_get(unit, vr + i, 1, &truth);
-        value[i] = truth > 0.5;
-    }
-    return done(self, well);
+    ENTER(LEGAL_TO_GET);
+    int truth, ok = fmu_check_booleans(fmu, vr, nvr);
+    for (size_t i = 0; ok && i < nvr; i++)
+        if ((ok = fmu_get_boolean(fmu, vr[i], &truth)))
+            value[i] = truth;
+    return done(self, ok);
 }
 
 /* ---- Saved states -------------------------------------------------------------------------- */
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
+fmi2Status fmi2GetFMUstate(fmi2Component instance, fmi2FMUstate *FMUstate)
 {
     ENTER(ANY_STATE);
-    return done(self, unit_save(unit, (Saved **)FMUstate));
+    return done(self, fmu_save(fmu, (Saved **)FMUstate));
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
+fmi2Status fmi2SetFMUstate(fmi2Component instance, fmi2FMUstate FMUstate)
 {
     ENTER(ANY_STATE);
-    return done(self, unit_restore(unit, FMUstate));
+    return done(self, fmu_restore(fmu, FMUstate));
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
+fmi2Status fmi2FreeFMUstate(fmi2Component instance, fmi2FMUstate *FMUstate)
 {
-    ENTER(ANY_STATE);
-    (void)unit;
-    if (FMUstate) {
-        free(*FMUstate);
-        *FMUstate = NULL;
-    }
+    if (!instance)
+        return fmi2Error;
+    fmu_free_saved(FMUstate);
     return fmi2OK;
 }
 
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size)
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component instance, fmi2FMUstate FMUstate, size_t *size)
 {
-    ENTER(ANY_STATE);
-    (void)unit;
+    if (!instance)
+        return fmi2Error;
     *size = sizeof(Saved);
     return fmi2OK;
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate,
+fmi2Status fmi2SerializeFMUstate(fmi2Component instance, fmi2FMUstate FMUstate,
                                  fmi2Byte serializedState[], size_t size)
 {
     ENTER(ANY_STATE);
-    if (!unit_check_saved(unit, FMUstate, size))
-        return done(self, 0);
-    memcpy(serializedState, FMUstate, size);
-    return fmi2OK;
+    return done(self, fmu_serialize(fmu, FMUstate, serializedState, size));
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
-                                   fmi2FMUstate *FMUstate)
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte serializedState[],
+                                   size_t size, fmi2FMUstate *FMUstate)
 {
     ENTER(ANY_STATE);
-    if (!unit_check_saved(unit, serializedState, size) || !unit_save(unit, (Saved **)FMUstate))
-        return done(self, 0);
-    memcpy(*FMUstate, serializedState, size);
-    return fmi2OK;
+    return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUstate));
 }
 
 /* ---- Not offered --------------------------------------------------------------------------- */
-
-static fmi2Status not_offered(fmi2Component c, const char *call)
-{
-    Instance *self = c;
-    return self ? done(self, unit_refuse(&self->unit, "%s is not offered by this unit.", call))
-                : fmi2Error;
-}
-
-#define CALL(name, ...)                                                                   \
-    fmi2Status name(fmi2Component c, __VA_ARGS__) { return not_offered(c, #name); }
-#define BARE_CALL(name)                                                                   \
-    fmi2Status name(fmi2Component c) { return not_offered(c, #name); }
-#define REFERENCES const fmi2ValueReference vr[], size_t n
-/* The unit has no variables of the type; asking for none of them is no mistake. */
-#define TYPED(name, ...)                                                                  \
-    fmi2Status name(fmi2Component c, REFERENCES, __VA_ARGS__)                             \
-    {                                                                                     \
-        return n && c ? not_offered(c, #name) : fmi2OK;                                   \
-    }
 
 TYPED(fmi2GetInteger, fmi2Integer value[])
 TYPED(fmi2SetInteger, const fmi2Integer value[])

@@ -1,38 +1,36 @@
-/* FMI 3.0 for Co-Simulation on top of fmu_core.c.
+/* FMI 3.0 for Co-Simulation: signatures and types of the standard on top of fmu_core.c.
  *
- * Each call names the states in which it is legal (FMI 3.0, section 4.2). What this unit does not
- * offer is exported all the same, because importers look every function up: see the end.
+ * Functions that this FMU does not offer are exported too, because importers look up every
+ * function: see the end.
  */
 #include "fmi3Functions.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 #include "fmu_core.h"
 
 typedef struct {
-    Unit unit; /* first, so that a pointer to one is a pointer to the other */
+    Fmu fmu; /* first, so that a pointer to one is a pointer to the other */
     fmi3LogMessageCallback log;
     fmi3InstanceEnvironment environment;
     fmi3Boolean logging;
 } Instance;
 
-static fmi3Status done(Instance *self, int well)
+static fmi3Status done(Instance *self, int ok)
 {
-    if (well)
+    if (ok)
         return fmi3OK;
     if (self->logging && self->log)
-        self->log(self->environment, fmi3Error, "logStatusError", self->unit.message);
+        self->log(self->environment, fmi3Error, "logStatusError", self->fmu.message);
     return fmi3Error;
 }
 
-#define ENTER(MODES)                                                                      \
-    Instance *self = instance;                                                            \
-    if (!self)                                                                            \
-        return fmi3Error;                                                                 \
-    if (!unit_allow(&self->unit, __func__, MODES))                                        \
-        return done(self, 0);                                                             \
-    Unit *unit = &self->unit
+#define STATUS fmi3Status
+#define OK fmi3OK
+#define ERROR fmi3Error
+#define HANDLE fmi3Instance
+#define REFERENCE fmi3ValueReference
+#include "fmi_calls.h"
 
 /* ---- Creation and destruction -------------------------------------------------------------- */
 
@@ -42,11 +40,10 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, siz
                                const fmi3String categories[])
 {
     ENTER(ANY_STATE);
-    for (size_t i = 0; i < nCategories; i++)
-        if (!categories[i] || strcmp(categories[i], "logStatusError") != 0)
-            return done(self, unit_refuse(unit, "The only log category is logStatusError."));
-    self->logging = loggingOn;
-    return fmi3OK;
+    int ok = fmu_check_log_categories(fmu, categories, nCategories);
+    if (ok)
+        self->logging = loggingOn;
+    return done(self, ok);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(
@@ -62,11 +59,12 @@ fmi3Instance fmi3InstantiateCoSimulation(
     self->log = logMessage;
     self->environment = instanceEnvironment;
     self->logging = loggingOn;
-    unit_reset(&self->unit);
-    if (instantiationToken && strcmp(instantiationToken, UNIT_TOKEN) == 0 && !eventModeUsed)
+    fmu_reset(&self->fmu);
+    int ok = eventModeUsed
+                 ? fmu_refuse(&self->fmu, "The FMU has no event mode.")
+                 : fmu_check_token(&self->fmu, instantiationToken, "instantiation token");
+    if (ok)
         return self;
-    unit_refuse(&self->unit, eventModeUsed ? "The unit has no event mode."
-                                           : "The instantiation token is of another unit.");
     done(self, 0);
     free(self);
     return NULL;
@@ -97,17 +95,14 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                                        fmi3Float64 tolerance, fmi3Float64 startTime,
                                        fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
 {
-    ENTER(INSTANTIATED);
-    if (!unit_start_at(unit, startTime))
-        return done(self, 0);
-    unit->memory.mode = INITIALIZING;
-    return fmi3OK;
+    ENTER(LEGAL_TO_ENTER);
+    return done(self, fmu_start_at(fmu, startTime) && fmu_enter_initialization(fmu));
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
-    ENTER(INITIALIZING);
-    return done(self, unit_exit_initialization(unit));
+    ENTER(LEGAL_TO_EXIT);
+    return done(self, fmu_exit_initialization(fmu));
 }
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
@@ -116,64 +111,60 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
                       fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
 {
-    ENTER(STEPPING);
-    int well = unit_step(unit, currentCommunicationPoint, communicationStepSize);
+    ENTER(LEGAL_TO_STEP);
+    int ok = fmu_step(fmu, currentCommunicationPoint, communicationStepSize);
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
-    *lastSuccessfulTime = unit->memory.value[0];
-    return done(self, well);
+    *lastSuccessfulTime = fmu->memory.value[0];
+    return done(self, ok);
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance)
 {
-    ENTER(STEPPING);
-    unit->memory.mode = TERMINATED;
-    return fmi3OK;
+    ENTER(LEGAL_TO_TERMINATE);
+    return done(self, fmu_terminate(fmu));
 }
 
 fmi3Status fmi3Reset(fmi3Instance instance)
 {
     ENTER(ANY_STATE);
-    unit_reset(unit);
+    fmu_reset(fmu);
     return fmi3OK;
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
 
-static int matches(Unit *unit, const fmi3ValueReference reference[], size_t count, size_t values,
-                   Type type)
+static int all_scalars(Fmu *fmu, size_t references, size_t values)
 {
-    if (count != values)
-        return unit_refuse(unit, "All variables are scalars: give one value for each.");
-    return unit_check_type(unit, reference, count, type);
+    return references == values ||
+           fmu_refuse(fmu, "All variables are scalars: give one value for each.");
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues)
 {
     ENTER(ANY_STATE);
-    return done(self, matches(unit, valueReferences, nValueReferences, nValues, FLOAT64) &&
-                          unit_get(unit, valueReferences, nValues, values));
+    return done(self, all_scalars(fmu, nValueReferences, nValues) &&
+                          fmu_get_float64(fmu, valueReferences, nValues, values));
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, const fmi3Float64 values[], size_t nValues)
 {
-    ENTER(INSTANTIATED | INITIALIZING | STEPPING);
-    return done(self, matches(unit, valueReferences, nValueReferences, nValues, FLOAT64) &&
-                          unit_set(unit, valueReferences, nValues, values));
+    ENTER(LEGAL_TO_SET);
+    return done(self, all_scalars(fmu, nValueReferences, nValues) &&
+                          fmu_set_float64(fmu, valueReferences, nValues, values));
 }
 
 fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Boolean values[], size_t nValues)
 {
     ENTER(ANY_STATE);
-    int well = matches(unit, valueReferences, nValueReferences, nValues, BOOLEAN);
-    for (size_t i = 0; well && i < nValues; i++) {
-        double value = 0.0;
-        well = unit_get(unit, valueReferences + i, 1, &value);
-        values[i] = value > 0.5;
-    }
-    return done(self, well);
+    int truth, ok = all_scalars(fmu, nValueReferences, nValues) &&
+                    fmu_check_booleans(fmu, valueReferences, nValues);
+    for (size_t i = 0; ok && i < nValues; i++)
+        if ((ok = fmu_get_boolean(fmu, valueReferences[i], &truth)))
+            values[i] = truth;
+    return done(self, ok);
 }
 
 /* ---- Saved states -------------------------------------------------------------------------- */
@@ -181,30 +172,27 @@ fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueR
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
 {
     ENTER(ANY_STATE);
-    return done(self, unit_save(unit, (Saved **)FMUState));
+    return done(self, fmu_save(fmu, (Saved **)FMUState));
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
 {
     ENTER(ANY_STATE);
-    return done(self, unit_restore(unit, FMUState));
+    return done(self, fmu_restore(fmu, FMUState));
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
 {
-    ENTER(ANY_STATE);
-    (void)unit;
-    if (FMUState) {
-        free(*FMUState);
-        *FMUState = NULL;
-    }
+    if (!instance)
+        return fmi3Error;
+    fmu_free_saved(FMUState);
     return fmi3OK;
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size)
 {
-    ENTER(ANY_STATE);
-    (void)unit;
+    if (!instance)
+        return fmi3Error;
     *size = sizeof(Saved);
     return fmi3OK;
 }
@@ -213,42 +201,18 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
                                  fmi3Byte serializedState[], size_t size)
 {
     ENTER(ANY_STATE);
-    if (!unit_check_saved(unit, FMUState, size))
-        return done(self, 0);
-    memcpy(serializedState, FMUState, size);
-    return fmi3OK;
+    return done(self, fmu_serialize(fmu, FMUState, serializedState, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
                                    size_t size, fmi3FMUState *FMUState)
 {
     ENTER(ANY_STATE);
-    if (!unit_check_saved(unit, serializedState, size) || !unit_save(unit, (Saved **)FMUState))
-        return done(self, 0);
-    memcpy(*FMUState, serializedState, size);
-    return fmi3OK;
+    return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUState));
 }
 
 /* ---- Not offered --------------------------------------------------------------------------- */
 
-static fmi3Status not_offered(fmi3Instance instance, const char *call)
-{
-    Instance *self = instance;
-    return self ? done(self, unit_refuse(&self->unit, "%s is not offered by this unit.", call))
-                : fmi3Error;
-}
-
-#define CALL(name, ...)                                                                   \
-    fmi3Status name(fmi3Instance instance, __VA_ARGS__) { return not_offered(instance, #name); }
-#define BARE_CALL(name)                                                                   \
-    fmi3Status name(fmi3Instance instance) { return not_offered(instance, #name); }
-#define REFERENCES const fmi3ValueReference r[], size_t n
-/* The unit has no variables of the type; asking for none of them is no mistake. */
-#define TYPED(name, ...)                                                                  \
-    fmi3Status name(fmi3Instance instance, REFERENCES, __VA_ARGS__)                       \
-    {                                                                                     \
-        return n && instance ? not_offered(instance, #name) : fmi3OK;                     \
-    }
 #define TYPE(T)                                                                           \
     TYPED(fmi3Get##T, fmi3##T values[], size_t nValues)                                   \
     TYPED(fmi3Set##T, const fmi3##T values[], size_t nValues)

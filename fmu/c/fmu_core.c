@@ -1,4 +1,4 @@
-/* The core of a unit, free of FMI: see fmu_core.h. */
+/* Core of an FMU, independent of the FMI version: see fmu_core.h. */
 #include "fmu_core.h"
 
 #include <math.h>
@@ -13,14 +13,29 @@ typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_rea
 
 /* ---- Messages ------------------------------------------------------------------------------ */
 
-int unit_refuse(Unit *unit, const char *format, ...)
+int fmu_refuse(Fmu *fmu, const char *format, ...)
 {
     va_list arguments;
     va_start(arguments, format);
-    vsnprintf(unit->message, sizeof unit->message, format, arguments);
+    vsnprintf(fmu->message, sizeof fmu->message, format, arguments);
     va_end(arguments);
     return 0;
 }
+
+int fmu_not_offered(Fmu *fmu, const char *call)
+{
+    return fmu_refuse(fmu, "%s is not offered by this FMU.", call);
+}
+
+int fmu_check_log_categories(Fmu *fmu, const char *const category[], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        if (!category[i] || strcmp(category[i], "logStatusError") != 0)
+            return fmu_refuse(fmu, "The only log category is logStatusError.");
+    return 1;
+}
+
+/* ---- States -------------------------------------------------------------------------------- */
 
 static const char *mode_name(int mode)
 {
@@ -32,30 +47,30 @@ static const char *mode_name(int mode)
     }
 }
 
-int unit_allow(Unit *unit, const char *call, int modes)
+int fmu_allow(Fmu *fmu, const char *call, int legal)
 {
-    if (unit->memory.mode & modes)
+    if (fmu->memory.mode & legal)
         return 1;
-    return unit_refuse(unit, "%s is not allowed in the state '%s'.", call,
-                       mode_name(unit->memory.mode));
+    return fmu_refuse(fmu, "%s is not allowed in the state '%s'.", call,
+                      mode_name(fmu->memory.mode));
 }
 
-/* ---- The model's functions ----------------------------------------------------------------- */
+/* ---- Functions of the model ---------------------------------------------------------------- */
 
-static void evaluate(Unit *unit, Model *model, const double *x, double h, double *out)
+static void evaluate(Fmu *fmu, Model *model, const double *x, double h, double *out)
 {
-    const double *first[] = {x, unit->memory.value + FIRST_INPUT,
-                             unit->memory.value + FIRST_PARAMETER, &h};
-    /* (x, u, p, h); the initial state has no x in front. CasADi uses what follows as scratch. */
-    memcpy(unit->argument, x ? first : first + 1, (x ? 4 : 2) * sizeof *first);
-    unit->result[0] = out;
-    model(unit->argument, unit->result, unit->integers, unit->reals, 0);
+    const double *first[] = {x, fmu->memory.value + FIRST_INPUT,
+                             fmu->memory.value + FIRST_PARAMETER, &h};
+    /* (x, u, p, h); the initial state has no x. CasADi uses the entries behind as work memory. */
+    memcpy(fmu->argument, x ? first : first + 1, (x ? 4 : 2) * sizeof *first);
+    fmu->result[0] = out;
+    model(fmu->argument, fmu->result, fmu->integers, fmu->reals, 0);
 }
 
-static void advance(Unit *unit, Model *model, double h)
+static void advance(Fmu *fmu, Model *model, double h)
 {
-    evaluate(unit, model, unit->memory.state, h, unit->next);
-    memcpy(unit->memory.state, unit->next, sizeof unit->next);
+    evaluate(fmu, model, fmu->memory.state, h, fmu->next);
+    memcpy(fmu->memory.state, fmu->next, sizeof fmu->next);
 }
 
 static int all_finite(const double *value, size_t count)
@@ -66,156 +81,215 @@ static int all_finite(const double *value, size_t count)
     return 1;
 }
 
-/* Let the outputs, and before the first step the state, follow inputs and parameters. */
-static int refresh(Unit *unit)
+/* Compute the outputs, and before the first step the state, from inputs and parameters. */
+static int refresh(Fmu *fmu)
 {
-    Memory *memory = &unit->memory;
+    Memory *memory = &fmu->memory;
     if (!memory->stale)
         return 1;
     if (memory->mode & (INSTANTIATED | INITIALIZING))
-        evaluate(unit, model_initial, NULL, 0.0, memory->state);
-    evaluate(unit, model_output, memory->state, 0.0, memory->value + FIRST_OUTPUT);
+        evaluate(fmu, model_initial, NULL, 0.0, memory->state);
+    evaluate(fmu, model_output, memory->state, 0.0, memory->value + FIRST_OUTPUT);
     memory->stale = 0;
     if (all_finite(memory->state, N_STATES) && all_finite(memory->value, N_VARIABLES))
         return 1;
     memory->stale = 1;
-    return unit_refuse(unit, "The outputs are not finite numbers with these inputs and parameters.");
+    return fmu_refuse(fmu, "The outputs are not finite numbers with these inputs and parameters.");
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
 
-int unit_check_type(Unit *unit, const uint32_t reference[], size_t count, Type type)
+static int check_type(Fmu *fmu, const uint32_t reference[], size_t count, Type type)
 {
     for (size_t i = 0; i < count; i++) {
         if (reference[i] >= N_VARIABLES)
-            return unit_refuse(unit, "There is no variable with value reference %u.",
-                               (unsigned)reference[i]);
+            return fmu_refuse(fmu, "There is no variable with value reference %u.",
+                              (unsigned)reference[i]);
         if (VARIABLES[reference[i]].type != type)
-            return unit_refuse(unit, "%s is not of the type that the call is for.",
-                               VARIABLES[reference[i]].name);
+            return fmu_refuse(fmu, "%s is not of the type of this call.",
+                              VARIABLES[reference[i]].name);
     }
     return 1;
 }
 
-static int settable(Unit *unit, const Variable *variable, double value)
+static int settable(Fmu *fmu, const Variable *variable, double value)
 {
     if (variable->causality != INPUT && variable->causality != PARAMETER)
-        return unit_refuse(unit, "%s cannot be set: it is calculated.", variable->name);
+        return fmu_refuse(fmu, "%s cannot be set: it is calculated.", variable->name);
     if (!isfinite(value))
-        return unit_refuse(unit, "%s cannot be set to a value that is not a finite number.",
-                           variable->name);
+        return fmu_refuse(fmu, "%s cannot be set to a value that is not a finite number.",
+                          variable->name);
     if (variable->causality == PARAMETER &&
         (value < variable->minimum || value > variable->maximum))
-        return unit_refuse(unit, "%s = %g lies outside %g to %g.", variable->name, value,
-                           variable->minimum, variable->maximum);
+        return fmu_refuse(fmu, "%s = %g lies outside %g to %g.", variable->name, value,
+                          variable->minimum, variable->maximum);
     return 1;
 }
 
-int unit_set(Unit *unit, const uint32_t reference[], size_t count, const double value[])
+int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const double value[])
 {
+    if (!check_type(fmu, reference, count, FLOAT64))
+        return 0;
     for (size_t i = 0; i < count; i++)
-        if (!settable(unit, &VARIABLES[reference[i]], value[i]))
+        if (!settable(fmu, &VARIABLES[reference[i]], value[i]))
             return 0;
     for (size_t i = 0; i < count; i++)
-        unit->memory.value[reference[i]] = value[i];
-    unit->memory.stale = 1;
+        fmu->memory.value[reference[i]] = value[i];
+    fmu->memory.stale = 1;
     return 1;
 }
 
-int unit_get(Unit *unit, const uint32_t reference[], size_t count, double value[])
+int fmu_get_float64(Fmu *fmu, const uint32_t reference[], size_t count, double value[])
 {
+    if (!check_type(fmu, reference, count, FLOAT64))
+        return 0;
     for (size_t i = 0; i < count; i++)
-        if (reference[i] >= FIRST_OUTPUT && !refresh(unit))
+        if (reference[i] >= FIRST_OUTPUT && !refresh(fmu))
             return 0;
     for (size_t i = 0; i < count; i++)
-        value[i] = unit->memory.value[reference[i]];
+        value[i] = fmu->memory.value[reference[i]];
     return 1;
 }
 
-/* ---- The life of an instance --------------------------------------------------------------- */
-
-void unit_reset(Unit *unit)
+int fmu_check_booleans(Fmu *fmu, const uint32_t reference[], size_t count)
 {
-    memset(&unit->memory, 0, sizeof unit->memory);
+    return check_type(fmu, reference, count, BOOLEAN);
+}
+
+int fmu_get_boolean(Fmu *fmu, uint32_t reference, int *truth)
+{
+    if (reference >= FIRST_OUTPUT && !refresh(fmu))
+        return 0;
+    *truth = fmu->memory.value[reference] > 0.5;
+    return 1;
+}
+
+/* ---- Life cycle of an instance ------------------------------------------------------------- */
+
+void fmu_reset(Fmu *fmu)
+{
+    memset(&fmu->memory, 0, sizeof fmu->memory);
     for (size_t i = 0; i < N_VARIABLES; i++)
-        unit->memory.value[i] = VARIABLES[i].start;
-    unit->memory.mode = INSTANTIATED;
-    unit->memory.stale = 1;
+        fmu->memory.value[i] = VARIABLES[i].start;
+    fmu->memory.mode = INSTANTIATED;
+    fmu->memory.stale = 1;
 }
 
-int unit_start_at(Unit *unit, double start_s)
+int fmu_check_token(Fmu *fmu, const char *token, const char *what)
+{
+    if (token && strcmp(token, FMU_TOKEN) == 0)
+        return 1;
+    return fmu_refuse(fmu, "The %s is of another FMU.", what);
+}
+
+int fmu_start_at(Fmu *fmu, double start_s)
 {
     if (!isfinite(start_s))
-        return unit_refuse(unit, "The start time is not a finite number.");
-    unit->memory.value[0] = start_s;
+        return fmu_refuse(fmu, "The start time is not a finite number.");
+    fmu->memory.value[0] = start_s;
     return 1;
 }
 
-int unit_exit_initialization(Unit *unit)
+int fmu_enter_initialization(Fmu *fmu)
 {
-    if (!refresh(unit))
+    fmu->memory.mode = INITIALIZING;
+    return 1;
+}
+
+int fmu_exit_initialization(Fmu *fmu)
+{
+    if (!refresh(fmu))
         return 0;
-    unit->memory.mode = STEPPING;
+    fmu->memory.mode = STEPPING;
     return 1;
 }
 
-int unit_step(Unit *unit, double time_s, double step_s)
+int fmu_step(Fmu *fmu, double time_s, double step_s)
 {
-    Memory before = unit->memory;
+    Memory before = fmu->memory;
     double now_s = before.value[0];
     if (!(step_s > 0.0 && step_s <= LONGEST_STEP_S))
-        return unit_refuse(unit, "The step of %g s is not within 0 to %g s.", step_s,
-                           LONGEST_STEP_S);
+        return fmu_refuse(fmu, "The step of %g s is not within 0 to %g s.", step_s,
+                          LONGEST_STEP_S);
     if (!(fabs(time_s - now_s) <= 1e-6 * step_s + 1e-12 * fabs(now_s)))
-        return unit_refuse(unit, "The step starts at %.9g s but the unit stands at %.9g s.",
-                           time_s, now_s);
+        return fmu_refuse(fmu, "The step starts at %.9g s but the FMU stands at %.9g s.", time_s,
+                          now_s);
     double count = MAX(1.0, ceil(step_s / MAX_SUBSTEP_S - 1e-9));
-    advance(unit, model_begin, step_s);
+    advance(fmu, model_begin, step_s);
     for (double i = 0.0; i < count; i++)
-        advance(unit, model_flow, step_s / count);
-    advance(unit, model_finish, step_s);
-    unit->memory.value[0] = time_s + step_s;
-    unit->memory.stale = 1;
-    if (refresh(unit))
+        advance(fmu, model_flow, step_s / count);
+    advance(fmu, model_finish, step_s);
+    fmu->memory.value[0] = time_s + step_s;
+    fmu->memory.stale = 1;
+    if (refresh(fmu))
         return 1;
-    unit->memory = before;
-    return unit_refuse(unit, "The step from %.9g s gave values that are not finite numbers.",
-                       now_s);
+    fmu->memory = before;
+    return fmu_refuse(fmu, "The step from %.9g s gave values that are not finite numbers.", now_s);
+}
+
+int fmu_terminate(Fmu *fmu)
+{
+    fmu->memory.mode = TERMINATED;
+    return 1;
 }
 
 /* ---- Saved states -------------------------------------------------------------------------- */
 
-int unit_save(Unit *unit, Saved **saved)
+static int check_saved(Fmu *fmu, const void *bytes, size_t size)
+{
+    Saved saved;
+    if (!bytes)
+        return fmu_refuse(fmu, "There is no saved state.");
+    if (size != sizeof saved)
+        return fmu_refuse(fmu, "A saved state of this FMU has %u bytes, not %u.",
+                          (unsigned)sizeof saved, (unsigned)size);
+    memcpy(&saved, bytes, sizeof saved); /* the importer's bytes may lie unaligned */
+    int mode = saved.memory.mode;
+    if (memcmp(saved.token, FMU_TOKEN, sizeof FMU_TOKEN) != 0 ||
+        !(mode == INSTANTIATED || mode == INITIALIZING || mode == STEPPING || mode == TERMINATED))
+        return fmu_refuse(fmu, "The saved state comes from another FMU.");
+    return 1;
+}
+
+int fmu_save(Fmu *fmu, Saved **saved)
 {
     if (!*saved)
         *saved = calloc(1, sizeof **saved);
     if (!*saved)
-        return unit_refuse(unit, "There is no memory left for a saved state.");
-    memcpy((*saved)->token, UNIT_TOKEN, sizeof UNIT_TOKEN);
-    (*saved)->memory = unit->memory;
+        return fmu_refuse(fmu, "There is no memory left for a saved state.");
+    memcpy((*saved)->token, FMU_TOKEN, sizeof FMU_TOKEN);
+    (*saved)->memory = fmu->memory;
     return 1;
 }
 
-int unit_check_saved(Unit *unit, const void *bytes, size_t size)
+int fmu_restore(Fmu *fmu, const Saved *saved)
 {
-    Saved saved;
-    if (!bytes)
-        return unit_refuse(unit, "There is no saved state.");
-    if (size != sizeof saved)
-        return unit_refuse(unit, "A saved state of this unit has %u bytes, not %u.",
-                           (unsigned)sizeof saved, (unsigned)size);
-    memcpy(&saved, bytes, sizeof saved); /* the importer's bytes may lie unaligned */
-    int mode = saved.memory.mode;
-    if (memcmp(saved.token, UNIT_TOKEN, sizeof UNIT_TOKEN) != 0 ||
-        !(mode == INSTANTIATED || mode == INITIALIZING || mode == STEPPING || mode == TERMINATED))
-        return unit_refuse(unit, "The saved state comes from another unit.");
-    return 1;
-}
-
-int unit_restore(Unit *unit, const Saved *saved)
-{
-    if (!unit_check_saved(unit, saved, sizeof *saved))
+    if (!check_saved(fmu, saved, sizeof *saved))
         return 0;
-    unit->memory = saved->memory;
+    fmu->memory = saved->memory;
+    return 1;
+}
+
+void fmu_free_saved(void **saved)
+{
+    if (!saved)
+        return;
+    free(*saved);
+    *saved = NULL;
+}
+
+int fmu_serialize(Fmu *fmu, const Saved *saved, void *bytes, size_t size)
+{
+    if (!check_saved(fmu, saved, size))
+        return 0;
+    memcpy(bytes, saved, size);
+    return 1;
+}
+
+int fmu_deserialize(Fmu *fmu, const void *bytes, size_t size, Saved **saved)
+{
+    if (!check_saved(fmu, bytes, size) || !fmu_save(fmu, saved))
+        return 0;
+    memcpy(*saved, bytes, size);
     return 1;
 }

@@ -1,8 +1,8 @@
-"""Build an FMI unit from a bundle and a plant.
+"""Build of an FMU from a bundle and a plant.
 
-twin: servo and link in closed loop from the goals, the predictor beside them. predictor: the
-polynomial alone. observer: the estimator of DI and payload that the robot runs; without --out it
-goes into the bundle, whose golden ticks and manifest are renewed.
+twin: servo and link in closed loop, driven by goals, with the predictor beside them. predictor:
+the polynomial alone. observer: the estimator of DI and payload that the robot runs. Without --out
+the observer is added to the bundle, and the bundle's golden ticks and manifest are renewed.
 """
 
 from __future__ import annotations
@@ -28,26 +28,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
     add("--out", type=Path, metavar="FILE", help="the .fmu (observer: observer.fmu in the bundle)")
     add("--fmi", type=int, choices=(2, 3), default=3, help="version of the standard (3)")
-    add("--unit", choices=("twin", "predictor", "observer"), default="twin", help="kind (twin)")
+    add(
+        "--unit",
+        choices=("twin", "predictor", "observer"),
+        default="twin",
+        help="kind of FMU (twin)",
+        dest="kind",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the unit."""
+    """Build the FMU."""
     from firmware_py.inference.bundle import read_manifest
     from fmu.bundle_observer import add_observer
-    from fmu.fmu_builder import build_unit
-    from fmu.fmu_models import parts_of
+    from fmu.fmu_builder import build_fmu
+    from fmu.fmu_models import read_parts
 
-    kind: Kind = args.unit
+    kind: Kind = args.kind
     output = _output(args)
     manifest = read_manifest(args.bundle)
-    parts = parts_of(kind, manifest.dof, args.bundle, args.plant)
+    parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
         if args.fmi != 3:
-            raise InputError("--fmi 2", "the robot steps FMI 3.0", "leave --fmi away or give --out")
+            raise InputError(
+                "--fmi 2",
+                "cannot run on the robot (FMI 3.0)",
+                "omit --fmi or give --out",
+            )
         add_observer(args.bundle, manifest, parts)
     else:
-        build_unit(
+        build_fmu(
             parts.model(), output, fmi=args.fmi,
             description=parts.description(), resources=parts.resources(),
         )  # fmt: skip
@@ -58,11 +68,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _output(args: argparse.Namespace) -> Path:
-    if args.out is None and args.unit != "observer":
-        raise InputError("--out", "is missing", f"name the file of the {args.unit}")
+    if args.out is None and args.kind != "observer":
+        raise InputError("--out", "is missing", f"give the file name of the {args.kind} FMU")
     output: Path = args.out or args.bundle / _OBSERVER
     if output.suffix != ".fmu":
-        raise InputError(f"--out {output}", "does not end in .fmu", "name it like twin_1dof.fmu")
+        raise InputError(f"--out {output}", "does not end in .fmu", "use a name like twin_1dof.fmu")
     if output.is_dir() or (output.parent.exists() and not output.parent.is_dir()):
-        raise InputError(f"--out {output}", "cannot be a file", "choose another path")
+        raise InputError(f"--out {output}", "cannot be written as a file", "choose another path")
     return output

@@ -1,7 +1,7 @@
-"""Step a unit in FMPy along a motion or a trial, write the result and plot it.
+"""Simulation of an FMU in FMPy along a motion or a trial.
 
-A twin gets the goals and the payload; an observer or predictor gets measured angles and currents,
-from a trial or from the twin of its own plant. Writes result.csv and result.svg.
+A twin FMU gets the goals and the payload. An observer or predictor FMU gets measured angles and
+currents, from a trial or from the twin of its own plant. Writes result.csv and result.svg.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ EXAMPLE = "python -m fmu simulate build/twin_1dof.fmu --payload 1 --out build/tw
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("file", type=Path, metavar="FILE.fmu", help="the unit")
+    add("file", type=Path, metavar="FILE.fmu", help="the FMU")
     add("--out", type=Path, required=True, metavar="DIR", help="where result.csv and .svg go")
     add("--trial", type=Path, metavar="TRIAL.csv", help="take the inputs from this trial")
     add("--motion", choices=KINDS, default="sinusoid", help="reference motion (sinusoid)")
@@ -37,27 +37,31 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, write, plot."""
+    """Simulate the FMU, write and plot the run."""
     if not (math.isfinite(args.step) and 0 < args.step <= 1):
-        raise InputError(f"--step {args.step}", "is no step", "choose up to 1 s")
-    from fmu.fmpy_instance import Archive
-    from fmu.fmpy_run import simulate
-    from fmu.run_files import draw, write_csv
+        raise InputError(
+            f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"
+        )
+    from fmu.fmpy_instance import FmuArchive
+    from fmu.fmpy_run import simulate_fmu
+    from fmu.run_files import draw_run, write_run
     from models.trials.trial_files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
     motion = Motion(
         args.motion, math.radians(args.amplitude_deg), args.period, math.radians(args.phase_deg)
     )
-    with Archive(args.file) as archive:
-        result = simulate(archive, trial or motion, args.payload, args.step, _assignments(args.set))
+    with FmuArchive(args.file) as archive:
+        result = simulate_fmu(
+            archive, trial or motion, args.payload, args.step, _assignments(args.set)
+        )
     args.out.mkdir(parents=True, exist_ok=True)
-    write_csv(result, args.out / "result.csv")
-    draw(result, args.out / "result.svg")
+    write_run(result, args.out / "result.csv")
+    draw_run(result, args.out / "result.svg")
     rms = result.rms_against_trial()
     data = {"rows": len(result.time_s), "out": str(args.out), "rms": rms, "units": result.units}
     lines = [f"{name:20s} {value:.4g} {result.units[name]} RMS" for name, value in rms.items()]
-    lines.append(f"{len(result.time_s)} rows to {args.out}/result.csv, drawn in result.svg")
+    lines.append(f"{len(result.time_s)} rows to {args.out}/result.csv, plot in result.svg")
     emit(args, data, "\n".join(lines))
     return DONE
 
@@ -70,6 +74,6 @@ def _assignments(arguments: list[str]) -> dict[str, float]:
             values[name] = float(text)
         except ValueError:
             raise InputError(
-                f"--set {argument}", f"{text!r} is no number", "write NAME=VALUE"
+                f"--set {argument}", f"{text!r} is not a number", "write NAME=VALUE"
             ) from None
     return values

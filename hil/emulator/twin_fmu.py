@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fmu.fmu_builder import build_unit
+from fmu.fmu_builder import build_fmu
 from models.plant.plant import read_plant
 
 
@@ -20,4 +20,4 @@ def build_twin(plant: Path, dof: int, directory: Path) -> Path:
     InputError
         If the document cannot be used.
     """
-    return build_unit(read_plant(plant).step_model(dof, "twin"), directory / f"twin_{dof}dof.fmu")
+    return build_fmu(read_plant(plant).step_model(dof, "twin"), directory / f"twin_{dof}dof.fmu")

@@ -86,7 +86,7 @@ class Samples:
         return self.signals[:, : self.signals.shape[1] // 2]
 
 
-def collect(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
+def collect_samples(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
     """Stack the moving rows of trials.
 
     Parameters

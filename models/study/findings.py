@@ -26,7 +26,7 @@ MM: Final = 1e3
 PERCENT: Final = 1e2
 
 
-def findings(
+def judge_findings(
     document: Mapping[str, Any], training: TrialSet, tests: Mapping[str, TrialSet]
 ) -> list[dict[str, Any]]:
     """Judge the paper's findings.
@@ -149,7 +149,7 @@ def _negative_angles(training: TrialSet, repeated: TrialSet) -> dict[str, Any]:
 def _hysteresis(training: TrialSet) -> dict[str, Any]:
     loops: dict[str, HysteresisLoop] = {}
     for payload in sorted({t.meta.payload_kg for t in training}):
-        of_payload = [loop(t) for t in training if t.meta.payload_kg == payload]
+        of_payload = [hysteresis_loop(t) for t in training if t.meta.payload_kg == payload]
         loops[payload_key(payload)] = HysteresisLoop(*np.mean(of_payload, axis=0).tolist())
     beyond = {k: found.width > NOISE_FACTOR * found.noise for k, found in loops.items()}
     heaviest = max(loops, key=float)
@@ -186,7 +186,7 @@ class HysteresisLoop(NamedTuple):
     noise: float
 
 
-def loop(trial: Trial) -> HysteresisLoop:
+def hysteresis_loop(trial: Trial) -> HysteresisLoop:
     """Measure the loop that DI makes over the angle of joint 1, in bins of the angle."""
     every = deformation_index(trial)
     di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]

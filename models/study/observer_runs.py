@@ -30,7 +30,7 @@ class ObserverRun(NamedTuple):
     payload_kg: Array
 
 
-def observe(observer: CompiledModel, trial: Trial) -> ObserverRun:
+def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
     """Drive the observer with a trial's angles and currents, from its first row on.
 
     Row k is the output after the step that ends at sample k, as on the robot; the rest rows are

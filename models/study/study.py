@@ -19,7 +19,7 @@ pooled, a payload in kg or phase_90deg, VARIANT is with_di, without_di or estima
     baselines[TEST]                           observer_tip[PART], rigid_kinematics[PART],
                                               final_payload_error_kg[trial]
     deployed[TEST]                            mean_euclidean_distance_m, interval_coverage[axis], …
-    series                                    curves of the figures (models.study.series_figures)
+    series                                    curves of the figures (models.study.figure_curves)
     findings                                  claim, holds, text, depends_on
 """
 
@@ -41,13 +41,13 @@ from models.learning.predictors import (
     polynomial_pipeline,
     predict_held_out,
 )
-from models.learning.samples import VARIANTS, Samples, collect
+from models.learning.samples import VARIANTS, Samples, collect_samples
 from models.learning.validation import block_folds, euclidean_distance_m, payload_folds, payload_key
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import StepModel
-from models.study.findings import findings
-from models.study.observer_runs import ObserverRun, observe
-from models.study.series_figures import series
+from models.study.figure_curves import figure_curves
+from models.study.findings import judge_findings
+from models.study.observer_runs import ObserverRun, run_observer
 from models.study.tables import (
     ESTIMATORS,
     baseline_table,
@@ -156,8 +156,8 @@ def run_study(
         document["baselines"][name] = baseline_table(samples, observations)
         document["deployed"][name] = deployed_table(predictor, samples)
         progress(name)
-    document["series"] = series(fit, observed, fitted)
-    document["findings"] = findings(document, training, tests)
+    document["series"] = figure_curves(fit, observed, fitted)
+    document["findings"] = judge_findings(document, training, tests)
     return Study(document, predictor, lagged, fit)
 
 
@@ -171,13 +171,13 @@ def by_payload(trials: TrialSet) -> TrialSet:
 def _observed(
     trials: TrialSet, observer: CompiledModel, lagged: LaggedRegressor
 ) -> tuple[Samples, list[ObserverRun]]:
-    observations = [observe(observer, t) for t in trials]
+    observations = [run_observer(observer, t) for t in trials]
     di = {
         "true": [deformation_index(t) for t in trials],
         "observer": [o.di for o in observations],
         "lagged": [lagged.estimate(t) for t in trials],
     }
-    return collect(tuple(trials), di), observations
+    return collect_samples(tuple(trials), di), observations
 
 
 def _described(trials: TrialSet) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Units and bundles, built once a session."""
+"""FMUs and bundles, built once per session."""
 
 import math
 
@@ -10,7 +10,7 @@ from sklearn.model_selection import KFold
 from firmware_py.inference.bundle import Manifest, Quantity, write_manifest
 from firmware_py.inference.golden import Golden, write_golden
 from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
-from fmu.fmu_builder import build_unit
+from fmu.fmu_builder import build_fmu
 from models.learning.onnx_power import to_onnx
 from models.learning.predictors import GuardedPredictor
 from models.plant.plant import read_plant
@@ -27,14 +27,14 @@ def toy():
 
 
 @pytest.fixture(scope="session", params=[2, 3], ids=["fmi2", "fmi3"])
-def toy_unit(request, toy, tmp_path_factory):
+def toy_fmu(request, toy, tmp_path_factory):
     path = tmp_path_factory.mktemp("toy") / f"pendulum_fmi{request.param}.fmu"
-    return build_unit(toy, path, fmi=request.param, description="A pendulum & <a counter>.")
+    return build_fmu(toy, path, fmi=request.param, description="A pendulum & <a counter>.")
 
 
 @pytest.fixture(scope="session")
-def toy_unit_3(toy, tmp_path_factory):
-    return build_unit(toy, tmp_path_factory.mktemp("toy") / "pendulum.fmu", fmi=3)
+def toy_fmu_3(toy, tmp_path_factory):
+    return build_fmu(toy, tmp_path_factory.mktemp("toy") / "pendulum.fmu", fmi=3)
 
 
 def _goals(model, dof, count):

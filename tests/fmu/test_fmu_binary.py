@@ -1,4 +1,4 @@
-"""The compiled toy unit in FMPy: exports, numbers, states, refusals."""
+"""Compiled toy FMU in FMPy: exports, values, states, refusals."""
 
 import ctypes
 import math
@@ -9,15 +9,15 @@ import pytest
 from fmpy.fmi1 import FMICallException
 
 from firmware_py.signals import PERIOD_S
-from fmu.fmpy_instance import Archive
+from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import exported_functions
 from fmu.parity import varying_steps_s
 from models.plant.step_model import names
 
 
 @pytest.fixture(scope="module")
-def archive(toy_unit):
-    with Archive(toy_unit) as archive:
+def archive(toy_fmu):
+    with FmuArchive(toy_fmu) as archive:
         yield archive
 
 
@@ -37,11 +37,11 @@ def test_every_function_of_the_headers_is_exported_and_nothing_else_of_ours(arch
     wanted = exported_functions(archive.fmi)
     assert {2: 44, 3: 75}[archive.fmi] == len(wanted)  # FMI 2.0.1 and 3.0: 44 and 75 functions
     assert [name for name in wanted if not hasattr(library, name)] == []
-    for hidden in ("unit_step", "model_flow", "VARIABLES"):
+    for hidden in ("fmu_step", "model_flow", "VARIABLES"):
         assert not hasattr(library, hidden)
 
 
-def test_fmpys_own_simulation_equals_the_interpreted_model(toy_unit, toy):
+def test_fmpys_own_simulation_equals_the_interpreted_model(toy_fmu, toy):
     """Through FMPy's simulate_fmu, not our stepper, with its input interpolation and recorder."""
     count = 300
     u = _inputs(count)
@@ -50,7 +50,7 @@ def test_fmpys_own_simulation_equals_the_interpreted_model(toy_unit, toy):
     for k, name in enumerate(names(toy.inputs)):
         signals[name] = u[:, k]
     result = fmpy.simulate_fmu(
-        str(toy_unit), stop_time=(count - 1) * PERIOD_S, step_size=PERIOD_S,
+        str(toy_fmu), stop_time=(count - 1) * PERIOD_S, step_size=PERIOD_S,
         output_interval=PERIOD_S, input=signals, output=names(toy.outputs),
     )  # fmt: skip
     expected = toy.simulate(u[:-1], PERIOD_S)
@@ -123,13 +123,13 @@ def test_a_restored_state_continues_bit_by_bit(instance, archive):
         assert other.fmu.serializeFMUState(other.fmu.getFMUState()) != data
 
 
-@pytest.mark.parametrize("damage", ["short", "long", "other unit", "empty"])
-def test_bytes_that_are_no_state_of_this_unit_are_refused(instance, damage):
+@pytest.mark.parametrize("damage", ["short", "long", "other FMU", "empty"])
+def test_bytes_that_are_not_a_state_of_this_fmu_are_refused(instance, damage):
     instance.initialize()
     data = instance.fmu.serializeFMUState(instance.fmu.getFMUState())
     wrong = {
         "short": data[:-8], "long": data + bytes(8), "empty": b"",
-        "other unit": b"{0000" + data[5:],
+        "other FMU": b"{0000" + data[5:],
     }[damage]  # fmt: skip
     with pytest.raises(FMICallException):
         instance.fmu.deserializeFMUState(wrong)
@@ -230,7 +230,7 @@ def test_a_step_from_elsewhere_is_refused(instance):
     _refuses(instance, lambda: instance.fmu.doStep(0.5, PERIOD_S), "stands at")
 
 
-def test_a_step_that_blows_up_leaves_the_unit_where_it_was(instance):
+def test_a_step_that_blows_up_leaves_the_fmu_unchanged(instance):
     instance.initialize()
     instance.set({"torque_nm": 1e308})
     before = instance.get(["time", "steps"])
@@ -261,7 +261,7 @@ def test_what_is_not_offered_says_so(instance):
         assert list(instance.fmu.getInt32([])) == []
 
 
-def test_another_units_token_does_not_start_it(archive):
+def test_the_token_of_another_fmu_is_refused(archive):
     archive.description.guid, token = "{0}", archive.description.guid
     try:
         with pytest.raises(Exception, match=r"[Ii]nstantiate"):

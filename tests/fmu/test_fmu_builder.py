@@ -12,34 +12,34 @@ from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.golden import read_golden
 from firmware_py.signals import feature_names
 from fmu.__main__ import main
-from fmu.fmu_builder import build_unit
-from fmu.fmu_models import parts_of
+from fmu.fmu_builder import build_fmu
+from fmu.fmu_models import read_parts
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
 from models.shared.c_compiler import CACHE
 
 
-def test_a_rebuild_gives_the_same_bytes(toy, toy_unit_3, tmp_path, monkeypatch):
+def test_a_rebuild_gives_the_same_bytes(toy, toy_fmu_3, tmp_path, monkeypatch):
     """Also when nothing is taken from the cache of compiled libraries."""
     monkeypatch.setattr("models.shared.c_compiler.CACHE", tmp_path / "cache")
-    again = build_unit(toy, tmp_path / "again.fmu")
-    assert again.read_bytes() == toy_unit_3.read_bytes()
+    again = build_fmu(toy, tmp_path / "again.fmu")
+    assert again.read_bytes() == toy_fmu_3.read_bytes()
     assert CACHE.parent.name == "build"
 
 
-def test_other_content_gets_another_token(toy, toy_unit_3, tmp_path):
+def test_other_content_gets_another_token(toy, toy_fmu_3, tmp_path):
     def token(path):
         with zipfile.ZipFile(path) as archive:
             return archive.read("modelDescription.xml").split(b'instantiationToken="')[1][:38]
 
     heavier = replace(toy.parameters[0], start=0.9)
-    other = build_unit(
+    other = build_fmu(
         replace(toy, parameters=(heavier, *toy.parameters[1:])), tmp_path / "other.fmu"
     )
-    assert token(other) != token(toy_unit_3)
-    carrying = build_unit(toy, tmp_path / "carrying.fmu", resources={"note.txt": b"x"})
-    assert token(carrying) not in (token(other), token(toy_unit_3))
+    assert token(other) != token(toy_fmu_3)
+    carrying = build_fmu(toy, tmp_path / "carrying.fmu", resources={"note.txt": b"x"})
+    assert token(carrying) not in (token(other), token(toy_fmu_3))
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_a_sample_that_is_no_number_is_answered_with_nan_and_not_taken(completed
 
 
 def test_a_swapped_observer_is_refused_by_its_golden_ticks(completed, tmp_path):
-    """A unit of another plant, its hash put right in the manifest: the replay sees it."""
+    """An FMU of another plant with its correct hash in the manifest: the replay detects it."""
     from firmware_py.inference.bundle import write_manifest
 
     directory = tmp_path / "bundle"
@@ -103,8 +103,8 @@ def test_a_swapped_observer_is_refused_by_its_golden_ticks(completed, tmp_path):
     plant.with_values({"link_mass_kg": 1.3 * plant.parameters["link_mass_kg"].value}).write(
         tmp_path / "heavier.json"
     )
-    parts = parts_of("observer", manifest.dof, directory, tmp_path / "heavier.json")
-    build_unit(parts.model(), directory / "observer.fmu")
+    parts = read_parts("observer", manifest.dof, directory, tmp_path / "heavier.json")
+    build_fmu(parts.model(), directory / "observer.fmu")
     write_manifest(directory, manifest)
     with pytest.raises(InputError, match="tick"):
         ModelBundle.load(directory)

@@ -22,7 +22,7 @@ def twin(bundle_1dof, tmp_path_factory):
 
 
 def _rewritten(source, target, change):
-    """Copy of a unit with `change` applied to its files (name to bytes)."""
+    """Copy of an FMU with `change` applied to its files (name to bytes)."""
     with zipfile.ZipFile(source) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     change(files)
@@ -120,16 +120,16 @@ def test_a_parameter_is_set_before_the_start(twin, tmp_path, capsys):
     assert "parameters.link_mass_kg = 1e+06 lies outside" in capsys.readouterr().err
     assert main([*options, "parameters.nonsense=1"]) == 2
     assert main([*options, "parameters.link_mass_kg=heavy"]) == 2
-    assert "'heavy' is no number" in capsys.readouterr().err
+    assert "'heavy' is not a number" in capsys.readouterr().err
 
 
-def test_check_fails_a_unit_whose_binary_lacks_a_function(twin, tmp_path, capsys):
+def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys):
     def hide(files):
         name = next(n for n in files if n.endswith(".so"))
         files[name] = files[name].replace(b"fmi3GetClock\0", b"fmi3GotClock\0")
 
     assert main(["check", str(_rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
-    assert "misses fmi3GetClock" in capsys.readouterr().out
+    assert "lacks fmi3GetClock" in capsys.readouterr().out
 
 
 def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
@@ -145,10 +145,10 @@ def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("content", "sentence"),
-    [(None, "is missing"), (b"no zip", "is no FMI unit"), ("no description", "is no FMI unit")],
+    [(None, "is missing"), (b"no zip", "is not an FMU"), ("no description", "is not an FMU")],
 )
-def test_check_refuses_what_is_no_unit(tmp_path, capsys, content, sentence):
-    path = tmp_path / "unit.fmu"
+def test_check_refuses_what_is_not_an_fmu(tmp_path, capsys, content, sentence):
+    path = tmp_path / "any.fmu"
     if isinstance(content, bytes):
         path.write_bytes(content)
     elif content:
@@ -161,13 +161,13 @@ def test_check_refuses_what_is_no_unit(tmp_path, capsys, content, sentence):
 
 
 def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
-    bundle, out = str(bundle_1dof), str(tmp_path / "unit.fmu")
+    bundle, out = str(bundle_1dof), str(tmp_path / "any.fmu")
     cases = {
         "--out: is missing": ["build", bundle],
-        "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "unit.zip")],
+        "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "any.zip")],
         "manifest.json: is missing": ["build", str(tmp_path), "--out", out],
         "cannot be read": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
-        "the robot steps FMI 3.0": ["build", bundle, "--unit", "observer", "--fmi", "2"],
+        "cannot run on the robot (FMI 3.0)": ["build", bundle, "--unit", "observer", "--fmi", "2"],
     }
     for sentence, arguments in cases.items():
         assert main(arguments) == 2
@@ -180,5 +180,5 @@ def test_build_refuses_a_damaged_predictor(bundle_1dof, tmp_path, capsys):
     directory = tmp_path / "bundle"
     shutil.copytree(bundle_1dof, directory)
     (directory / "predictor.onnx").write_bytes(b"damaged")
-    assert main(["build", str(directory), "--out", str(tmp_path / "unit.fmu")]) == 2
+    assert main(["build", str(directory), "--out", str(tmp_path / "any.fmu")]) == 2
     assert "does not match the hash" in capsys.readouterr().err

@@ -12,25 +12,25 @@ from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S, feature_names
 from fmu import fmu_models
 from fmu.__main__ import main
-from fmu.fmpy_instance import Archive
-from fmu.fmu_models import parts_inside, parts_of
+from fmu.fmpy_instance import FmuArchive
+from fmu.fmu_models import embedded_parts, read_parts
 from fmu.parity import varying_steps_s
-from fmu.stimulus import motion_inputs
+from fmu.stimulus import inputs_from_motion
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
 
 
 @pytest.fixture(scope="module", params=["twin", "observer", "predictor"])
 def built(request, bundle, tmp_path_factory):
-    """The unit of each kind and dof; FMI 2.0 for 1DOF, FMI 3.0 for 2DOF."""
+    """The FMU of each kind and dof; FMI 2.0 for 1DOF, FMI 3.0 for 2DOF."""
     dof = read_manifest(bundle).dof
-    path = tmp_path_factory.mktemp("units") / f"{request.param}.fmu"
+    path = tmp_path_factory.mktemp("fmus") / f"{request.param}.fmu"
     options = ["--unit", request.param, "--fmi", str(dof + 1), "--out", str(path)]
     assert main(["build", str(bundle), *options]) == 0
-    return path, parts_of(request.param, dof, bundle)
+    return path, read_parts(request.param, dof, bundle)
 
 
-def test_the_command_calls_each_unit_sound(built, capsys):
+def test_the_command_passes_each_fmu(built, capsys):
     path, parts = built
     assert main(["check", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -39,7 +39,7 @@ def test_the_command_calls_each_unit_sound(built, capsys):
     assert max(report["parity"].values()) <= 1e-9
 
 
-def test_variables_are_those_of_the_design(built):
+def test_variables_have_the_public_names_and_causalities(built):
     """Names and causalities of docs/architecture.md, written out here."""
     path, parts = built
     joints = range(1, parts.dof + 1)
@@ -57,22 +57,22 @@ def test_variables_are_those_of_the_design(built):
         "observer": (measured, ["di", *tip, "payload_kg"]),
         "predictor": ([*measured, "di"], prediction),
     }[parts.kind]
-    with Archive(path) as archive:
+    with FmuArchive(path) as archive:
         variables = archive.description.modelVariables
     found = {c: {v.name for v in variables if v.causality == c} for c in ("input", "output")}
     assert found == {"input": set(inputs), "output": set(outputs)}
     parameters = {v.name for v in variables if v.causality == "parameter"}
     expected = set() if parts.plant is None else set(names(parts.model().parameters))
     assert parameters == {f"parameters.{name}" for name in expected}
-    fmu_models = {v.name: v.unit for v in variables}
+    units = {v.name: v.unit for v in variables}
     for name, unit in {"tip_z_m": "m", "di": "1", "payload_kg": "kg", "current_1_a": "A"}.items():
-        assert fmu_models.get(name, unit) == unit
+        assert units.get(name, unit) == unit
 
 
-def test_the_unit_carries_what_it_was_built_from(built):
+def test_the_fmu_carries_what_it_was_built_from(built):
     path, parts = built
-    with Archive(path) as archive:
-        inside = parts_inside(archive.directory / "resources")
+    with FmuArchive(path) as archive:
+        inside = embedded_parts(archive.directory / "resources")
         assert (inside.kind, inside.dof) == (parts.kind, parts.dof)
         if parts.plant:
             assert inside.plant.sha256() == parts.plant.sha256()
@@ -80,19 +80,19 @@ def test_the_unit_carries_what_it_was_built_from(built):
             assert inside.predictor.read_bytes() == parts.predictor.read_bytes()
 
 
-def test_the_units_prediction_is_onnxruntimes(bundle, tmp_path):
+def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, tmp_path):
     """The twin's own outputs put into the ONNX file by onnxruntime, in and out of range."""
     dof = read_manifest(bundle).dof
-    parts = parts_of("twin", dof, bundle)
+    parts = read_parts("twin", dof, bundle)
     path = tmp_path / "twin.fmu"
     assert main(["build", str(bundle), "--out", str(path)]) == 0
-    u = motion_inputs(parts, parts.model(), Motion("multisine", dof=dof), 1.7)[:250]
+    u = inputs_from_motion(parts, parts.model(), Motion("multisine", dof=dof), 1.7)[:250]
     predictor = OnnxPredictor(bundle / "predictor.onnx", dof)
     outputs = [
         *feature_names(dof), "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
         "half_width_x_m", "half_width_y_m", "half_width_z_m", "in_range",
     ]  # fmt: skip
-    with Archive(path) as archive, archive.instance() as instance:
+    with FmuArchive(path) as archive, archive.instance() as instance:
         y = instance.run(names(parts.model().inputs), u, varying_steps_s(250), outputs)
     for row in y:
         angle_rad, current_a, di = row[:dof], row[dof : 2 * dof], row[2 * dof]
@@ -105,17 +105,17 @@ def test_the_units_prediction_is_onnxruntimes(bundle, tmp_path):
 def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
     """Fed with the twin's angle and current it finds the twin's tip: the same link, measured."""
     dof = read_manifest(bundle).dof
-    twin = parts_of("twin", dof, bundle)
+    twin = read_parts("twin", dof, bundle)
     plant = CompiledModel(twin.plant.step_model(dof, "twin"))
     payload_kg = 1.0
-    u = motion_inputs(twin, plant.model, Motion(dof=dof), payload_kg)
+    u = inputs_from_motion(twin, plant.model, Motion(dof=dof), payload_kg)
     y = plant.simulate(u, PERIOD_S)[1:]
     columns = dict(zip(names(plant.model.outputs), y.T, strict=True))
     path = tmp_path / "observer.fmu"
     assert main(["build", str(bundle), "--unit", "observer", "--out", str(path)]) == 0
     tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
-    model = parts_of("observer", dof, bundle).model()
-    with Archive(path) as archive, archive.instance() as instance:
+    model = read_parts("observer", dof, bundle).model()
+    with FmuArchive(path) as archive, archive.instance() as instance:
         instance.set({"parameters.payload_known_kg": payload_kg})
         sensed = np.column_stack([columns[name] for name in names(model.inputs)])
         seen = instance.run(names(model.inputs), sensed, np.full(len(sensed), PERIOD_S), tip)[1:]
@@ -126,12 +126,12 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
 
 
 def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
-    with pytest.raises(InputError, match="gives no angle_1_rad, which the predictor takes"):
+    with pytest.raises(InputError, match="has no output angle_1_rad, which the predictor needs"):
         fmu_models._with_predictor(toy, 1, bundle_1dof / "predictor.onnx")
 
 
 def test_check_notices_another_plant(bundle_1dof, tmp_path, capsys):
-    plant = parts_of("twin", 1, bundle_1dof).plant
+    plant = read_parts("twin", 1, bundle_1dof).plant
     mass_kg = plant.parameters["link_mass_kg"].value
     plant.with_values({"link_mass_kg": 1.001 * mass_kg}).write(tmp_path / "other.json")
     path = tmp_path / "twin.fmu"

@@ -1,4 +1,4 @@
-"""Any order of calls: legal ones are taken, others refused, and nothing ever breaks."""
+"""State machine of an FMU: random sequences of calls, legal ones accepted, others refused."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from fmpy.fmi1 import FMICallException
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmu.fmpy_instance import Archive
+from fmu.fmpy_instance import FmuArchive
 
 # The standards' state machines for Co-Simulation without event mode: call -> {state: next state}.
 LEGAL = {
@@ -24,8 +24,8 @@ CALLS = st.lists(st.sampled_from([*LEGAL, "save", "restore"]), min_size=1, max_s
 
 
 @pytest.fixture(scope="module")
-def archive(toy_unit):
-    with Archive(toy_unit) as archive:
+def archive(toy_fmu):
+    with FmuArchive(toy_fmu) as archive:
         yield archive
 
 

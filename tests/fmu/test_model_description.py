@@ -6,17 +6,17 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from fmu.interface import interface_of
-from fmu.model_description import describe
+from fmu.model_description import model_description_xml
 from fmu.si_units import DISPLAY_UNITS
 
 
-def test_fmpy_finds_no_problem(toy_unit):
-    assert validate_fmu(str(toy_unit)) == []
+def test_fmpy_finds_no_problem(toy_fmu):
+    assert validate_fmu(str(toy_fmu)) == []
 
 
-def test_variables_are_those_of_the_table(toy_unit, toy):
+def test_variables_are_those_of_the_table(toy_fmu, toy):
     """What FMPy reads back is what the interface table says, value by value."""
-    description = fmpy.read_model_description(str(toy_unit))
+    description = fmpy.read_model_description(str(toy_fmu))
     read = {v.name: v for v in description.modelVariables}
     table = interface_of(toy).variables
     assert list(read) == [v.name for v in table]
@@ -37,8 +37,8 @@ def test_variables_are_those_of_the_table(toy_unit, toy):
             assert (float(found.min), float(found.max)) == (v.minimum, v.maximum)
 
 
-def test_dates_are_valid_and_the_zip_holds_documents(toy_unit):
-    with zipfile.ZipFile(toy_unit) as archive:
+def test_dates_are_valid_and_the_zip_holds_documents(toy_fmu):
+    with zipfile.ZipFile(toy_fmu) as archive:
         xml = archive.read("modelDescription.xml").decode()
         page = archive.read("documentation/index.html").decode()
         licence = archive.read("documentation/licenses/license.txt").decode()
@@ -51,7 +51,7 @@ def test_dates_are_valid_and_the_zip_holds_documents(toy_unit):
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_dependencies_are_counted_as_the_version_counts(toy, fmi):
     """FMI 2.0 counts from 1 and leaves parameters out of the outputs' knowns."""
-    xml = describe(interface_of(toy), fmi, "{t}", "", "2026-01-01T00:00:00Z").decode()
+    xml = model_description_xml(interface_of(toy), fmi, "{t}", "", "2026-01-01T00:00:00Z").decode()
     tip = next(v.reference for v in interface_of(toy).variables if v.name == "tip_x_m")
     length = next(v.reference for v in interface_of(toy).variables if "length" in v.name)
     expected = {

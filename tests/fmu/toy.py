@@ -1,4 +1,4 @@
-"""A small model with every trait that a unit has to carry, and nothing of the link.
+"""Small model with every feature that an FMU must support, independent of the link.
 
 A damped pendulum driven by a torque; a counter of steps and the previous torque are discrete.
 """

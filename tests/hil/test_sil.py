@@ -22,7 +22,7 @@ from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
-from fmu.fmu_builder import build_unit
+from fmu.fmu_builder import build_fmu
 from hil import sil, sil_artifacts
 from hil.commands.sil import describe, write_results
 from hil.emulator.emulator import Truth
@@ -246,7 +246,7 @@ def test_a_unit_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
         sil.run(replace(options(), unit=twins[2]))
     observer = read_plant(NOMINAL).step_model(1, "observer")
     with pytest.raises(InputError, match="--unit twin"):
-        sil.run(replace(options(), unit=build_unit(observer, tmp_path / "observer.fmu")))
+        sil.run(replace(options(), unit=build_fmu(observer, tmp_path / "observer.fmu")))
 
 
 def test_without_a_unit_the_bundles_plant_is_built(options, bundles):

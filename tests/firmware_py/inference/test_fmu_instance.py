@@ -10,8 +10,8 @@ import pytest
 from firmware_py.errors import FmuRefusal, InputError
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.signals import PERIOD_S
-from fmu.fmpy_instance import Archive
-from fmu.fmu_builder import build_unit
+from fmu.fmpy_instance import FmuArchive
+from fmu.fmu_builder import build_fmu
 from fmu.parity import varying_steps_s
 from models.plant.step_model import names
 from tests.fmu.toy import pendulum
@@ -22,7 +22,7 @@ OUTPUTS = ["tip_x_m", "tip_z_m", "torque_filtered_nm", "steps", "mass_kg", "time
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    return build_unit(pendulum(), tmp_path_factory.mktemp("unit") / "pendulum.fmu")
+    return build_fmu(pendulum(), tmp_path_factory.mktemp("unit") / "pendulum.fmu")
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def _inputs(count):
 
 def test_steps_equal_fmpys_bit_by_bit(fmu, path):
     u, steps_s = _inputs(120), varying_steps_s(120)
-    with Archive(path) as archive, archive.instance() as instance:
+    with FmuArchive(path) as archive, archive.instance() as instance:
         expected = instance.run(INPUTS, u, steps_s, OUTPUTS)
     inputs, outputs = fmu.channel(INPUTS), fmu.channel(OUTPUTS)
     for k, step_s in enumerate(steps_s):
@@ -149,7 +149,7 @@ def _lacking(files):
     ("change", "sentence"),
     [
         (_edit(b'fmiVersion="3.0"', b'fmiVersion="2.0"'), "is of FMI 2.0"),
-        (_edit(b'instantiationToken="{', b'instantiationToken="{0'), "token is of another unit"),
+        (_edit(b'instantiationToken="{', b'instantiationToken="{0'), "token is of another FMU"),
         (_edit(b"<CoSimulation", b"<ModelExchange"), "not for Co-Simulation"),
         (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMI unit"),
         (lambda files: files.pop("modelDescription.xml"), "is no FMI unit"),

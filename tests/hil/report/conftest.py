@@ -12,9 +12,9 @@ import pytest
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.inference.bundle import ModelBundle
 from fmu.__main__ import main as fmu_main
-from fmu.fmpy_instance import Archive
-from fmu.fmu_checker import check_unit
-from fmu.fmu_models import parts_inside
+from fmu.fmpy_instance import FmuArchive
+from fmu.fmu_checker import check_fmu
+from fmu.fmu_models import embedded_parts
 from hil import sil
 from hil.commands.sil import write_results
 from hil.emulator.twin_fmu import build_twin
@@ -69,8 +69,8 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     few = TrialSet((*held_out[:1], *one[:1]))
     (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluation(plant, few)))
     unit = build_twin(NOMINAL, 1, directory)
-    with Archive(unit) as archive:
-        report = check_unit(archive, parts_inside(archive.directory / "resources"))
+    with FmuArchive(unit) as archive:
+        report = check_fmu(archive, embedded_parts(archive.directory / "resources"))
     (directory / "check_twin_1dof.json").write_text(json.dumps(report.data()))
     options = sil.SilOptions(
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",

@@ -11,13 +11,13 @@ from firmware_py.errors import InputError
 from models.__main__ import main
 from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
 from models.learning.lagged import LaggedRegressor, lagged_features
-from models.learning.samples import collect
+from models.learning.samples import collect_samples
 from models.learning.validation import r_squared
 from models.plant.provenance import FittedTrial, Provenance
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
-from models.study.findings import loop
-from models.study.observer_runs import observe
+from models.study.findings import hysteresis_loop
+from models.study.observer_runs import run_observer
 from models.study.study import run_study
 from models.trials.deformation import deformation_index
 from models.trials.trial_files import TrialSet, write_trial
@@ -102,7 +102,7 @@ def test_observer_over_a_trial_is_the_step_model_step_by_step(toy_trials, toy_ob
     trial, model = toy_trials(dof)[0], toy_observer(dof)
     u = np.column_stack([trial.columns[name] for name in names(model.inputs)])
     stepped = model.simulate(u, trial.step_s)[1:]
-    observation = observe(CompiledModel(model), trial)
+    observation = run_observer(CompiledModel(model), trial)
     np.testing.assert_allclose(observation.di, stepped[:, 0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(observation.tip_m, stepped[:, 1:4], rtol=0, atol=1e-12)
     np.testing.assert_allclose(observation.payload_kg, stepped[:, 4], rtol=0, atol=1e-12)
@@ -134,7 +134,7 @@ def test_rows_without_any_marker_are_left_out(toy_trials):
         for name, column in trial.columns.items()
     }
     blind = replace(trial, columns=columns)
-    samples = collect((blind,), {"true": [deformation_index(blind)]})
+    samples = collect_samples((blind,), {"true": [deformation_index(blind)]})
     assert len(samples) == len(trial) - trial.meta.rest_samples - len(hidden)
     assert np.isfinite(samples.features("true")).all()
 
@@ -146,8 +146,8 @@ def test_a_loop_is_wide_only_where_the_link_lags(make_trial):
     noise = 1e-4 * np.random.default_rng(0).standard_normal(len(time_s))
     speed = np.abs(np.gradient(angle_rad))
     rising = (np.gradient(angle_rad) > 0) * speed / speed.max()
-    follows = loop(make_trial(angle_rad, stretch=1.001 + bend + noise, rest_samples=20))
-    lags = loop(
+    follows = hysteresis_loop(make_trial(angle_rad, stretch=1.001 + bend + noise, rest_samples=20))
+    lags = hysteresis_loop(
         make_trial(angle_rad, stretch=1.001 + bend + noise + 1e-3 * rising, rest_samples=20)
     )
     assert follows.width < 3 * follows.noise

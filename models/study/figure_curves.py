@@ -17,7 +17,7 @@ POINTS: Final = 256
 POSES: Final = 9
 
 
-def series(
+def figure_curves(
     training: Samples,
     tests: Mapping[str, Samples],
     fitted: Mapping[tuple[Source, int], Any],

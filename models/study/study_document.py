@@ -1,0 +1,311 @@
+"""Study document (`study.json`): every table and curve of the published study on some trials.
+
+Distances are in m; DI, R² and fractions are dimensionless. Keys of the tables, by type:
+
+Test     trial_2, unseen_20deg, …: one set of held-out trials
+Part     pooled, a payload in kg ("0.5"), or a phase of joint 2 ("phase_90deg")
+Variant  with_di, without_di, estimated_di: the DI that a predictor gets
+Degree   "1" to "6", of the polynomial
+Source   observer, lagged, none: estimator of DI
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import msgspec
+
+from firmware_py.documents import Document, read_document, write_document
+
+__all__ = ["StudyDocument", "read_study", "write_study"]
+
+Test = str
+Part = str
+Variant = str
+Degree = str
+Source = str
+Payload = str
+
+ByDegree = dict[Degree, float]
+DistanceTable = dict[Part, dict[Variant, ByDegree]]
+"""Distances in m of one test (paper, eq. 8 and Figs. 14 and 15)."""
+Curve = tuple[float, ...]
+
+
+class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Set of trials that the study was trained or tested on.
+
+    Attributes
+    ----------
+    trials : tuple of str
+        Names.
+    sha256 : str
+        Hash of their content.
+    payload_kg, amplitude_rad, phase_2_rad : tuple of float
+        Values that occur, ascending.
+    step_s : float
+        Time step of the first trial.
+    """
+
+    trials: tuple[str, ...]
+    sha256: str
+    payload_kg: tuple[float, ...]
+    amplitude_rad: tuple[float, ...]
+    phase_2_rad: tuple[float, ...]
+    step_s: float
+
+
+class FoldErrors(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
+    """Mean Euclidean distance of a cross-validation and its standard deviation over the folds.
+
+    Attributes
+    ----------
+    blocks_m, blocks_fold_std_m : float
+        Blocks of time left out.
+    leave_one_payload_out_m, leave_one_payload_out_fold_std_m : float, optional
+        Payloads left out; absent where the training has one payload.
+    selection_m : float
+        The distance by which the degree is chosen: payloads left out if there are several.
+    """
+
+    blocks_m: float
+    blocks_fold_std_m: float
+    leave_one_payload_out_m: float | None = None
+    leave_one_payload_out_fold_std_m: float | None = None
+    selection_m: float
+
+
+class EstimatorScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Accuracy of one estimator of DI on one test.
+
+    Attributes
+    ----------
+    r2_di : float
+        R² of DI; negative where the estimate is worse than the mean.
+    rms_error_di : float
+        Root mean square error of DI.
+    mean_euclidean_distance_m : dict of degree to float
+        Of the predictors trained on this DI.
+    benefit_recovered : dict of degree to float or None
+        Fraction of true DI's gain in distance; None where true DI gains nothing.
+    """
+
+    r2_di: float
+    rms_error_di: float
+    mean_euclidean_distance_m: ByDegree
+    benefit_recovered: dict[Degree, float | None]
+
+
+class BaselineErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Mean Euclidean distances without a polynomial, and the observer's payload error.
+
+    Attributes
+    ----------
+    observer_tip, rigid_kinematics : dict of part to float
+        Distances in m of the plant observer's tip and of a link that does not bend.
+    final_payload_error_kg : dict of trial to float
+        Estimated less true payload at the end of each trial.
+    """
+
+    observer_tip: dict[Part, float]
+    rigid_kinematics: dict[Part, float]
+    final_payload_error_kg: dict[str, float]
+
+
+class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Accuracy of the predictor that the robot gets, on one test.
+
+    Attributes
+    ----------
+    mean_euclidean_distance_m : float
+        With the observer's DI and inputs clipped into the training box.
+    interval_coverage : dict of axis to float
+        Fraction of rows inside the 95 % interval, per world axis.
+    interval_coverage_mean : float
+        Over rows and axes.
+    interval_coverage_by_part : dict of part to float
+        Over axes, per part.
+    mean_half_width_m : dict of axis to float
+        Mean half width of the interval.
+    in_range_fraction : float
+        Fraction of rows whose inputs lie in the training box.
+    """
+
+    mean_euclidean_distance_m: float
+    interval_coverage: dict[str, float]
+    interval_coverage_mean: float
+    interval_coverage_by_part: dict[Part, float]
+    mean_half_width_m: dict[str, float]
+    in_range_fraction: float
+
+
+class TipPath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Path of the end effector in the world frame (paper, Fig. 7)."""
+
+    tip_x_m: Curve
+    tip_y_m: Curve
+    tip_z_m: Curve
+
+
+class LinkPoses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Shapes of the link at equal times of the first cycle (paper, Fig. 8).
+
+    Attributes
+    ----------
+    payload_kg : float
+        Payload of the trial, the heaviest.
+    time_s, di : tuple of float
+        One value per pose.
+    angle_rad : tuple of tuple of float
+        Joint angles of each pose.
+    centre_line_m : tuple of poses, points, coordinates
+        Base plate, then the centre of each marker row; None where a row shows no marker.
+    """
+
+    payload_kg: float
+    time_s: Curve
+    angle_rad: tuple[Curve, ...]
+    di: Curve
+    centre_line_m: tuple[tuple[tuple[float | None, ...], ...], ...]
+
+
+class DiCurve(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
+    """DI over the joint angles of one trial (paper, Figs. 9 and 10)."""
+
+    angle_1_rad: Curve
+    angle_2_rad: Curve | None = None
+    di: Curve
+
+
+class ErrorCurves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Distance over time with true DI, mean over payloads (paper, Figs. 12 and 13)."""
+
+    time_s: Curve
+    euclidean_distance_m: dict[Degree, Curve]
+
+
+class DiEstimates(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """DI over time of the heaviest payload, measured and estimated."""
+
+    time_s: Curve
+    true: Curve
+    observer: Curve
+    lagged: Curve
+
+
+class StudyCurves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Curves of the figures; `path` and `di` are by payload and phase of the training trials."""
+
+    path: dict[str, TipPath]
+    poses: LinkPoses
+    di: dict[str, DiCurve]
+    error: dict[Test, ErrorCurves]
+    estimates: dict[Test, DiEstimates]
+
+
+class StudyFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Finding of the paper, tested on these trials.
+
+    Attributes
+    ----------
+    claim : str
+        The paper's finding.
+    holds : bool or None
+        Whether it is reproduced; None where these trials cannot tell.
+    text : str
+        Result in one sentence with its figures.
+    depends_on : str
+        Property of link, servo or motion that causes the finding.
+    """
+
+    claim: str
+    holds: bool | None
+    text: str
+    depends_on: str
+
+
+class StudyDocument(Document, frozen=True, kw_only=True):
+    """Content of `study.json`.
+
+    Attributes
+    ----------
+    dof : int
+        Number of joints.
+    rows : str
+        Which rows of the trials were used.
+    training : TrialsSummary
+        Trials that every predictor was trained on.
+    cross_validation : dict of variant and degree to FoldErrors
+        On the training trials alone.
+    mean_di, mean_di_other_dof : dict of payload to float
+        Mean DI over the moving rows, of this dof and of the other (paper, Fig. 11).
+    chosen_degree : int
+        Degree of the least `selection_m` of estimated_di.
+    tests : dict of test to TrialsSummary
+        Held-out trials.
+    mean_euclidean_distance_m, std_euclidean_distance_m : dict of test to DistanceTable
+        Over rows.
+    estimators : dict of test and source to EstimatorScores
+        Estimators of DI.
+    baselines : dict of test to BaselineErrors
+        Distances without a polynomial.
+    deployed : dict of test to DeployedScores
+        The predictor that the robot gets.
+    series : StudyCurves
+        Curves of the figures.
+    findings : tuple of StudyFinding
+        Findings of the paper on these trials.
+    """
+
+    VERSION: ClassVar[int] = 2
+    MADE_BY: ClassVar[str] = "python -m models train"
+
+    dof: int
+    rows: str
+    training: TrialsSummary
+    cross_validation: dict[Variant, dict[Degree, FoldErrors]]
+    mean_di: dict[Payload, float]
+    mean_di_other_dof: dict[Payload, float]
+    chosen_degree: int
+    tests: dict[Test, TrialsSummary]
+    mean_euclidean_distance_m: dict[Test, DistanceTable]
+    std_euclidean_distance_m: dict[Test, DistanceTable]
+    estimators: dict[Test, dict[Source, EstimatorScores]]
+    baselines: dict[Test, BaselineErrors]
+    deployed: dict[Test, DeployedScores]
+    series: StudyCurves
+    findings: tuple[StudyFinding, ...]
+
+
+def read_study(path: Path) -> StudyDocument:
+    """Read `study.json`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, of another version, or not a study.
+    """
+    return read_document(path, StudyDocument)
+
+
+def write_study(path: Path, document: StudyDocument) -> None:
+    """Write `study.json`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    document : StudyDocument
+        Its content.
+    """
+    write_document(path, document)
