@@ -37,7 +37,7 @@ from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from hil import sil
 from hil.emulator.emulator import Emulator, Specification
-from hil.timing.host import cpu_load, kept_to, processors
+from hil.timing.cpu_accounts import assign_processors, cpu_load, pinned_to
 
 BAUD: Final = 1_000_000
 _PROTOCOL: Final = 2.0
@@ -58,7 +58,7 @@ class Setting(NamedTuple):
     """What all contenders share."""
 
     bundle: ModelBundle
-    unit: Path
+    fmu: Path
     model: Model
     seconds: float
     lost: float
@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             for name, contender in contenders.items():
                 turns[name].append(contender(setting))
                 progress.step(name)
-    rows = {name: summarise(each) for name, each in turns.items()}
+    rows = {name: figures_of(each) for name, each in turns.items()}
     print(table(rows))
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "loop.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
@@ -109,10 +109,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def ours(setting: Setting, line: sil.LineKind) -> Turn:
     """One turn of the robot's loop."""
     options = sil.SilOptions(
-        setting.bundle, setting.model, setting.scratch / "ours", unit=setting.unit, line=line,
+        setting.bundle, setting.model, setting.scratch / "ours", fmu=setting.fmu, line=line,
         seconds=setting.seconds, baud=BAUD, load=setting.load, faults={"lost": setting.lost},
     )  # fmt: skip
-    result = sil.run(options)
+    result = sil.run_sil(options)
     records = result.records
     return Turn(
         records["lateness_ns"] + records["busy_ns"], records["lateness_ns"],
@@ -123,14 +123,14 @@ def ours(setting: Setting, line: sil.LineKind) -> Turn:
 
 def shipped(setting: Setting, priority: int) -> Turn:
     """One turn with the SDK as shipped."""
-    bundle, loop_cpu, other_cpus = setting.bundle, *processors()
+    bundle, loop_cpu, other_cpus = setting.bundle, *assign_processors()
     dof = bundle.manifest.dof
     specification = Specification(
-        setting.unit, setting.model.number, tuple(range(1, dof + 1)), BAUD,
+        setting.fmu, setting.model.number, tuple(range(1, dof + 1)), BAUD,
         faults={"lost": setting.lost},
     )  # fmt: skip
     options = RealTimeOptions(priority=priority, cpu=loop_cpu)
-    with kept_to(other_cpus), contextlib.ExitStack() as stack:
+    with pinned_to(other_cpus), contextlib.ExitStack() as stack:
         emulator = stack.enter_context(
             contextlib.closing(Emulator(specification, "pty", setting.scratch, max(other_cpus)))
         )
@@ -216,7 +216,7 @@ def _pace(setting: Setting, servos: ShippedServos, dof: int) -> Turn:
     return Turn(np.array(taken), np.array(lateness), max(slot, slots), stale, cpu_s, wall_s)
 
 
-def summarise(turns: Sequence[Turn]) -> dict[str, Any]:
+def figures_of(turns: Sequence[Turn]) -> dict[str, Any]:
     """Figures of all turns of one contender together."""
     taken_us = np.concatenate([turn.taken_ns for turn in turns]) / 1e3
     late_us = np.concatenate([turn.lateness_ns for turn in turns]) / 1e3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from firmware_py.bus.servo_models import MODELS
-from hil.emulator.line_faults import KINDS
+from hil.emulator.line_faults import FAULT_KINDS
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +26,6 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
-        help="shares of the status packets that are " + ", ".join(KINDS),
+        help="shares of the status packets that are " + ", ".join(FAULT_KINDS),
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random")

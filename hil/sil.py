@@ -39,12 +39,20 @@ from firmware_py.realtime.clock import Clock, DeadlineClock, RealTimeOptions, Si
 from firmware_py.realtime.timing import Counters, KernelCounters, NoCounters
 from firmware_py.robot import build_bus, build_loop, log_metadata, open_bus
 from firmware_py.summary import RunSummary
-from hil.emulator.emulator import Emulator, EmulatorOutcome, Specification, assemble
+from hil.emulator.emulator import Emulator, EmulatorOutcome, Specification, build_line
 from hil.emulator.line import VirtualTransport
 from hil.emulator.physics import RigSource
 from hil.emulator.twin_fmu import build_twin
+from hil.timing.cpu_accounts import (
+    ProbeRecord,
+    Releases,
+    assign_processors,
+    cpu_load,
+    host_environment,
+    pinned_to,
+    scheduling_policy,
+)
 from hil.timing.cyclictest import cyclictest
-from hil.timing.host import Releases, Watch, cpu_load, environment, kept_to, processors, scheduler
 from hil.timing.probe import Probe
 
 LineKind = Literal["pty", "socket", "virtual"]
@@ -66,9 +74,9 @@ class SilOptions:
         Servo to emulate.
     out : Path
         Directory of the log.
-    unit : Path, optional
+    fmu : Path, optional
         Twin to put behind the servos; by default it is built from the bundle's plant.
-    reality : RigSource, optional
+    rig : RigSource, optional
         Laboratory to put there instead of a twin, on the virtual line.
     line : {"pty", "socket", "virtual"}
         See `hil.emulator.line`.
@@ -93,8 +101,8 @@ class SilOptions:
     bundle: ModelBundle
     model: Model
     out: Path
-    unit: Path | None = None
-    reality: RigSource | None = None
+    fmu: Path | None = None
+    rig: RigSource | None = None
     line: LineKind = "socket"
     seconds: float = 10.0
     baud: int = 1_000_000
@@ -125,7 +133,7 @@ class SilResult(NamedTuple):
         The loop's own account.
     outcome : EmulatorOutcome
         The emulator's.
-    loop_cpu, line_cpu : Watch
+    loop_cpu, line_cpu : ProbeRecord
         The probes'.
     wall_s : float
         Time that the run took.
@@ -141,8 +149,8 @@ class SilResult(NamedTuple):
 
     summary: RunSummary
     outcome: EmulatorOutcome
-    loop_cpu: Watch
-    line_cpu: Watch
+    loop_cpu: ProbeRecord
+    line_cpu: ProbeRecord
     wall_s: float
     environment: dict[str, Any]
     plan: Plan
@@ -155,24 +163,24 @@ class SilResult(NamedTuple):
         return self.summary.records
 
 
-def run(options: SilOptions) -> SilResult:
+def run_sil(options: SilOptions) -> SilResult:
     """Run the loop against the emulated servos.
 
     Raises
     ------
     InputError
-        If bundle, unit or options cannot be used.
+        If bundle, FMU or options cannot be used.
     """
     if not 0 < options.seconds < math.inf:
         raise InputError("--seconds", f"is {options.seconds:g}", "give a positive duration")
     if options.load < 0:
         raise InputError("--load", f"is {options.load}", "give a number of processes, 0 for none")
-    if options.reality and (options.unit or options.line != "virtual"):
+    if options.rig and (options.fmu or options.line != "virtual"):
         raise InputError(
             "--rig", "stands in a twin's place and keeps no real time", "take --line virtual alone"
         )
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
-        source = options.reality or options.unit
+        source = options.rig or options.fmu
         if source is None:
             source = build_twin(_plant(options), options.dof, Path(scratch))
         specification = Specification(
@@ -180,7 +188,7 @@ def run(options: SilOptions) -> SilResult:
             latency_s=options.latency_s, payload_kg=options.payload_kg,
             faults=options.faults, seed=options.seed,
         )  # fmt: skip
-        check_config(robot_config(options, options.line), "--baud")
+        check_config(sil_config(options, options.line), "--baud")
         _make(options.out)
         if options.line == "virtual":
             result = _run_virtual(options, specification)
@@ -211,9 +219,9 @@ def _plant(options: SilOptions) -> Path:
 
 def _geometry(source: Path | RigSource) -> dict[str, float]:
     if isinstance(source, RigSource):
-        from hil.emulator.rig_physics import geometry  # loads MuJoCo
+        from hil.emulator.rig_physics import rig_geometry  # loads MuJoCo
 
-        return geometry()
+        return rig_geometry()
     with FmuInstance(source) as opened:
         known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
         return dict(
@@ -221,7 +229,7 @@ def _geometry(source: Path | RigSource) -> dict[str, float]:
         )
 
 
-def robot_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
+def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
     """The configuration that the robot would have."""
     return RobotConfig(
         bundle=str(options.bundle.directory),
@@ -235,8 +243,8 @@ def robot_config(options: SilOptions, port: str, cpu: int | None = None) -> Robo
 
 def _run_virtual(options: SilOptions, specification: Specification) -> SilResult:
     clock = SimClock()
-    line, truth = assemble(specification)
-    config = robot_config(options, "virtual")
+    line, truth = build_line(specification)
+    config = sil_config(options, "virtual")
     bus = build_bus(config, VirtualTransport(line, clock), clock)
     loop = _loop(options, config, bus, clock, NoTelemetry(), NoCounters())
     start_s, start_busy_s = time.perf_counter(), time.process_time()
@@ -254,8 +262,8 @@ def _run_virtual(options: SilOptions, specification: Specification) -> SilResult
         "records_sha256": digest.hexdigest(),
     }
     return SilResult(
-        summary, outcome, Watch(), Watch(), wall_s, environment() | _line_facts(options) | facts,
-        bus.plan,
+        summary, outcome, ProbeRecord(), ProbeRecord(), wall_s,
+        host_environment() | _line_facts(options) | facts, bus.plan,
     )  # fmt: skip
 
 
@@ -275,13 +283,13 @@ def _run_in_real_time(
     specification: Specification,
     scratch: Path,
 ) -> SilResult:
-    loop_cpu, other_cpus = processors()
+    loop_cpu, other_cpus = assign_processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
-    with kept_to(other_cpus), contextlib.ExitStack() as stack:
+    with pinned_to(other_cpus), contextlib.ExitStack() as stack:
         enter = stack.enter_context
         emulator = enter(contextlib.closing(Emulator(specification, kind, scratch, line_cpu)))
-        config = robot_config(options, emulator.name, loop_cpu)
+        config = sil_config(options, emulator.name, loop_cpu)
         telemetry = enter(_recording(options, config))
         enter(cpu_load(options.load, other_cpus))
         # On a single processor the emulator is a neighbour of the loop, else nobody is.
@@ -298,7 +306,7 @@ def _run_in_real_time(
             start_s = time.perf_counter()
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
-            policy = scheduler()
+            policy = scheduling_policy()
         watches = loop_probe.stop(), line_probe.stop()
         facts = {
             "scheduler": policy,
@@ -308,7 +316,7 @@ def _run_in_real_time(
             "load_processes": options.load,
             "load_is": "declared host load, normal priority, on the emulator's processor",
         }
-        facts = environment() | _line_facts(options) | facts
+        facts = host_environment() | _line_facts(options) | facts
         return SilResult(
             summary, emulator.stop(), *watches, wall_s, facts, bus.plan, reference.stop()
         )
@@ -348,6 +356,6 @@ def _line_facts(options: SilOptions) -> dict[str, Any]:
         "servo": options.model.name,
         "faults": options.faults,
         "payload_kg": options.payload_kg,
-        "behind_the_servos": "laboratory" if options.reality else "twin",
-        "hidden": dict(options.reality.hidden) if options.reality else {},
+        "behind_the_servos": "rig" if options.rig else "twin",
+        "hidden": dict(options.rig.hidden) if options.rig else {},
     }

@@ -57,7 +57,7 @@ def programme_s(options: SilOptions) -> dict[str, float]:
     return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}
 
 
-def parts_of(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
+def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
     """Part of the programme that each time falls into, shape (n,)."""
     ends_s = np.cumsum(list(programme.values()))
     # Half a microsecond: a slot's time is its number times the period, rounded.
@@ -109,7 +109,7 @@ def prediction_error(
     parts: dict[str, NDArray[np.bool_]] = {"in_range": in_range, "out_of_range": ~in_range}
     if programme:
         stopping = records["state"] >= SafetyState.STOPPING
-        part = parts_of(records["time_s"], programme)
+        part = programme_part(records["time_s"], programme)
         parts |= {n: np.asarray(part == n) & ~stopping for n in programme} | {"stop": stopping}
     by_part = {name: figures(fresh & rows) for name, rows in parts.items()}
     return figures(fresh) | {"parts": {name: part for name, part in by_part.items() if part["n"]}}
@@ -159,7 +159,7 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     return Trial("sil", meta, columns)
 
 
-def draw(result: SilResult, timing: dict[str, Any], path: Path) -> None:
+def draw_summary(result: SilResult, timing: dict[str, Any], path: Path) -> None:
     """A small picture of the run: tip and prediction, tick by tick timing, histogram."""
     records, truth = result.records, true_tip_m(result.records, result.outcome.truth)
     time_s, predicted = records["time_s"], predicted_tip_m(records)

@@ -45,9 +45,9 @@ def run(args: argparse.Namespace) -> int:
     if args.line == "socket" and args.path.exists():
         raise InputError(args.path, "exists already", "name another --path, or remove it")
     with TemporaryDirectory(prefix="dropstitch-emulate-") as scratch:
-        unit = args.fmu or build_twin(args.plant, len(args.ids), Path(scratch))
+        fmu = args.fmu or build_twin(args.plant, len(args.ids), Path(scratch))
         specification = Specification(
-            unit, model.number, tuple(args.ids), args.baud,
+            fmu, model.number, tuple(args.ids), args.baud,
             latency_s=args.latency_ms * 1e-3, payload_kg=args.payload_kg,
             faults=parse_rates(args.faults), seed=args.seed,
         )  # fmt: skip

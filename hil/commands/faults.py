@@ -17,7 +17,7 @@ from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
-    from hil.faults.fault_verdict import Judged
+    from hil.faults.fault_verdict import CaseVerdict
 
 EXAMPLE = "python -m hil faults --bundle build/bundle_2dof --out build/faults"
 LINES = ("virtual", "socket", "process")
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from hil.emulator.twin_fmu import build_twin
     from hil.faults import fault_verdict
     from hil.faults.campaign import cases_of, facts, run_campaign
-    from hil.faults.case_robot import CaseRobot
+    from hil.faults.cases.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS
     from hil.report import write_fault_report
 
@@ -66,18 +66,18 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"
-        unit = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
-        rig = CaseRobot(bundle, unit)
-        judged = run_campaign(rig, cases)
-    document = fault_verdict.report(judged, facts(rig, cases))
+        fmu = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
+        robot = CaseRobot(bundle, fmu)
+        judged = run_campaign(robot, cases)
+    document = fault_verdict.report(judged, facts(robot, cases))
     (args.out / "faults.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (args.out / "faults.xml").write_bytes(fault_verdict.junit_xml(judged))
     write_fault_report(document, args.out / "report.html")
-    emit(args, document, describe(judged, document, args.out))
+    emit(args, document, describe_campaign(judged, document, args.out))
     return fault_verdict.exit_code(document)
 
 
-def describe(judged: list[Judged], document: dict[str, Any], out: Path) -> str:
+def describe_campaign(judged: list[CaseVerdict], document: dict[str, Any], out: Path) -> str:
     """The result for people: what did not pass, then the sums."""
     counts = document["counts"]
     lines = [

@@ -76,8 +76,8 @@ def run(args: argparse.Namespace) -> int:
         bundle=ModelBundle.load(args.bundle),
         model=model_named(args.model),
         out=args.out,
-        unit=args.fmu,
-        reality=_reality(args),
+        fmu=args.fmu,
+        rig=_rig_source(args),
         line=args.line,
         seconds=args.seconds,
         baud=args.baud,
@@ -93,13 +93,13 @@ def run(args: argparse.Namespace) -> int:
         faults=parse_rates(args.faults),
         seed=args.seed,
     )
-    result = sil.run(options)
+    result = sil.run_sil(options)
     timing = write_results(result, options)
-    emit(args, timing, describe(timing, args.out))
+    emit(args, timing, describe_sil(timing, args.out))
     return timing_verdict.exit_code(timing)
 
 
-def _reality(args: argparse.Namespace) -> RigSource | None:
+def _rig_source(args: argparse.Namespace) -> RigSource | None:
     hidden = parse_strengths(args.hide)
     if hidden and not args.rig:
         raise InputError("--hide", "needs the laboratory, not a twin", "add --rig")
@@ -109,7 +109,7 @@ def _reality(args: argparse.Namespace) -> RigSource | None:
 def write_results(result: sil.SilResult, options: sil.SilOptions) -> dict[str, Any]:
     """Judge a run and write everything but the log, which the recorder wrote; return timing."""
     summary, out = result.summary, options.out
-    timing = timing_verdict.judge(
+    timing = timing_verdict.judge_timing(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
         result.outcome.releases, result.environment,
         summary.reason if summary.ended is Ended.TRIPPED else "",
@@ -126,8 +126,8 @@ def write_results(result: sil.SilResult, options: sil.SilOptions) -> dict[str, A
         timing["probe_jitter"], timing["reference_jitter"] = (
             timing["reference_jitter"], result.reference
         )  # fmt: skip
-    timing["bus_plan"] = tick_budget.wire_facts(result.plan)
-    timing["account"] = tick_budget.account(
+    timing["bus_plan"] = tick_budget.plan_times(result.plan)
+    timing["account"] = tick_budget.measure_budget(
         result.records, options.period_s, timing["bus_plan"], timing["reference_jitter"]
     )
     programme = sil_artifacts.programme_s(options)
@@ -139,7 +139,7 @@ def write_results(result: sil.SilResult, options: sil.SilOptions) -> dict[str, A
     (out / "timing.xml").write_bytes(timing_verdict.junit_xml(timing))
     if result.geometry and timing["prediction_error"]["n"]:
         write_trial(sil_artifacts.as_trial(result, options), out / "trial")
-    sil_artifacts.draw(result, timing, out / "summary.svg")
+    sil_artifacts.draw_summary(result, timing, out / "summary.svg")
     _write_evidence(result, timing["budget"]["period_ns"], out)
     return timing
 
@@ -156,7 +156,7 @@ def _write_evidence(result: sil.SilResult, period_ns: int, out: Path) -> None:
     write_timeline(out / "timeline.json", records, result.loop_cpu, period_ns)
 
 
-def describe(timing: dict[str, Any], out: Path) -> str:
+def describe_sil(timing: dict[str, Any], out: Path) -> str:
     """The result for people."""
     run_, environment, error = timing["run"], timing["environment"], timing["prediction_error"]
     lines = [
@@ -170,7 +170,7 @@ def describe(timing: dict[str, Any], out: Path) -> str:
             f"{environment['speed_up_by_processor_time']:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *tick_budget.describe(timing["account"])]
+        lines += [*_timing_lines(timing), *tick_budget.describe_budget(timing["account"])]
         lines += environment["refused"]
     if error["n"]:
         lines.append(

@@ -1,6 +1,6 @@
 """The servos of one bus with the plant behind them, carrying out instructions.
 
-Time comes from outside with every call and the plant is brought up to it, so the same chain runs
+Time comes from outside with every call and the plant is brought up to it, so the same bus runs
 in real time behind a port and on a virtual clock.
 """
 
@@ -126,7 +126,7 @@ class EmulatedBus:
 
     @staticmethod
     def _reply(servo: EmulatedServo, error: int, data: bytes = b"") -> Reply:
-        return Reply(servo, packets.status(servo.id, error | servo.alert, data))
+        return Reply(servo, packets.status_packet(servo.id, error | servo.alert, data))
 
     def _synchronous(self, packet: Packet, now_ns: int) -> list[Reply]:
         parameters = packet.parameters
@@ -156,7 +156,7 @@ class EmulatedBus:
             error, data = self._read(servo, address, length, now_ns)
             # A refusal keeps its place in the packet, filled with zeros [recalled].
             blocks.append((servo.id, error | servo.alert, data or bytes(length)))
-        return [Reply(servos[0], packets.fast_status(asked, blocks))] if blocks else []
+        return [Reply(servos[0], packets.fast_status_packet(asked, blocks))] if blocks else []
 
     def _single(self, servo: EmulatedServo, packet: Packet, now_ns: int) -> tuple[int, bytes]:
         """Error number and data of one servo's answer."""

@@ -28,10 +28,10 @@ from firmware_py.realtime.timing import KernelCounters
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
 from hil.emulator.fmu_physics import FmuPhysics
-from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
+from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
 from hil.emulator.line_faults import FaultPlan
 from hil.emulator.physics import Physics, RigSource
-from hil.timing.host import Releases
+from hil.timing.cpu_accounts import Releases
 
 PRIORITY: Final = 60
 """Above the loop's: where both share a processor a reply must not wait for the waiting loop."""
@@ -143,7 +143,7 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
     return RigPhysics(source, dof, payload_kg)
 
 
-def assemble(specification: Specification) -> tuple[Line, TruthLog]:
+def build_line(specification: Specification) -> tuple[Line, TruthLog]:
     """Put line, servos and plant together; the plant is in its initial state at time zero."""
     spec = specification
     physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
@@ -152,8 +152,8 @@ def assemble(specification: Specification) -> tuple[Line, TruthLog]:
         EmulatedServo(MODELS[spec.model_number], servo_id, spec.baud, spec.return_delay_s)
         for servo_id in spec.ids
     ]
-    chain = EmulatedBus(servos, physics, on_sample=log.note)
-    return Line(chain, spec.latency_s, FaultPlan(spec.faults, spec.seed)), log
+    bus = EmulatedBus(servos, physics, on_sample=log.note)
+    return Line(bus, spec.latency_s, FaultPlan(spec.faults, spec.seed)), log
 
 
 class EmulatorOutcome(NamedTuple):
@@ -183,10 +183,10 @@ def _run(
 
         endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, pipe.fileno())
         name, connect = stack.enter_context(endpoint)
-        line, log = assemble(spec)
+        line, log = build_line(spec)
         gc.freeze()
         pipe.send(name)
-        while (fd := connect()) is not None and serve(line, fd, pipe.fileno(), note_release):
+        while (fd := connect()) is not None and serve_line(line, fd, pipe.fileno(), note_release):
             pass
     releases = Releases(*(np.array(column, np.int64) for column in (due, written, delays)))
     with contextlib.suppress(BrokenPipeError):
@@ -222,9 +222,9 @@ class Emulator:
         directory: Path,
         cpu: int,
     ) -> None:
-        # What is wrong with the unit is said here, where somebody can read it.
+        # What is wrong with the FMU is said here, where somebody can read it.
         if isinstance(specification.source, Path):
-            FmuPhysics(specification.source, len(specification.ids)).unit.close()
+            FmuPhysics(specification.source, len(specification.ids)).fmu.close()
         self._ours, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(
             target=_run,
@@ -264,9 +264,9 @@ def serve_forever(
     endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)
     try:
         with endpoint as (name, connect):
-            line, _ = assemble(specification)
+            line, _ = build_line(specification)
             announce(name)
-            while (fd := connect()) is not None and serve(line, fd, never):
+            while (fd := connect()) is not None and serve_line(line, fd, never):
                 pass
     finally:
         os.close(never)

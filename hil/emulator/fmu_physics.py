@@ -34,23 +34,23 @@ class FmuPhysics:
     """
 
     def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
-        self.unit = FmuInstance(path)
-        goals = [name for name in self.unit.variables if name.startswith("goal_")]
+        self.fmu = FmuInstance(path)
+        goals = [name for name in self.fmu.variables if name.startswith("goal_")]
         if not goals:
             raise InputError(path, "takes no goals", "build it with --unit twin")
         if len(goals) != dof:
             raise InputError(
-                path, f"has {len(goals)} joints, {dof} are needed", "name the unit of the same dof"
+                path, f"has {len(goals)} joints, {dof} are needed", "name the twin of the same dof"
             )
         self.dof = dof
         joints = range(1, dof + 1)
-        self._goals = self.unit.channel([f"goal_{j}_rad" for j in joints])
+        self._goals = self.fmu.channel([f"goal_{j}_rad" for j in joints])
         names = [*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints)]
-        self._state = self.unit.channel(names)
-        self._tip = self.unit.channel(tip_names())
+        self._state = self.fmu.channel(names)
+        self._tip = self.fmu.channel(tip_names())
         self.angle_rad, self.current_a = self._state.values[:dof], self._state.values[dof:]
-        self.unit.set(["payload_kg"], [payload_kg])
-        self.unit.start()
+        self.fmu.set(["payload_kg"], [payload_kg])
+        self.fmu.start()
         self._state.receive()
 
     @property
@@ -63,9 +63,9 @@ class FmuPhysics:
         """See `hil.emulator.physics.Physics.advance`."""
         self._goals.values[:] = goal_rad
         self._goals.send()
-        self.unit.step(step_s)
+        self.fmu.step(step_s)
         self._state.receive()
 
     def parameter(self, name: str) -> float:
         """Value of a plant parameter."""
-        return float(self.unit.get([f"parameters.{name}"])[0])
+        return float(self.fmu.get([f"parameters.{name}"])[0])

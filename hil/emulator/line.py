@@ -2,7 +2,7 @@
 
 `Line` says when which bytes come out of the USB adapter; it is a function of its inputs and knows
 no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faster than real time.
-`serve`
+`serve_line`
 plays it in real time behind a file descriptor, which `pty_endpoint` and `socket_endpoint` provide:
 the first for any Dynamixel program, the second for timing claims (a pseudo-terminal passes through
 a kernel worker that SCHED_FIFO readers starve, docs/sources.md, "Dynamixel SDK").
@@ -57,7 +57,7 @@ class Line:
 
     Parameters
     ----------
-    chain : EmulatedBus
+    bus : EmulatedBus
         Servos at the other end; the first one's baud rate is the host's.
     latency_s : float
         Period of the adapter's latency timer; 0 hands every byte over at once.
@@ -66,10 +66,8 @@ class Line:
         which no robot gets ready shows nothing about the loop.
     """
 
-    def __init__(
-        self, chain: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None
-    ):
-        self.chain = chain
+    def __init__(self, bus: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None):
+        self.bus = bus
         self.faults = faults or FaultPlan()
         self._latency_ns = round(latency_s * 1e9)
         self._timer_ns = 0
@@ -78,12 +76,12 @@ class Line:
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """Take bytes that the host writes at `now_ns`; return (time, bytes) that it may read."""
-        heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.chain.servos[0].baud)
+        heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.bus.servos[0].baud)
         self._free_ns = heard_ns
         arrivals: list[Arrival] = []
         for packet in self._parser.feed(data):
-            faults = self.faults if self.chain.driven else _NO_FAULTS
-            for reply in self.chain.execute(packet, heard_ns):
+            faults = self.faults if self.bus.driven else _NO_FAULTS
+            for reply in self.bus.execute(packet, heard_ns):
                 self._free_ns += reply.servo.return_delay_ns
                 byte_ns = _byte_ns(reply.servo.baud)
                 for delay_ns, damaged in faults.apply(reply.frame):
@@ -207,7 +205,7 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
         path.unlink(missing_ok=True)
 
 
-def serve(
+def serve_line(
     line: Line, fd: int, stop_fd: int, on_release: Callable[[int, int], None] | None = None
 ) -> bool:
     """Play the line in real time on a descriptor; the plant's time goes on from here.
@@ -230,7 +228,7 @@ def serve(
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0
-    line.chain.resume(time.monotonic_ns())
+    line.bus.resume(time.monotonic_ns())
     while True:
         now_ns = time.monotonic_ns()
         if pending and pending[0][0] <= now_ns:
@@ -256,4 +254,4 @@ def serve(
                 count += 1
                 heapq.heappush(pending, (due_ns, count, answer))
         elif not pending:
-            line.chain.advance(time.monotonic_ns())  # a long pause must not pile up work
+            line.bus.advance(time.monotonic_ns())  # a long pause must not pile up work

@@ -13,7 +13,7 @@ from typing import Final
 
 from firmware_py.errors import InputError
 
-KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise")
+FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise")
 LATE_NS: Final = 12_000_000
 """Delay of a late packet: behind the deadline of its exchange, well before the next but one."""
 
@@ -82,8 +82,8 @@ def parse_rates(words: Iterable[str]) -> dict[str, float]:
     rates: dict[str, float] = {}
     for word in words:
         kind, _, text = word.partition("=")
-        if kind not in KINDS:
-            raise InputError(f"--faults {word}", "is not known", f"use {', '.join(KINDS)}")
+        if kind not in FAULT_KINDS:
+            raise InputError(f"--faults {word}", "is not known", f"use {', '.join(FAULT_KINDS)}")
         try:
             rates[kind] = float(text)
         except ValueError:

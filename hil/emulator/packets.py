@@ -121,42 +121,42 @@ def unstuff(body: bytes) -> bytes:
     return MARK.join([head, *(part[1:] for part in rest)])
 
 
-def encode(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+def encode_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Frame, stuff and sign a packet."""
     body = stuff(bytes((instruction,)) + parameters)
     packet = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
 
 
-def status(servo_id: int, error: int = 0, parameters: bytes = b"") -> bytes:
+def status_packet(servo_id: int, error: int = 0, parameters: bytes = b"") -> bytes:
     """Frame a status packet."""
-    return encode(servo_id, Instruction.STATUS, bytes((error,)) + parameters)
+    return encode_packet(servo_id, Instruction.STATUS, bytes((error,)) + parameters)
 
 
 def _words(*values: int) -> bytes:
     return b"".join(value.to_bytes(2, "little") for value in values)
 
 
-def read(servo_id: int, address: int, length: int) -> bytes:
+def read_packet(servo_id: int, address: int, length: int) -> bytes:
     """Ask one servo for `length` bytes at `address`."""
-    return encode(servo_id, Instruction.READ, _words(address, length))
+    return encode_packet(servo_id, Instruction.READ, _words(address, length))
 
 
-def write(servo_id: int, address: int, data: bytes) -> bytes:
+def write_packet(servo_id: int, address: int, data: bytes) -> bytes:
     """Write `data` at `address` of one servo."""
-    return encode(servo_id, Instruction.WRITE, _words(address) + data)
+    return encode_packet(servo_id, Instruction.WRITE, _words(address) + data)
 
 
-def sync_read(ids: Iterable[int], address: int, length: int, *, fast: bool = False) -> bytes:
+def sync_read_packet(ids: Iterable[int], address: int, length: int, *, fast: bool = False) -> bytes:
     """Ask several servos for the same registers.
 
     Each answers with a status packet of its own, or all together with a fast one.
     """
     instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
-    return encode(BROADCAST, instruction, _words(address, length) + bytes(ids))
+    return encode_packet(BROADCAST, instruction, _words(address, length) + bytes(ids))
 
 
-def fast_status(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
+def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
     """Frame the common answer to a fast sync read.
 
     The first servo sends the header, and its length field speaks for all; every servo then sends
@@ -179,11 +179,11 @@ def fast_status(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
     return packet
 
 
-def sync_write(address: int, data: Mapping[int, bytes]) -> bytes:
+def sync_write_packet(address: int, data: Mapping[int, bytes]) -> bytes:
     """Write the same registers of several servos; nobody answers."""
     length = len(next(iter(data.values())))
     blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
-    return encode(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
+    return encode_packet(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
 
 
 class Parser:

@@ -36,7 +36,7 @@ class RigPhysics:
 
     Parameters
     ----------
-    reality : RigSource
+    rig : RigSource
         Which laboratory.
     dof : int
         Number of joints.
@@ -49,45 +49,45 @@ class RigPhysics:
         If an effect cannot be hidden, or, from `advance`, if the link folds.
     """
 
-    def __init__(self, reality: RigSource, dof: int, payload_kg: float = 0.0) -> None:
+    def __init__(self, rig: RigSource, dof: int, payload_kg: float = 0.0) -> None:
         # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
-        case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=reality.seed)
+        case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=rig.seed)
         self._rng = case.rng()
-        variation = vary(read_parameters().hide(reality.hidden), case, self._rng)
+        variation = vary(read_parameters().hide(rig.hidden), case, self._rng)
         self.dof, self._parameters = dof, variation.parameters
-        self._lab = Rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
+        self._rig = Rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
         self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)
         self.current_a = np.zeros(dof)
         self._until_s = self._parameters["world.settle_s"]
         self._run()
-        self._lab.start_leak()
+        self._rig.start_leak()
 
     @property
     def tip_m(self) -> Array:
         """End effector in the world frame, shape (3,)."""
-        return np.asarray(self._lab.markers_m[_TIP_ROW].mean(axis=0))
+        return np.asarray(self._rig.markers_m[_TIP_ROW].mean(axis=0))
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
         """See `hil.emulator.physics.Physics.advance`."""
-        self._lab.send(np.asarray(goal_rad))
+        self._rig.send(np.asarray(goal_rad))
         self._until_s += step_s
         self._run()
 
     def _run(self) -> None:
-        lab, due_s = self._lab, self._until_s + 1e-9
-        while lab.time_s + lab.step_s <= due_s:
-            self.angle_rad[:] = [s.encoder_rad for s in lab.servos]
-            self._true_current_a[:] = [s.current_a for s in lab.servos]
-            lab.step()  # leaves the markers of its start behind
+        rig, due_s = self._rig, self._until_s + 1e-9
+        while rig.time_s + rig.step_s <= due_s:
+            self.angle_rad[:] = [s.encoder_rad for s in rig.servos]
+            self._true_current_a[:] = [s.current_a for s in rig.servos]
+            rig.step()  # leaves the markers of its start behind
         self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
-        if lab.folded:
+        if rig.folded:
             raise InputError(
-                "--hide", f"the link folds {lab.time_s:.1f} s after power-up",
+                "--hide", f"the link folds {rig.time_s:.1f} s after power-up",
                 "choose a smaller payload, amplitude or strength",
             )  # fmt: skip
 
 
-def geometry() -> dict[str, float]:
+def rig_geometry() -> dict[str, float]:
     """The link's base_offset_m, link_length_m and link_width_m."""
     p = read_parameters()
     return {

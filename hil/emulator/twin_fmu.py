@@ -1,4 +1,4 @@
-"""From a plant document to the unit behind the emulated servos.
+"""Twin FMU of a plant document, for use behind the emulated servos.
 
 Apart from `hil.emulator.physics`, so that the emulator's process does not load a compiler and a
 computer algebra system.

@@ -9,25 +9,26 @@ from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import Progress
-from hil.faults.case_robot import CaseRobot
-from hil.faults.fault_table import ROWS, Row
-from hil.faults.fault_verdict import FaultCase, Judged, judge
+from hil.faults.cases.case_robot import CaseRobot
+from hil.faults.cases.process_case import run_process
+from hil.faults.cases.real_time_case import run_real_time
+from hil.faults.cases.virtual_case import run_virtual
+from hil.faults.fault_row import FaultRow
+from hil.faults.fault_table import ROWS
+from hil.faults.fault_verdict import CaseVerdict, FaultCase, judge_case
 from hil.faults.observation import CaseObservation
-from hil.faults.process_case import run_process
-from hil.faults.real_time_case import run_live
-from hil.faults.virtual_case import run_virtual
-from hil.timing.host import environment
+from hil.timing.cpu_accounts import host_environment
 
-RUNNERS: Final[dict[str, Callable[[CaseRobot, Row, int, int], CaseObservation]]] = {
+RUNNERS: Final[dict[str, Callable[[CaseRobot, FaultRow, int, int], CaseObservation]]] = {
     "virtual": run_virtual,
-    "socket": run_live,
+    "socket": run_real_time,
     "process": run_process,
 }
 """What runs a case, by its line."""
 
 
 def cases_of(
-    dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[Row] = ROWS
+    dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[FaultRow] = ROWS
 ) -> list[FaultCase]:
     """What there is to run, in the order of the table, the virtual line first.
 
@@ -46,28 +47,28 @@ def cases_of(
     return cases
 
 
-def run_campaign(rig: CaseRobot, cases: Sequence[FaultCase]) -> list[Judged]:
+def run_campaign(robot: CaseRobot, cases: Sequence[FaultCase]) -> list[CaseVerdict]:
     """Run and judge every case."""
     progress = Progress("faults", len(cases))
     judged = []
     for case in cases:
-        seen = RUNNERS[case.line](rig, case.row, case.number, case.seed)
-        judged.append(judge(case, seen, rig.bundle.manifest.period_s))
+        seen = RUNNERS[case.line](robot, case.row, case.number, case.seed)
+        judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
         progress.step(case.row.fault)
     return judged
 
 
-def facts(rig: CaseRobot, cases: Sequence[FaultCase]) -> dict[str, Any]:
+def facts(robot: CaseRobot, cases: Sequence[FaultCase]) -> dict[str, Any]:
     """What a report says about the campaign as a whole."""
-    period_s = rig.bundle.manifest.period_s
+    period_s = robot.bundle.manifest.period_s
     rows = {case.row for case in cases}
     return {
-        "dof": rig.dof,
+        "dof": robot.dof,
         "period_s": period_s,
         "watchdog_s": watchdog_steps(period_s) * WATCHDOG_STEP_S,
         "faults": len({row.fault for row in rows}),
         "rows": len(rows),
         "models": [MODELS[n].name for n in sorted({case.number for case in cases})],
         "seeds": sorted({case.seed for case in cases}),
-        "environment": environment(),
+        "environment": host_environment(),
     }

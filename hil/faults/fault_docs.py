@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.safety.states import TRANSITIONS, SafetyState
-from hil.faults.fault_table import HOST, PROCESS, ROWS, SERVO, TOGETHER, WIRE
+from hil.faults.fault_table import HOST, LINE, PROCESS, ROWS, SERVO, TOGETHER
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
 _PARTS: Final = (
-    ("Wire", WIRE), ("Servo", SERVO), ("Host", HOST), ("Together", TOGETHER), ("Processes", PROCESS)
+    ("Line", LINE), ("Servo", SERVO), ("Host", HOST), ("Together", TOGETHER), ("Processes", PROCESS)
 )  # fmt: skip
 
 
@@ -30,7 +30,7 @@ def state_machine() -> str:
     return "\n".join([*diagram, "", "| from | to | when |", "|---|---|---|", *rows])
 
 
-def faults() -> str:
+def fault_matrix() -> str:
     """What there is in the table, and what must happen."""
     assert sum(len(rows) for _, rows in _PARTS) == len(ROWS)
     lines = []
@@ -46,9 +46,9 @@ def faults() -> str:
     return "\n".join(lines).rstrip()
 
 
-def drawn(text: str) -> str:
+def redraw(text: str) -> str:
     """A document with what stands between the marks drawn anew."""
-    for name, part in (("state machine", state_machine()), ("faults", faults())):
+    for name, part in (("state machine", state_machine()), ("faults", fault_matrix())):
         head, begin, rest = text.partition(f"<!-- drawn: {name} -->\n")
         _, end, tail = rest.partition(f"<!-- end: {name} -->\n")
         text = head + begin + part + "\n" + end + tail
@@ -56,4 +56,4 @@ def drawn(text: str) -> str:
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(drawn(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+    DOCUMENT.write_text(redraw(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")

@@ -16,7 +16,7 @@ from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 from firmware_py.realtime.timing import Cause
-from hil.faults.fault_table import Row
+from hil.faults.fault_row import FaultRow
 from hil.faults.observation import CaseObservation
 
 RESOLUTION_RAD: Final = 2e-3
@@ -31,7 +31,7 @@ class FaultCase:
 
     Attributes
     ----------
-    row : Row
+    row : FaultRow
         What was tried.
     line : str
         "virtual", "socket" or "process".
@@ -41,7 +41,7 @@ class FaultCase:
         Of the moment and of the bits.
     """
 
-    row: Row
+    row: FaultRow
     line: str
     number: int
     seed: int
@@ -54,7 +54,7 @@ class FaultCase:
 
 
 @dataclass(frozen=True)
-class Judged:
+class CaseVerdict:
     """A case with what happened and what is wrong with that.
 
     Attributes
@@ -93,9 +93,9 @@ class Judged:
         }  # fmt: skip
 
 
-def judge(case: FaultCase, seen: CaseObservation, period_s: float) -> Judged:
+def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseVerdict:
     """Hold an observation against its row."""
-    return Judged(case, seen, _unsafe(seen, period_s), _astray(case.row, seen))
+    return CaseVerdict(case, seen, _unsafe(seen, period_s), _astray(case.row, seen))
 
 
 def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
@@ -118,7 +118,7 @@ def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
     return complaints
 
 
-def _astray(row: Row, seen: CaseObservation) -> list[str]:
+def _astray(row: FaultRow, seen: CaseObservation) -> list[str]:
     """Where the course differs from the row."""
     must, complaints = row.must, []
     if row.injections and not seen.injected:
@@ -138,7 +138,7 @@ def _astray(row: Row, seen: CaseObservation) -> list[str]:
     return complaints
 
 
-def report(judged: list[Judged], facts: dict[str, Any]) -> dict[str, Any]:
+def report(judged: list[CaseVerdict], facts: dict[str, Any]) -> dict[str, Any]:
     """The contents of `faults.json`."""
     counts = {v: sum(j.verdict == v for j in judged) for v in ("pass", "fail", "inconclusive")}
     verdict = next((v for v in ("fail", "inconclusive") if counts[v]), "pass")
@@ -153,7 +153,7 @@ def exit_code(document: dict[str, Any]) -> int:
     return {"pass": DONE, "fail": NEGATIVE, "inconclusive": INCONCLUSIVE}[document["verdict"]]
 
 
-def junit_xml(judged: list[Judged]) -> bytes:
+def junit_xml(judged: list[CaseVerdict]) -> bytes:
     """The verdict as JUnit XML, one case each."""
     verdicts = [j.verdict for j in judged]
     suite = ET.Element(

@@ -16,7 +16,7 @@ from firmware_py.bus.transport import Transport
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import Prediction, Predictor
 from firmware_py.realtime.clock import SimClock
-from hil.faults.injection import Injection, Script
+from hil.faults.injection import FaultSchedule, Injection
 
 Array = NDArray[np.float64]
 HOST_FAULTS: Final = (
@@ -38,7 +38,7 @@ class Host:
 
     Parameters
     ----------
-    script : Script
+    script : FaultSchedule
         The plan, for its moments.
     injections : sequence of Injection
         Those of `HOST_FAULTS` count.
@@ -57,7 +57,7 @@ class Host:
 
     def __init__(
         self,
-        script: Script,
+        script: FaultSchedule,
         injections: Sequence[Injection],
         now_ns: Callable[[], int],
         take: Callable[[float], None],

@@ -30,7 +30,7 @@ class Injection(NamedTuple):
     Attributes
     ----------
     kind : str
-        A key of `WIRE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host_faults`).
+        A key of `LINE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host_faults`).
     times : int
         Exchanges in a row.
     value : float
@@ -79,7 +79,7 @@ def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     return [(0, renamed + packets.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
 
 
-WIRE_FAULTS: Final[dict[str, Callable[[bytes, float, random.Random], Arrivals]]] = {
+LINE_FAULTS: Final[dict[str, Callable[[bytes, float, random.Random], Arrivals]]] = {
     "lost": lambda frame, value, chance: [],
     "late": _late,
     "duplicated": lambda frame, value, chance: [(0, frame + frame)],
@@ -105,7 +105,7 @@ SERVO_FAULTS: Final[dict[str, Callable[[LoggedServo, float, bool], None]]] = {
 """What happens to a servo: called with True as the fault begins, with False as it ends."""
 
 
-class Script(FaultPlan):
+class FaultSchedule(FaultPlan):
     """A seeded plan, as `hil.emulator.line.Line` and `hil.faults.servo_log.LoggedBus` take it.
 
     Parameters
@@ -132,7 +132,7 @@ class Script(FaultPlan):
         self.exchange = 0
         self.began_ns: int | None = None
         self._injections = tuple(injections)
-        self._wire = [i for i in injections if i.kind in WIRE_FAULTS]
+        self._wire = [i for i in injections if i.kind in LINE_FAULTS]
 
     def first(self, injection: Injection) -> int:
         """Exchange in which an injection begins."""
@@ -162,7 +162,7 @@ class Script(FaultPlan):
         arrivals: Arrivals = [(0, frame)]
         for injection in self._wire:
             if self.active(injection, self.exchange):
-                fault = WIRE_FAULTS[injection.kind]
+                fault = LINE_FAULTS[injection.kind]
                 arrivals = [
                     (delay_ns + more_ns, damaged)
                     for delay_ns, piece in arrivals

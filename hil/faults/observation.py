@@ -1,4 +1,4 @@
-"""What happened in a case: the loop's record and the servos' testimony put together."""
+"""What happened in a case: the loop's record and the servos' servo_log put together."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ class CaseObservation:
         return asdict(self)
 
 
-def observe(
+def observe_case(
     outcome: CaseOutcome,
     columns: Columns,
-    testimony: ServoLog,
+    servo_log: ServoLog,
     began_ns: int | None,
     slots: int,
     period_s: float,
@@ -125,7 +125,7 @@ def observe(
         How the run ended.
     columns : mapping of str to ndarray
         The ticks by column.
-    testimony : ServoLog
+    servo_log : ServoLog
         The servos'.
     began_ns : int or None
         When the first fault began.
@@ -141,16 +141,16 @@ def observe(
         first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, began_ns)
         facts |= _course(columns, first, slots)
         if not stepped_in_tick:
-            facts["stale_as_fresh"] = _stale_as_fresh(columns, testimony)
+            facts["stale_as_fresh"] = _stale_as_fresh(columns, servo_log)
     if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
         facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
     return CaseObservation(
         injected=began_ns is not None or stepped_in_tick is not None,
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
-        misses=outcome.misses, told=_told(outcome, testimony),
-        unheard_ns=testimony.unheard_ns, watched=testimony.watched, live=testimony.live,
-        drift_rad=testimony.drift_rad,
-        goal_jump_rad=_goal_jump_rad(testimony, period_s, rate_rad_s),
+        misses=outcome.misses, told=_told(outcome, servo_log),
+        unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,
+        drift_rad=servo_log.drift_rad,
+        goal_jump_rad=_goal_jump_rad(servo_log, period_s, rate_rad_s),
         **facts,
     )  # fmt: skip
 
@@ -186,12 +186,12 @@ def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
     }
 
 
-def _stale_as_fresh(columns: Columns, testimony: ServoLog) -> int:
+def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:
     """Fresh ticks with an angle that is not what its servo reported within them."""
     fresh = columns["bus_status"] <= BusStatus.ALERT
     starts = columns["deadline_ns"] + columns["lateness_ns"]
     ends = starts + columns["busy_ns"]
-    times_ns, reported_rad = testimony.sample_ns, testimony.sample_rad
+    times_ns, reported_rad = servo_log.sample_ns, servo_log.sample_rad
     dof = reported_rad.shape[1]
     angles = np.stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)], axis=1)
     first, end = np.searchsorted(times_ns, starts), np.searchsorted(times_ns, ends, side="right")
@@ -203,13 +203,13 @@ def _stale_as_fresh(columns: Columns, testimony: ServoLog) -> int:
     return int((fresh & ~true.all(axis=1)).sum())
 
 
-def _goal_jump_rad(testimony: ServoLog, period_s: float, rate_rad_s: float) -> float:
+def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> float:
     """Excess of the largest step of a goal, the first of a stretch counted from where it stood."""
     excess = 0.0
-    for goals_rad, stands_rad in zip(testimony.goal_rad.T, testimony.stand_rad.T, strict=True):
+    for goals_rad, stands_rad in zip(servo_log.goal_rad.T, servo_log.stand_rad.T, strict=True):
         before, before_ns = math.inf, 0
         for now_ns, goal, stand in zip(
-            testimony.goal_ns.tolist(), goals_rad.tolist(), stands_rad.tolist(), strict=True
+            servo_log.goal_ns.tolist(), goals_rad.tolist(), stands_rad.tolist(), strict=True
         ):
             if math.isinf(goal):
                 before = math.inf
@@ -223,13 +223,13 @@ def _goal_jump_rad(testimony: ServoLog, period_s: float, rate_rad_s: float) -> f
     return excess
 
 
-def _told(outcome: CaseOutcome, testimony: ServoLog) -> str:
+def _told(outcome: CaseOutcome, servo_log: ServoLog) -> str:
     """What the servos were told from the fault on, in words."""
     if outcome.ended == "refused":
         return "nothing, the torque stayed off"
-    if testimony.live:
+    if servo_log.live:
         return "nothing: without a watchdog it holds its last goal"
-    if testimony.stopped_by_watchdog:
+    if servo_log.stopped_by_watchdog:
         stopped = "its own watchdog stopped it where it stood"
         return f"{stopped}, then the goals blend on from there" if outcome.replugs else stopped
     if outcome.replugs:

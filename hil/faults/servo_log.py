@@ -1,8 +1,8 @@
-"""What the servos saw: the only account of a run that the loop cannot embellish.
+"""Record that the emulated servos keep of a run, independent of the loop's own record.
 
-A `LoggedServo` is an emulated servo that can be disturbed and that notes how long it was driven
-without hearing anything; a `LoggedBus` notes every sample that it gave and every goal that it
-got. Both are the truth against which the loop's own record is held.
+A `LoggedServo` is an emulated servo that can be disturbed; it records how long it was driven
+without receiving an instruction. A `LoggedBus` records every sample that it sent and every goal
+that it received. The loop's record is checked against both.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ class LoggedServo(EmulatedServo):
         super().trip_watchdog()
 
 
-class Director(Protocol):
-    """Who decides what happens to the servos; see `hil.faults.injection.Script`."""
+class ServoFaults(Protocol):
+    """Schedule of servo faults; see `hil.faults.injection.FaultSchedule`."""
 
     began_ns: int | None
 
@@ -121,12 +121,12 @@ class Director(Protocol):
 
 @dataclass(frozen=True)
 class ServoLog:
-    """What the servos saw.
+    """Record of one run, kept by the servos.
 
     Attributes
     ----------
     began_ns : int or None
-        When the first fault of wire or servo began.
+        When the first fault of line or servo began.
     sample_ns, sample_rad : ndarray, shapes (n,), (n, dof)
         Angles that they reported to the loop, and when.
     goal_ns, goal_rad, stand_rad : ndarray, shapes (m,), (m, dof), (m, dof)
@@ -156,7 +156,7 @@ class ServoLog:
 
 
 class LoggedBus(EmulatedBus):
-    """A chain that notes what goes in and out, and lets a director disturb it.
+    """An emulated bus that records its traffic and applies scheduled faults.
 
     Parameters
     ----------
@@ -164,13 +164,15 @@ class LoggedBus(EmulatedBus):
         In joint order.
     physics : Physics
         With as many joints.
-    director : Director
-        Told of every exchange of the running robot.
+    faults : ServoFaults
+        Called at every exchange of the running robot.
     """
 
-    def __init__(self, servos: Sequence[LoggedServo], physics: Physics, director: Director) -> None:
+    def __init__(
+        self, servos: Sequence[LoggedServo], physics: Physics, faults: ServoFaults
+    ) -> None:
         super().__init__(servos, physics)
-        self._watched, self._director = tuple(servos), director
+        self._watched, self._faults = tuple(servos), faults
         self._sample_ns, self._sample_rad = array("q"), array("d")
         self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
         self._last_heard_rad = self.physics.angle_rad.copy()
@@ -180,7 +182,7 @@ class LoggedBus(EmulatedBus):
         """See `EmulatedBus.execute`."""
         running = self.driven
         if running and packet.instruction in _READS:
-            self._director.begin_exchange(self._watched, now_ns)
+            self._faults.begin_exchange(self._watched, now_ns)
         replies = super().execute(packet, now_ns)
         self._last_heard_rad[:] = self.physics.angle_rad
         if packet.instruction in _READS:
@@ -209,14 +211,14 @@ class LoggedBus(EmulatedBus):
         super().advance(now_ns)
         self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
 
-    def testify(self, now_ns: int) -> ServoLog:
-        """Let time pass up to now, then tell."""
+    def log(self, now_ns: int) -> ServoLog:
+        """Let time pass up to `now_ns`, then return the record."""
         self.advance(now_ns)
         for servo in self._watched:
             servo.note_silence(now_ns)
         dof = len(self._watched)
         return ServoLog(
-            began_ns=self._director.began_ns,
+            began_ns=self._faults.began_ns,
             sample_ns=np.array(self._sample_ns, np.int64),
             sample_rad=np.array(self._sample_rad).reshape(-1, dof),
             goal_ns=np.array(self._goal_ns, np.int64),

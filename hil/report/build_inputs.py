@@ -39,7 +39,7 @@ class LoopRun:
     name : str
         Directory that it came from.
     timing : dict
-        `timing.json` (see `hil.timing.timing_verdict.judge`).
+        `timing.json` (see `hil.timing.timing_verdict.judge_timing`).
     ticks : dict of str to ndarray, or None
         The recorded ticks by column, where the run kept them.
     true_tip_m : ndarray, shape (n, 3), or None

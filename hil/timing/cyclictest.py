@@ -1,7 +1,7 @@
 """How late this machine wakes anybody: cyclictest on the loop's processor, in the same minutes.
 
 cyclictest (rt-tests) is what the real-time community measures with. Where it is not installed the
-probe of `hil.timing.host` takes its place: `clock_nanosleep` in a process of its own.
+probe of `hil.timing.cpu_accounts` takes its place: `clock_nanosleep` in a process of its own.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from hil.timing.host import PROBE_PRIORITY
+from hil.timing.cpu_accounts import PROBE_PRIORITY
 
 _HISTOGRAM_US: Final = 20_000
 _PATIENCE_S: Final = 5.0
@@ -60,7 +60,7 @@ class Cyclictest:
             return None
         counts = {int(us): int(n) for us, n in thread["histogram"].items()}
         return {
-            **summarise(counts, int(thread["cycles"]), int(thread["max"])),
+            **histogram_percentiles(counts, int(thread["cycles"]), int(thread["max"])),
             "period_ns": 1000 * self._period_us,
             "method": f"cyclictest at SCHED_FIFO {PROBE_PRIORITY} on the loop's processor",
             "above_the_loop": True,
@@ -77,7 +77,7 @@ class Cyclictest:
                 self._process.wait()
 
 
-def summarise(counts: dict[int, int], cycles: int, max_us: int) -> dict[str, int]:
+def histogram_percentiles(counts: dict[int, int], cycles: int, max_us: int) -> dict[str, int]:
     """Percentiles of a histogram in µs, which may lack what lies beyond its end."""
     summary, seen, wanted = {"n": cycles}, 0, dict(_SHARES)
     for us, count in sorted(counts.items()):

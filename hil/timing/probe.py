@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from firmware_py.realtime.clock import RealTimeOptions, real_time
-from hil.timing.host import PROBE_PERIOD_NS, PROBE_PRIORITY, Nanoseconds, Watch
+from hil.timing.cpu_accounts import PROBE_PERIOD_NS, PROBE_PRIORITY, Nanoseconds, ProbeRecord
 from models.shared.c_compiler import compile_library
 
 _SOURCE: Final = Path(__file__).with_name("c") / "probe.c"
@@ -52,12 +52,12 @@ class Probe:
             theirs.close()
             self._privileged: bool = self._ours.recv()
 
-    def stop(self) -> Watch:
+    def stop(self) -> ProbeRecord:
         """End the probe and return what it saw."""
         self._ours.send(None)
         rows: Nanoseconds = self._ours.recv()
         wake, lateness, ours = np.ascontiguousarray(rows.T)
-        return Watch(wake, lateness, ours, privileged=self._privileged)
+        return ProbeRecord(wake, lateness, ours, privileged=self._privileged)
 
     def close(self) -> None:
         """End the probe if it still runs."""

@@ -37,7 +37,7 @@ LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
 """How much later than the reference beside it the loop may wake."""
 
 
-def wire_facts(plan: Plan) -> dict[str, Any]:
+def plan_times(plan: Plan) -> dict[str, Any]:
     """What a plan says about one tick, times in ns."""
     return {
         "plan": plan.name,
@@ -47,7 +47,7 @@ def wire_facts(plan: Plan) -> dict[str, Any]:
     }
 
 
-def account(
+def measure_budget(
     records: NDArray[np.void], period_s: float, wire: dict[str, Any], reference: dict[str, Any]
 ) -> dict[str, Any]:
     """Account for the time of every tick.
@@ -59,7 +59,7 @@ def account(
     period_s : float
         Control period.
     wire : dict
-        See `wire_facts`.
+        See `plan_times`.
     reference : dict
         Reference jitter beside it: percentiles as `hil.timing.timing_verdict.summarise` gives them.
 
@@ -128,7 +128,7 @@ def _ratios(lateness: dict[str, int], reference: dict[str, Any]) -> dict[str, fl
     }
 
 
-def describe(account: dict[str, Any]) -> list[str]:
+def describe_budget(account: dict[str, Any]) -> list[str]:
     """The budget table and what else is worth a line, for people."""
     rows = [f"{'stage, µs':14} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
     for stage, row in account["budget"].items():

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import STAGES
-from hil.timing.host import STALL_NS, Watch
+from hil.timing.cpu_accounts import STALL_NS, ProbeRecord
 
 MOST_TICKS: Final = 3000
 _NEIGHBOURS: Final = 5
@@ -26,7 +26,9 @@ _TRACKS: Final = {1: "loop", 2: "wire", 3: "host (probe)"}
 _PROCESS: Final = 1
 
 
-def write_timeline(path: Path, records: NDArray[np.void], loop_cpu: Watch, period_ns: int) -> None:
+def write_timeline(
+    path: Path, records: NDArray[np.void], loop_cpu: ProbeRecord, period_ns: int
+) -> None:
     """Write the trace of a run.
 
     Parameters
@@ -35,12 +37,12 @@ def write_timeline(path: Path, records: NDArray[np.void], loop_cpu: Watch, perio
         File to write.
     records : ndarray of tick_dtype, shape (n,)
         The run.
-    loop_cpu : Watch
+    loop_cpu : ProbeRecord
         The probe on the loop's processor.
     period_ns : int
         Control period.
     """
-    shown = worth_showing(records, period_ns)
+    shown = select_ticks(records, period_ns)
     origin_ns = int(records["deadline_ns"][0]) if len(records) else 0
     events = [_track(number, name) for number, name in _TRACKS.items()]
     for record in records[shown]:
@@ -51,7 +53,7 @@ def write_timeline(path: Path, records: NDArray[np.void], loop_cpu: Watch, perio
     path.write_text(json.dumps(document, separators=(",", ":")), encoding="utf-8")
 
 
-def worth_showing(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
+def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
     """Mask of the ticks to show: all of a short run, the remarkable ones of a long one."""
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)
@@ -102,7 +104,7 @@ def _tick(record: np.void, origin_ns: int, period_ns: int) -> Iterator[dict[str,
         }  # fmt: skip
 
 
-def _stalls(watch: Watch, origin_ns: int) -> Iterator[dict[str, Any]]:
+def _stalls(watch: ProbeRecord, origin_ns: int) -> Iterator[dict[str, Any]]:
     for wake_ns, late_ns in zip(watch.wake_ns.tolist(), watch.lateness_ns.tolist(), strict=True):
         if late_ns >= STALL_NS:
             yield _slice(3, "stood still", wake_ns - late_ns - origin_ns, late_ns)

@@ -47,7 +47,7 @@ from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import STAGES
-from hil.timing.host import Releases, Watch
+from hil.timing.cpu_accounts import ProbeRecord, Releases
 
 Nanoseconds = NDArray[np.int64]
 
@@ -85,7 +85,7 @@ class Miss:
 
 
 def host_time_ns(
-    records: NDArray[np.void], loop_cpu: Watch, line_cpu: Watch, releases: Releases
+    records: NDArray[np.void], loop_cpu: ProbeRecord, line_cpu: ProbeRecord, releases: Releases
 ) -> tuple[Nanoseconds, Nanoseconds]:
     """Time of each tick in which the host had a processor that we were waiting for.
 
@@ -93,7 +93,7 @@ def host_time_ns(
     ----------
     records : ndarray of tick_dtype, shape (n,)
         The run.
-    loop_cpu, line_cpu : Watch
+    loop_cpu, line_cpu : ProbeRecord
         What the probes saw on the processors of loop and emulator; may be empty.
     releases : Releases
         The emulator's own record; may be empty.
@@ -150,11 +150,11 @@ def stopped_after_miss(records: NDArray[np.void]) -> bool:
     return len(stopping) > 0 and bool(records["missed"][stopping[0]])
 
 
-def judge(
+def judge_timing(
     records: NDArray[np.void],
     period_s: float,
-    loop_cpu: Watch | None = None,
-    line_cpu: Watch | None = None,
+    loop_cpu: ProbeRecord | None = None,
+    line_cpu: ProbeRecord | None = None,
     releases: Releases | None = None,
     environment: dict[str, Any] | None = None,
     stopped: str = "",
@@ -167,7 +167,7 @@ def judge(
         Every tick of the run, in order.
     period_s : float
         Control period.
-    loop_cpu, line_cpu : Watch, optional
+    loop_cpu, line_cpu : ProbeRecord, optional
         What the probes saw.
     releases : Releases, optional
         The emulator's own record.
@@ -182,9 +182,9 @@ def judge(
         Times in nanoseconds; "verdict" is "pass", "fail" or "inconclusive".
     """
     period_ns = round(period_s * 1e9)
-    loop_cpu = loop_cpu or Watch()
+    loop_cpu = loop_cpu or ProbeRecord()
     host_ns, possible_ns = host_time_ns(
-        records, loop_cpu, line_cpu or Watch(), releases or Releases()
+        records, loop_cpu, line_cpu or ProbeRecord(), releases or Releases()
     )
     misses = find_misses(records, possible_ns, period_ns)
     causes = {cause: sum(m.slots for m in misses if m.cause is cause) for cause in Cause}

@@ -33,8 +33,8 @@ class LagPlant:
 
 
 @pytest.fixture(scope="session")
-def chain_of():
-    """Build a chain of servos of one model over a lag plant."""
+def bus_of():
+    """Build a bus of servos of one model over a lag plant."""
 
     def build(number: int = 54025, ids=(1,), **options) -> EmulatedBus:
         servos = [EmulatedServo(MODELS[number], servo_id, **options) for servo_id in ids]

@@ -24,7 +24,7 @@ from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
 from fmu.fmu_builder import build_fmu
 from hil import sil, sil_artifacts
-from hil.commands.sil import describe, write_results
+from hil.commands.sil import describe_sil, write_results
 from hil.emulator.emulator import Truth
 from hil.emulator.twin_fmu import build_twin
 from models.plant.plant import NOMINAL, read_plant
@@ -74,7 +74,7 @@ def bundles(tmp_path_factory):
 def options(twins, bundles, tmp_path):
     def build(dof: int = 1, **changes) -> sil.SilOptions:
         given = {"model": MODELS[54024], "line": "virtual", "seconds": 3.0} | changes
-        return sil.SilOptions(bundle=bundles[dof], out=tmp_path, unit=twins[dof], **given)
+        return sil.SilOptions(bundle=bundles[dof], out=tmp_path, fmu=twins[dof], **given)
 
     return build
 
@@ -83,17 +83,17 @@ def options(twins, bundles, tmp_path):
 @pytest.mark.parametrize("dof", [1, 2])
 def test_a_virtual_run_is_bit_identical_twice(options, number, dof):
     chosen = options(dof, model=MODELS[number], faults={"lost": 0.02, "late": 0.02})
-    first, second = sil.run(chosen), sil.run(chosen)
+    first, second = sil.run_sil(chosen), sil.run_sil(chosen)
     assert first.records.tobytes() == second.records.tobytes()
     assert first.outcome.truth.tip_m.tobytes() == second.outcome.truth.tip_m.tobytes()
     assert first.environment["records_sha256"] == second.environment["records_sha256"]
     assert sum(first.outcome.faults.values()) > 0
-    other = sil.run(replace(chosen, seed=1))
+    other = sil.run_sil(replace(chosen, seed=1))
     assert other.environment["records_sha256"] != first.environment["records_sha256"]
 
 
 def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
-    result = sil.run(options(seconds=9.0, payload_kg=2.0))
+    result = sil.run_sil(options(seconds=9.0, payload_kg=2.0))
     records = result.records
     assert result.summary.ended is Ended.FINISHED
     assert np.all(np.diff(records["tick"]) == 1) and not records["missed"].any()
@@ -110,7 +110,7 @@ def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
 
 def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
     """The line adds delay and resolution, nothing else: step the plant itself beside it."""
-    result = sil.run(options(seconds=2.0, latency_s=0.0, payload_kg=1.0))
+    result = sil.run_sil(options(seconds=2.0, latency_s=0.0, payload_kg=1.0))
     servo, plant = MODELS[54024], read_plant(NOMINAL).step_model(1, "twin")
     p = plant.parameter_values()
     u = np.array([0.0, 1.0])
@@ -136,7 +136,7 @@ def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
     ],
 )
 def test_faults_of_the_wire_are_survived_or_stop_the_robot(options, faults, ended):
-    result = sil.run(options(faults=faults, seed=4))
+    result = sil.run_sil(options(faults=faults, seed=4))
     records = result.records
     assert result.summary.ended is ended
     again = records["bus_status"] == BusStatus.RETRIED
@@ -152,7 +152,7 @@ def test_faults_of_the_wire_are_survived_or_stop_the_robot(options, faults, ende
 
 def test_a_run_leaves_log_trial_and_verdict(options):
     chosen = options(2, motion=MotionConfig(phase_2_rad=math.pi / 2), faults={"lost": 0.1})
-    result = sil.run(chosen)
+    result = sil.run_sil(chosen)
     timing = write_results(result, chosen)
     assert json.loads((chosen.out / "timing.json").read_text()) == timing
     assert ET.parse(chosen.out / "timing.xml").getroot().tag == "testsuite"
@@ -167,13 +167,13 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     assert np.isnan(trial.markers_m).all()
     assert "interpolated" in trial.meta.notes
     assert timing["prediction_error"]["n"] == fresh.sum()
-    assert timing["verdict"] in describe(timing, chosen.out)
+    assert timing["verdict"] in describe_sil(timing, chosen.out)
 
 
 @pytest.mark.parametrize("line", ["socket", "pty"])
 def test_a_run_in_real_time_comes_to_a_verdict(options, line):
     chosen = options(line=line, seconds=1.0)
-    result = sil.run(chosen)
+    result = sil.run_sil(chosen)
     timing = write_results(result, chosen)
     assert result.summary.ended is Ended.FINISHED
     assert timing["verdict"] in ("pass", "fail", "inconclusive")
@@ -232,28 +232,28 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
         ({"latency_s": -1e-3}, "--latency-ms"),
         ({"latency_s": 16e-3}, "answers take .* ms, bus.reply_timeout_s allows 8 ms"),
         ({"out": NOMINAL}, "--out"),
-        ({"unit": None}, "plant.json"),
+        ({"fmu": None}, "plant.json"),
         ({"motion": MotionConfig(amplitude_rad=1.2)}, "motion"),
     ],
 )
 def test_what_cannot_be_run_is_refused_in_one_sentence(options, changes, complaint):
     with pytest.raises(InputError, match=complaint):
-        sil.run(replace(options(), **changes))
+        sil.run_sil(replace(options(), **changes))
 
 
-def test_a_unit_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
+def test_an_fmu_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
     with pytest.raises(InputError, match="2 joints, 1 are needed"):
-        sil.run(replace(options(), unit=twins[2]))
+        sil.run_sil(replace(options(), fmu=twins[2]))
     observer = read_plant(NOMINAL).step_model(1, "observer")
     with pytest.raises(InputError, match="--unit twin"):
-        sil.run(replace(options(), unit=build_fmu(observer, tmp_path / "observer.fmu")))
+        sil.run_sil(replace(options(), fmu=build_fmu(observer, tmp_path / "observer.fmu")))
 
 
-def test_without_a_unit_the_bundles_plant_is_built(options, bundles):
+def test_without_an_fmu_the_bundles_plant_is_built(options, bundles):
     plant = bundles[1].directory / "plant.json"
     plant.write_text(json.dumps(tomllib.loads(NOMINAL.read_text())))
     try:
-        built = sil.run(replace(options(), unit=None))
+        built = sil.run_sil(replace(options(), fmu=None))
     finally:
         plant.unlink()
-    assert built.records.tobytes() == sil.run(options()).records.tobytes()
+    assert built.records.tobytes() == sil.run_sil(options()).records.tobytes()

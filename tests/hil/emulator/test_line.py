@@ -25,7 +25,7 @@ from hil.emulator.line import (
     Line,
     VirtualTransport,
     pty_endpoint,
-    serve,
+    serve_line,
     socket_endpoint,
 )
 from hil.emulator.line_faults import FaultPlan, parse_rates
@@ -41,28 +41,30 @@ def bus_on(wire, clock, number=54025, ids=(1, 2)) -> DynamixelBus:
 
 @pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000])
 @pytest.mark.parametrize("servos", [1, 2, 4])
-def test_every_plan_takes_the_wire_time_that_was_calculated(chain_of, baud, servos):
+def test_every_plan_takes_the_wire_time_that_was_calculated(bus_of, baud, servos):
     """The line plays packets bit by bit; the plan counts bytes on paper."""
     ids = tuple(range(1, servos + 1))
     for plan in plans(MODELS[54025].table, servos, baud):
-        line, block = Line(chain_of(54025, ids, baud=baud), latency_s=0.0), plan.block
-        answers = line.receive(0, packets.sync_read(ids, block.address, block.size, fast=plan.fast))
+        line, block = Line(bus_of(54025, ids, baud=baud), latency_s=0.0), plan.block
+        answers = line.receive(
+            0, packets.sync_read_packet(ids, block.address, block.size, fast=plan.fast)
+        )
         assert sum(len(data) for _, data in answers) == plan.answer_bytes
         assert answers[-1][0] * 1e-9 == pytest.approx(plan.read_s, rel=1e-4)
-        line.receive(answers[-1][0], packets.sync_write(564, {i: bytes(4) for i in ids}))
+        line.receive(answers[-1][0], packets.sync_write_packet(564, {i: bytes(4) for i in ids}))
         assert line._free_ns * 1e-9 == pytest.approx(plan.total_s, rel=1e-4)
 
 
-def test_the_latency_timer_hands_bytes_over_at_its_ticks(chain_of):
-    ping = packets.encode(1, Instruction.PING)
-    prompt = Line(chain_of(), latency_s=0.0).receive(0, ping)
-    timed = Line(chain_of(), latency_s=16e-3).receive(0, ping)
+def test_the_latency_timer_hands_bytes_over_at_its_ticks(bus_of):
+    ping = packets.encode_packet(1, Instruction.PING)
+    prompt = Line(bus_of(), latency_s=0.0).receive(0, ping)
+    timed = Line(bus_of(), latency_s=16e-3).receive(0, ping)
     assert timed == [(16 * MS, prompt[0][1])]
-    assert Line(chain_of(), latency_s=1e-3).receive(0, ping)[0][0] == 1 * MS
+    assert Line(bus_of(), latency_s=1e-3).receive(0, ping)[0][0] == 1 * MS
 
 
-def test_a_full_adapter_does_not_wait_for_its_timer(chain_of):
-    answers = Line(chain_of(), latency_s=16e-3).receive(0, packets.read(1, 0, 100))
+def test_a_full_adapter_does_not_wait_for_its_timer(bus_of):
+    answers = Line(bus_of(), latency_s=16e-3).receive(0, packets.read_packet(1, 0, 100))
     assert len(answers[0][1]) == USB_PACKET_BYTES
     # Instruction 14 bytes, return delay, 62 bytes, at 10 µs each.
     assert answers[0][0] == (14 + 62) * 10_000 + 500_000
@@ -72,22 +74,22 @@ def test_a_full_adapter_does_not_wait_for_its_timer(chain_of):
 
 
 @given(st.lists(st.integers(0, 60 * MS), max_size=20), st.sampled_from([0.0, 1e-3, 16e-3]))
-def test_no_answer_is_readable_before_it_is_on_the_wire(chain_of, gaps, latency):
-    line = Line(chain_of(1020), latency_s=latency)
+def test_no_answer_is_readable_before_it_is_on_the_wire(bus_of, gaps, latency):
+    line = Line(bus_of(1020), latency_s=latency)
     now = 0
     for gap in gaps:
         now += gap
-        [(release_ns, data)] = line.receive(now, packets.read(1, 126, 10))
+        [(release_ns, data)] = line.receive(now, packets.read_packet(1, 126, 10))
         earliest = now + (14 + len(data)) * 10_000 + 500_000
         assert earliest <= release_ns <= earliest + latency * 1e9
         now = release_ns
 
 
 @pytest.mark.parametrize("number", sorted(MODELS))
-def test_our_bus_drives_the_virtual_line(chain_of, number):
+def test_our_bus_drives_the_virtual_line(bus_of, number):
     clock = SimClock()
-    chain = chain_of(number, (1, 2))
-    bus = bus_on(VirtualTransport(Line(chain), clock), clock, number)
+    emulated = bus_of(number, (1, 2))
+    bus = bus_on(VirtualTransport(Line(emulated), clock), clock, number)
     bus.connect()
     assert bus.torque(True) == BusStatus.OK
     goal = np.array([0.4, -0.3])
@@ -97,26 +99,26 @@ def test_our_bus_drives_the_virtual_line(chain_of, number):
         assert bus.write(goal, clock.now_ns() + 10 * MS) == BusStatus.OK
     half_pulse = 0.5 * MODELS[number].rad_per_pulse
     np.testing.assert_allclose(bus.angle_rad, goal, rtol=0, atol=2.01 * half_pulse)
-    np.testing.assert_allclose(chain.physics.angle_rad, goal, rtol=0, atol=1.01 * half_pulse)
+    np.testing.assert_allclose(emulated.physics.angle_rad, goal, rtol=0, atol=1.01 * half_pulse)
 
 
 @pytest.mark.parametrize("angle", [-131073 * 2 * np.pi / 1_003_846])
-def test_a_goal_that_needs_stuffing_arrives(chain_of, angle):
+def test_a_goal_that_needs_stuffing_arrives(bus_of, angle):
     clock = SimClock()
-    chain = chain_of(54025)
-    bus = bus_on(VirtualTransport(Line(chain), clock), clock, ids=(1,))
+    emulated = bus_of(54025)
+    bus = bus_on(VirtualTransport(Line(emulated), clock), clock, ids=(1,))
     bus.connect()
     bus.torque(True)
     bus.write(np.array([angle]), clock.now_ns() + 10 * MS)
     clock.advance(1 * MS)
-    assert chain.servos[0].goal_rad == pytest.approx(angle, abs=1e-9)
+    assert emulated.servos[0].goal_rad == pytest.approx(angle, abs=1e-9)
 
 
-def test_a_virtual_run_is_the_same_twice(chain_of):
+def test_a_virtual_run_is_the_same_twice(bus_of):
     def run() -> bytes:
         clock, log = SimClock(), []
         plan = FaultPlan({"lost": 0.1, "corrupt": 0.1, "noise": 0.1}, seed=3)
-        bus = bus_on(VirtualTransport(Line(chain_of(54024, (1, 2))), clock), clock, 54024)
+        bus = bus_on(VirtualTransport(Line(bus_of(54024, (1, 2))), clock), clock, 54024)
         bus.connect()
         bus._port._wire._line.faults = plan
         bus.torque(True)
@@ -131,9 +133,9 @@ def test_a_virtual_run_is_the_same_twice(chain_of):
 
 
 @pytest.mark.parametrize("kind", ["lost", "late", "truncated", "corrupt", "duplicated", "noise"])
-def test_each_fault_befalls_what_it_says_and_never_becomes_data(chain_of, kind):
+def test_each_fault_befalls_what_it_says_and_never_becomes_data(bus_of, kind):
     clock = SimClock()
-    line = Line(chain_of(54025))
+    line = Line(bus_of(54025))
     bus = bus_on(VirtualTransport(line, clock), clock, ids=(1,))
     bus.connect()
     bus.torque(True)
@@ -175,10 +177,10 @@ FATES = {
 
 @pytest.mark.parametrize("kind", ["lost", "damaged", "cut", "late", "late by a period"])
 @pytest.mark.parametrize("number", sorted(MODELS))
-def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(chain_of, number, kind):
+def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(bus_of, number, kind):
     clock = SimClock()
-    chain = chain_of(number, (1, 2))
-    line = Line(chain)
+    emulated = bus_of(number, (1, 2))
+    line = Line(emulated)
     bus = bus_on(VirtualTransport(line, clock), clock, number)
     bus.connect()
     clock.sleep_until(10**9)
@@ -189,7 +191,9 @@ def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(chain_o
         line.faults = Scripted(FATES[kind]) if tick % 5 == 2 else FaultPlan()
         start_ns = clock.now_ns()
         status = bus.read(start_ns + 8 * MS)
-        measured_rad = [s.model.angle_rad(s.get(Register.PRESENT_POSITION)) for s in chain.servos]
+        measured_rad = [
+            s.model.angle_rad(s.get(Register.PRESENT_POSITION)) for s in emulated.servos
+        ]
         assert bus.angle_rad.tolist() == measured_rad, "by the read just made"
         goal_rad += 0.01
         bus.write(goal_rad, start_ns + 17 * MS)
@@ -197,10 +201,10 @@ def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(chain_o
         assert clock.now_ns() - start_ns <= 8 * MS
 
 
-def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(chain_of):
+def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(bus_of):
     """Late by 5 ms for good: both answers of the first read come while the second waits."""
     clock = SimClock()
-    line = Line(chain_of(54024, (1, 2)))
+    line = Line(bus_of(54024, (1, 2)))
     bus = bus_on(VirtualTransport(line, clock), clock, 54024)
     bus.connect()
     bus.torque(True)
@@ -220,9 +224,9 @@ def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(chai
         (("damaged", "good", "damaged", "good"), BusStatus.CORRUPT),
     ],
 )
-def test_two_reads_make_one_measurement_where_every_servo_answered_one(chain_of, fates, expected):
+def test_two_reads_make_one_measurement_where_every_servo_answered_one(bus_of, fates, expected):
     clock = SimClock()
-    line = Line(chain_of(54024, (1, 2)))
+    line = Line(bus_of(54024, (1, 2)))
     bus = bus_on(VirtualTransport(line, clock), clock, 54024)
     bus.connect()
     bus.torque(True)
@@ -251,17 +255,17 @@ class LateOnce(VirtualTransport):
         return count
 
 
-def test_a_late_answer_to_a_write_is_not_taken_for_data(chain_of):
+def test_a_late_answer_to_a_write_is_not_taken_for_data(bus_of):
     clock = SimClock()
-    chain = chain_of(54024)
-    bus = bus_on(LateOnce(Line(chain), clock), clock, 54024, ids=(1,))
+    emulated = bus_of(54024)
+    bus = bus_on(LateOnce(Line(emulated), clock), clock, 54024, ids=(1,))
     bus.connect()  # as data, the CRC of the late answer would be a hardware error
-    assert bus.firmware_versions == (chain.servos[0].get(Register.FIRMWARE_VERSION),)
+    assert bus.firmware_versions == (emulated.servos[0].get(Register.FIRMWARE_VERSION),)
 
 
 def test_fault_rates_are_met():
     plan = FaultPlan({"lost": 0.2, "late": 0.1}, seed=5)
-    frame = packets.status(1, 0, bytes(10))
+    frame = packets.status_packet(1, 0, bytes(10))
     results = [plan.apply(frame) for _ in range(5000)]
     lost = sum(r == [] for r in results)
     late = sum(len(r) == 1 and r[0][0] > 0 for r in results)
@@ -289,7 +293,7 @@ class Served:
         name, accept = self._context.__enter__()
 
         def work() -> None:
-            while (fd := accept()) is not None and serve(self._line, fd, self._stop_r):
+            while (fd := accept()) is not None and serve_line(self._line, fd, self._stop_r):
                 pass
 
         self._process = multiprocessing.get_context("fork").Process(target=work)
@@ -304,8 +308,8 @@ class Served:
         os.close(self._stop_w)
 
 
-def test_the_official_sdk_untouched_talks_to_the_pty(chain_of, patient):
-    with Served(Line(chain_of(54024, (1, 2)), latency_s=0.0), lambda _: pty_endpoint()) as name:
+def test_the_official_sdk_untouched_talks_to_the_pty(bus_of, patient):
+    with Served(Line(bus_of(54024, (1, 2)), latency_s=0.0), lambda _: pty_endpoint()) as name:
         port, handler = sdk.PortHandler(name), sdk.PacketHandler(2.0)
         assert port.openPort() and port.setBaudRate(1_000_000)
         try:
@@ -329,10 +333,10 @@ def test_the_official_sdk_untouched_talks_to_the_pty(chain_of, patient):
             port.closePort()
 
 
-def test_our_bus_drives_the_socket(chain_of, tmp_path):
+def test_our_bus_drives_the_socket(bus_of, tmp_path):
     clock = DeadlineClock()
     path = tmp_path / "line"
-    with Served(Line(chain_of(54025, (1, 2))), lambda stop: socket_endpoint(path, stop)) as name:
+    with Served(Line(bus_of(54025, (1, 2))), lambda stop: socket_endpoint(path, stop)) as name:
         for _ in range(2):  # a program may come back
             bus = bus_on(SocketTransport(name.removeprefix("unix:"), clock), clock)
             bus.connect()
@@ -345,7 +349,7 @@ def test_our_bus_drives_the_socket(chain_of, tmp_path):
     assert not path.exists()
 
 
-def test_a_broadcast_reaches_everyone_and_is_not_answered(chain_of):
-    line = Line(chain_of(54025, (1, 2)))
-    assert line.receive(0, packets.write(BROADCAST, 512, b"\x01")) == []
-    assert [s.torque_on for s in line.chain.servos] == [True, True]
+def test_a_broadcast_reaches_everyone_and_is_not_answered(bus_of):
+    line = Line(bus_of(54025, (1, 2)))
+    assert line.receive(0, packets.write_packet(BROADCAST, 512, b"\x01")) == []
+    assert [s.torque_on for s in line.bus.servos] == [True, True]

@@ -49,21 +49,21 @@ def bundle(tmp_path_factory):
 def options(bundle, tmp_path):
     return sil.SilOptions(
         bundle=bundle, model=MODELS[54024], out=tmp_path, line="virtual", seconds=2.0,
-        reality=RigSource(),
+        rig=RigSource(),
     )  # fmt: skip
 
 
 def test_a_run_is_reproducible_and_its_seed_is_its_variation(options):
-    first, second = sil.run(options), sil.run(options)
+    first, second = sil.run_sil(options), sil.run_sil(options)
     assert first.summary.ended is Ended.FINISHED
     assert first.environment["records_sha256"] == second.environment["records_sha256"]
-    other = sil.run(replace(options, reality=RigSource(seed=1)))
+    other = sil.run_sil(replace(options, rig=RigSource(seed=1)))
     assert other.environment["records_sha256"] != first.environment["records_sha256"]
 
 
 def test_the_robot_measures_the_laboratory_and_its_tip_belongs_to_the_same_moment(options):
     """Loop, bus and wire add delay and resolution only: step a laboratory beside them."""
-    result = sil.run(replace(options, latency_s=0.0))
+    result = sil.run_sil(replace(options, latency_s=0.0))
     servo, beside = MODELS[54024], RigPhysics(RigSource(), 1, options.payload_kg)
     truth = sil_artifacts.true_tip_m(result.records, result.outcome.truth)
     goal_rad, now_ns = 0.0, 0
@@ -95,9 +95,9 @@ def test_time_that_is_too_short_for_a_step_is_not_lost():
 
 
 def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
-    options = replace(options, reality=RigSource({"prebend": 0.01}))
-    timing = write_results(sil.run(options), options)
-    assert timing["environment"]["behind_the_servos"] == "laboratory"
+    options = replace(options, rig=RigSource({"prebend": 0.01}))
+    timing = write_results(sil.run_sil(options), options)
+    assert timing["environment"]["behind_the_servos"] == "rig"
     assert timing["environment"]["hidden"] == {"prebend": 0.01}
     assert (options.out / "trial" / "sil.csv").is_file()
     assert json.loads((options.out / "timing.json").read_text())["prediction_error"]["n"] > 0
@@ -107,14 +107,14 @@ def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     ("changes", "complaint"),
     [
         ({"line": "socket"}, "--line virtual"),
-        ({"unit": "twin.fmu"}, "stands in a twin's place"),
-        ({"reality": RigSource({"stiffness_softening": 2.0})}, "--hide stiffness_softening"),
-        ({"reality": RigSource({"stiffness_softening": 0.85}), "payload_kg": 9.0}, "folds"),
+        ({"fmu": "twin.fmu"}, "stands in a twin's place"),
+        ({"rig": RigSource({"stiffness_softening": 2.0})}, "--hide stiffness_softening"),
+        ({"rig": RigSource({"stiffness_softening": 0.85}), "payload_kg": 9.0}, "folds"),
     ],
 )
 def test_what_cannot_be_run_is_refused(options, changes, complaint):
     with pytest.raises(InputError, match=complaint):
-        sil.run(replace(options, **changes))
+        sil.run_sil(replace(options, **changes))
 
 
 def test_hiding_in_a_twin_is_refused_in_one_sentence(bundle, tmp_path, capsys):

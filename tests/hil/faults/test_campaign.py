@@ -17,16 +17,16 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.inference.bundle import Manifest, ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
-from firmware_py.safety.limits import Limits
-from firmware_py.safety.supervisor import SafetySupervisor
 from hil.emulator import packets
 from hil.emulator.packets import BROADCAST, Instruction, Packet
-from hil.faults import fault_docs, fault_verdict, virtual_case
+from hil.faults import fault_docs, fault_verdict
 from hil.faults.campaign import cases_of
-from hil.faults.case_robot import CaseRobot
-from hil.faults.fault_table import RECOVERED, ROWS, Must, Row
-from hil.faults.fault_verdict import FaultCase, judge
-from hil.faults.injection import SERVO_FAULTS, WIRE_FAULTS, Injection, Script
+from hil.faults.cases import virtual_case
+from hil.faults.cases.case_robot import CaseRobot
+from hil.faults.fault_row import Expectation, FaultRow
+from hil.faults.fault_table import RECOVERED, ROWS
+from hil.faults.fault_verdict import FaultCase, judge_case
+from hil.faults.injection import LINE_FAULTS, SERVO_FAULTS, FaultSchedule, Injection
 from hil.faults.observation import CaseObservation
 from hil.faults.servo_log import LoggedBus, LoggedServo
 
@@ -40,14 +40,14 @@ class StillPredictor:
 
 
 @pytest.fixture
-def rig(chain_of, monkeypatch, tmp_path):
+def robot(bus_of, monkeypatch, tmp_path):
     """Two joints over a plant that needs no compiler."""
-    plant = type(chain_of().physics)
+    plant = type(bus_of().physics)
 
     class Physics(plant):
-        def __init__(self, unit, dof):
+        def __init__(self, fmu, dof):
             super().__init__(dof)
-            self.unit = SimpleNamespace(close=lambda: None)
+            self.fmu = SimpleNamespace(close=lambda: None)
 
     monkeypatch.setattr(virtual_case, "FmuPhysics", Physics)
     manifest = Manifest(
@@ -62,23 +62,23 @@ def row_named(fault, how):
     return next(row for row in ROWS if (row.fault, row.how) == (fault, how))
 
 
-def run(rig, row, number=PRO_A, seed=5):
+def run(robot, row, number=PRO_A, seed=5):
     case = FaultCase(row, "virtual", number, seed)
-    return judge(case, virtual_case.run_virtual(rig, row, number, seed), PERIOD_S)
+    return judge_case(case, virtual_case.run_virtual(robot, row, number, seed), PERIOD_S)
 
 
 @pytest.mark.parametrize("row", VIRTUAL, ids=lambda row: f"{row.fault}, {row.how}")
-def test_every_fault_ends_as_the_table_says(rig, row):
+def test_every_fault_ends_as_the_table_says(robot, row):
     for number in row.models:
-        judged = run(rig, row, number)
+        judged = run(robot, row, number)
         assert judged.verdict == "pass", judged.unsafe + judged.astray
 
 
-def test_the_same_seed_gives_the_same_run_and_another_one_another(rig):
+def test_the_same_seed_gives_the_same_run_and_another_one_another(robot):
     row = row_named("bit flip in payload", "both reads of two ticks")
-    first, second, other = (run(rig, row, seed=seed).observation for seed in (1, 1, 2))
+    first, second, other = (run(robot, row, seed=seed).observation for seed in (1, 1, 2))
     assert first == second
-    starts = {Script(row.injections, seed).start for seed in range(20)}
+    starts = {FaultSchedule(row.injections, seed).start for seed in range(20)}
     assert len(starts) > 10
     assert other.ended == first.ended
 
@@ -86,19 +86,19 @@ def test_the_same_seed_gives_the_same_run_and_another_one_another(rig):
 # --- the campaign can fail -------------------------------------------------------------------
 
 
-def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(rig, monkeypatch):
+def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(robot, monkeypatch):
     row = row_named("reply late by a period", "once")
-    assert run(rig, row).verdict == "pass"
+    assert run(robot, row).verdict == "pass"
     monkeypatch.setattr(feedback, "_DISTINCT_LENGTHS", 1)
-    judged = run(rig, row)
+    judged = run(robot, row)
     assert judged.verdict == "fail"
     assert any("old data for fresh" in words for words in judged.unsafe)
 
 
 @pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)
-def test_a_bus_that_does_not_read_again_is_found_out(rig, monkeypatch, row):
+def test_a_bus_that_does_not_read_again_is_found_out(robot, monkeypatch, row):
     monkeypatch.setattr(DynamixelBus, "_check_replies", only_once)
-    judged = run(rig, row)
+    judged = run(robot, row)
     assert judged.verdict == "fail"
     assert any("ticks lost, not 0" in words for words in judged.astray)
 
@@ -108,15 +108,23 @@ def only_once(bus):
     bus._feedback.usual_ns = 1_000_000_000
 
 
-def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
+def test_goals_that_jump_after_a_replug_are_found_out(robot, monkeypatch):
     row = row_named("unplug and replug", "configured to go on")
+    reopen, write, reopened = DynamixelBus.reopen, DynamixelBus.write, []
 
-    def jump(supervisor):
-        supervisor._limits = Limits(rate_rad_s=99.0, acceleration_rad_s2=1e4)
+    def note_reopening(bus):
+        reopened.append(reopen(bus))
+        return reopened[-1]
 
-    monkeypatch.setattr(SafetySupervisor, "resume", jump)
-    judged = run(rig, row)
-    assert any("a goal jumped" in words for words in judged.unsafe)
+    def write_apart(bus, goal_rad, deadline_ns):
+        return write(bus, goal_rad + 0.1 * any(reopened), deadline_ns)
+
+    monkeypatch.setattr(DynamixelBus, "reopen", note_reopening)
+    monkeypatch.setattr(DynamixelBus, "write", write_apart)
+    judged = run(robot, row)
+    assert any(reopened)
+    assert judged.verdict == "fail"
+    assert any("a goal jumped by 0.0" in words for words in judged.unsafe)
 
 
 @pytest.mark.parametrize(
@@ -137,28 +145,28 @@ def test_goals_that_jump_after_a_replug_are_found_out(rig, monkeypatch):
     ],
 )
 def test_each_thing_that_must_hold_is_looked_at(change, words):
-    row = Row("x", "y", Must("finished", 1, 1, "over"), (Injection("lost"),))
+    row = FaultRow("x", "y", Expectation("finished", 1, 1, "over"), (Injection("lost"),))
     good = CaseObservation("finished", "the motion is over", detected_ticks=1, lost_ticks=1,
                        unheard_ns=60_000_000, goal_jump_rad=1.9e-3)  # fmt: skip
     case = FaultCase(row, "socket", PRO_A, 0)
-    assert judge(case, good, PERIOD_S).verdict == "pass"
-    judged = judge(case, replace(good, **change), PERIOD_S)
+    assert judge_case(case, good, PERIOD_S).verdict == "pass"
+    judged = judge_case(case, replace(good, **change), PERIOD_S)
     assert judged.verdict == "fail"
     assert any(words in complaint for complaint in judged.unsafe + judged.astray)
 
 
 def test_the_host_is_an_excuse_for_the_course_but_not_for_safety():
-    case = FaultCase(Row("x", "y", Must("finished", lost=0)), "socket", PRO_A, 0)
+    case = FaultCase(FaultRow("x", "y", Expectation("finished", lost=0)), "socket", PRO_A, 0)
     seen = CaseObservation("finished", "", lost_ticks=1, misses={"preempted by the host": 1})
-    assert judge(case, seen, PERIOD_S).verdict == "inconclusive"
-    assert judge(replace(case, line="virtual"), seen, PERIOD_S).verdict == "fail"
-    assert judge(case, replace(seen, stale_as_fresh=1), PERIOD_S).verdict == "fail"
+    assert judge_case(case, seen, PERIOD_S).verdict == "inconclusive"
+    assert judge_case(replace(case, line="virtual"), seen, PERIOD_S).verdict == "fail"
+    assert judge_case(case, replace(seen, stale_as_fresh=1), PERIOD_S).verdict == "fail"
 
 
 def test_verdicts_are_counted_and_written():
-    case = FaultCase(Row("x", "y", Must("finished")), "virtual", PRO_A, 0)
+    case = FaultCase(FaultRow("x", "y", Expectation("finished")), "virtual", PRO_A, 0)
     good, bad = CaseObservation("finished", ""), CaseObservation("tripped", "why")
-    judged = [judge(case, seen, PERIOD_S) for seen in (good, bad)]
+    judged = [judge_case(case, seen, PERIOD_S) for seen in (good, bad)]
     document = fault_verdict.report(judged, {"faults": 1})
     assert document["counts"] == {"pass": 1, "fail": 1, "inconclusive": 0}
     assert (document["verdict"], fault_verdict.exit_code(document)) == ("fail", 1)
@@ -170,12 +178,12 @@ def test_verdicts_are_counted_and_written():
 
 # --- what is injected ------------------------------------------------------------------------
 
-FRAME = packets.status(1, 0, bytes(range(10)))
+FRAME = packets.status_packet(1, 0, bytes(range(10)))
 
 
-@pytest.mark.parametrize("kind", WIRE_FAULTS)
+@pytest.mark.parametrize("kind", LINE_FAULTS)
 def test_a_fault_of_the_wire_befalls_its_exchanges_and_no_other(kind):
-    script = Script((Injection(kind, 2, 5e-3),), seed=3)
+    script = FaultSchedule((Injection(kind, 2, 5e-3),), seed=3)
     seen = {}
     for exchange in range(script.start + 4):
         script.begin_exchange((), exchange)
@@ -186,11 +194,11 @@ def test_a_fault_of_the_wire_befalls_its_exchanges_and_no_other(kind):
 
 
 @pytest.mark.parametrize(
-    "kind", [k for k in WIRE_FAULTS if k.startswith("flip") or k == "other id"]
+    "kind", [k for k in LINE_FAULTS if k.startswith("flip") or k == "other id"]
 )
 @pytest.mark.parametrize("seed", range(20))
 def test_a_flipped_bit_leaves_no_intact_answer_of_that_servo(kind, seed):
-    script = Script((Injection(kind, 1000),), seed)
+    script = FaultSchedule((Injection(kind, 1000),), seed)
     for _ in range(script.start):
         script.begin_exchange((), 0)
     ((_, damaged),) = script.apply(FRAME)
@@ -201,15 +209,15 @@ def test_a_flipped_bit_leaves_no_intact_answer_of_that_servo(kind, seed):
         assert flipped.bit_count() == 1
 
 
-# --- the witness -----------------------------------------------------------------------------
+# --- the servo log ---------------------------------------------------------------------------
 
 
-def watched(chain_of, number, watchdog=3):
+def watched(bus_of, number, watchdog=3):
     servo = LoggedServo(MODELS[number])
-    chain = LoggedBus([servo], type(chain_of().physics)(), Script((), 0))
+    bus = LoggedBus([servo], type(bus_of().physics)(), FaultSchedule((), 0))
     servo.put(Register.TORQUE_ENABLE, 1)
     servo.put(Register.BUS_WATCHDOG, watchdog)
-    return chain, servo
+    return bus, servo
 
 
 @pytest.mark.parametrize(
@@ -217,20 +225,20 @@ def watched(chain_of, number, watchdog=3):
     [(PRO_A, 3, 60, False), (PRO_A, 0, 500, True), (LEGACY, 3, 500, True)],
 )
 def test_a_loop_that_dies_leaves_a_servo_driven_until_its_watchdog_trips(
-    chain_of, number, watchdog, unheard_ms, live
+    bus_of, number, watchdog, unheard_ms, live
 ):
-    chain, _ = watched(chain_of, number, watchdog)
-    chain.execute(Packet(BROADCAST, Instruction.PING, b""), 0)
-    testimony = chain.testify(500_000_000)
-    assert testimony.unheard_ns == unheard_ms * 1_000_000
-    assert (testimony.live, testimony.watched) == (live, number == PRO_A)
+    bus, _ = watched(bus_of, number, watchdog)
+    bus.execute(Packet(BROADCAST, Instruction.PING, b""), 0)
+    servo_log = bus.log(500_000_000)
+    assert servo_log.unheard_ns == unheard_ms * 1_000_000
+    assert (servo_log.live, servo_log.watched) == (live, number == PRO_A)
 
 
-def test_a_servo_off_the_bus_neither_answers_nor_hears(chain_of):
-    chain, servo = watched(chain_of, PRO_A)
+def test_a_servo_off_the_bus_neither_answers_nor_hears(bus_of):
+    bus, servo = watched(bus_of, PRO_A)
     SERVO_FAULTS["silent"](servo, 0.0, True)
-    assert chain.execute(Packet(1, Instruction.PING, b""), 10_000_000) == []
-    chain.execute(Packet(BROADCAST, Instruction.PING, b""), 70_000_000)
+    assert bus.execute(Packet(1, Instruction.PING, b""), 10_000_000) == []
+    bus.execute(Packet(BROADCAST, Instruction.PING, b""), 70_000_000)
     assert servo.watchdog_tripped
 
 
@@ -254,7 +262,7 @@ def test_every_fault_that_was_asked_for_is_in_the_table(words):
 
 def test_the_document_is_drawn_from_the_code():
     text = fault_docs.DOCUMENT.read_text(encoding="utf-8")
-    assert fault_docs.drawn(text) == text, "run python -m hil.faults.fault_docs"
+    assert fault_docs.redraw(text) == text, "run python -m hil.faults.fault_docs"
     assert text.count("<!-- end:") == 2
 
 

@@ -76,7 +76,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",
         unit=unit, line="virtual", seconds=3.0,
     )  # fmt: skip
-    write_results(sil.run(options), options)
+    write_results(sil.run_sil(options), options)
     (directory / "commands.log").write_text("\n".join([COMMANDS[0], *COMMANDS]) + "\n")
     return directory
 

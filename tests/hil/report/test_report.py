@@ -14,7 +14,7 @@ from hil.report.loop_figures import loop_figures
 from hil.report.report_page import render
 from hil.report.report_tables import at_a_glance, prediction, verdict
 from hil.report.study.motion_figures import motion_figures
-from hil.timing.timing_verdict import judge
+from hil.timing.timing_verdict import judge_timing
 
 
 class Page(HTMLParser):
@@ -268,7 +268,7 @@ def slow_run(build):
     records = np.empty(len(ticks["tick"]), dtype)
     for name, column in ticks.items():
         records[name] = column
-    timing = judge(records, 0.017, environment={"line": "socket"})
+    timing = judge_timing(records, 0.017, environment={"line": "socket"})
     return LoopRun("sil", timing, ticks, loop.true_tip_m)
 
 

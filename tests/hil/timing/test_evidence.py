@@ -15,8 +15,8 @@ from firmware_py.bus.registers import PRO_P
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.signals import STAGES, tick_dtype
 from hil.timing import cyclictest, tick_budget, timeline
+from hil.timing.cpu_accounts import ProbeRecord
 from hil.timing.hdr_histogram import write_hgrm
-from hil.timing.host import Watch
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS
@@ -53,8 +53,8 @@ def test_a_histogram_file_never_understates_a_percentile(tmp_path_factory, durat
 
 def test_the_account_takes_the_read_apart_and_adds_up_to_the_period():
     records, plan = run_of(1000), plans(PRO_P, 2, 1_000_000)[0]
-    wire = tick_budget.wire_facts(plan)
-    account = tick_budget.account(records, 0.017, wire, {"p50_ns": 10_000, "p99_ns": 10_000})
+    wire = tick_budget.plan_times(plan)
+    account = tick_budget.measure_budget(records, 0.017, wire, {"p50_ns": 10_000, "p99_ns": 10_000})
     read = account["read"]
     parts_ns = sum(read[part]["p50_ns"] for part in ("own", "wire", "servo", "wait"))
     assert parts_ns == records["read_ns"][0]
@@ -67,23 +67,25 @@ def test_the_account_takes_the_read_apart_and_adds_up_to_the_period():
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_beyond_its_budget_is_named(stage):
-    wire = tick_budget.wire_facts(plans(PRO_P, 1, 1_000_000)[0])
+    wire = tick_budget.plan_times(plans(PRO_P, 1, 1_000_000)[0])
     for excess_ns in (0, 1):
         records = run_of(100)
         records[f"{stage}_ns"][-2:] = tick_budget.BUDGET_NS[stage] + excess_ns
         records["read_ns"][-2:] += MS if stage == "read" else 0
-        rows = tick_budget.account(records, 0.017, wire, {})["budget"]
+        rows = tick_budget.measure_budget(records, 0.017, wire, {})["budget"]
         over = [name for name, row in rows.items() if not row["within_budget"]]
         assert over == ([stage] if excess_ns else [])
-        text = "\n".join(tick_budget.describe(tick_budget.account(records, 0.017, wire, {})))
+        text = "\n".join(
+            tick_budget.describe_budget(tick_budget.measure_budget(records, 0.017, wire, {}))
+        )
         assert ("over" in text) is bool(excess_ns)
 
 
 def test_one_long_tick_is_the_high_water_mark_and_the_least_slack():
     records = run_of(500)
     records["busy_ns"][123] = 16 * MS
-    wire = tick_budget.wire_facts(plans(PRO_P, 1, 1_000_000)[0])
-    account = tick_budget.account(records, 0.017, wire, {})
+    wire = tick_budget.plan_times(plans(PRO_P, 1, 1_000_000)[0])
+    account = tick_budget.measure_budget(records, 0.017, wire, {})
     assert account["high_water_mark_ns"] == 16 * MS + 20_000
     assert account["slack"]["min_ns"] == PERIOD_NS - account["high_water_mark_ns"]
 
@@ -95,13 +97,13 @@ def test_a_lost_reply_is_accounted_for_with_what_it_cost():
     records["bus_status"][80], records["busy_ns"][80] = BusStatus.RETRIED, 7 * MS
     records["busy_ns"][40] = 18 * MS
     records["missed"][41] = 1
-    wire = tick_budget.wire_facts(plans(PRO_P, 1, 1_000_000)[0])
-    account = tick_budget.account(records, 0.017, wire, {})
+    wire = tick_budget.plan_times(plans(PRO_P, 1, 1_000_000)[0])
+    account = tick_budget.measure_budget(records, 0.017, wire, {})
     blind = account["without_data"]
     assert (blind["n"], blind["max_ns"], blind["missed_slots"]) == (2, 18 * MS + 20_000, 1)
     again = account["read_again"]
     assert (again["n"], again["max_ns"], again["missed_slots"]) == (1, 7 * MS + 20_000, 0)
-    words = "\n".join(tick_budget.describe(account))
+    words = "\n".join(tick_budget.describe_budget(account))
     assert "2 ticks without data" in words
     assert "1 ticks that read twice took at most 7.02 ms" in words
 
@@ -114,7 +116,7 @@ def events_of(path):
 def test_a_timeline_nests_stages_in_ticks_and_marks_what_missed(tmp_path):
     records = run_of(50)
     records["wake_ns"][7] = records["lateness_ns"][7] = PERIOD_NS
-    stall = Watch(records["deadline_ns"][7:8] + 3 * MS, np.array([2 * MS]), np.array([0]))
+    stall = ProbeRecord(records["deadline_ns"][7:8] + 3 * MS, np.array([2 * MS]), np.array([0]))
     timeline.write_timeline(tmp_path / "t.json", records, stall, PERIOD_NS)
     slices, events = events_of(tmp_path / "t.json")
     ticks = [s for s in slices if s["name"].startswith("tick ")]
@@ -133,7 +135,7 @@ def test_a_long_timeline_is_thinned_out_and_keeps_what_is_remarkable():
     records = run_of(100_000)
     worst = np.random.default_rng(0).choice(len(records), 40, replace=False)
     records["busy_ns"][worst] = 18 * MS
-    shown = timeline.worth_showing(records, PERIOD_NS)
+    shown = timeline.select_ticks(records, PERIOD_NS)
     assert shown[worst].all()
     assert shown.sum() <= 2 * timeline.MOST_TICKS
 
@@ -141,13 +143,13 @@ def test_a_long_timeline_is_thinned_out_and_keeps_what_is_remarkable():
 @given(st.dictionaries(st.integers(0, 500), st.integers(1, 1000), min_size=1))
 def test_percentiles_of_the_reference_are_those_of_its_samples(counts):
     samples = np.repeat(list(counts), list(counts.values()))
-    summary = cyclictest.summarise(counts, len(samples), max(counts))
+    summary = cyclictest.histogram_percentiles(counts, len(samples), max(counts))
     for name, share in (("p50_ns", 0.5), ("p99_ns", 0.99), ("p99_9_ns", 0.999)):
         assert summary[name] == 1000 * np.quantile(samples, share, method="inverted_cdf")
 
 
 def test_what_lies_beyond_the_references_histogram_counts_as_its_maximum():
-    summary = cyclictest.summarise({10: 98}, 100, 70_000)
+    summary = cyclictest.histogram_percentiles({10: 98}, 100, 70_000)
     assert summary == {
         "n": 100, "p50_ns": 10_000, "p99_ns": 70_000_000, "p99_9_ns": 70_000_000,
         "max_ns": 70_000_000,

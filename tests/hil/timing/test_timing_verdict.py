@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
 from hil.timing import timing_verdict
-from hil.timing.host import PROBE_PERIOD_NS, Releases, Watch
+from hil.timing.cpu_accounts import PROBE_PERIOD_NS, ProbeRecord, Releases
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS
@@ -41,7 +41,7 @@ def slow_down(records, tick: int, busy_ns: int, *, lateness_ns=30_000, wait_ns=1
     records["deadline_ns"][tick + 1 :] += skipped * PERIOD_NS
 
 
-def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> Watch:
+def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> ProbeRecord:
     """A probe that was on time but for stalls (start, length) of its processor."""
     first, last = int(records["deadline_ns"][0]) - PERIOD_NS, int(records["deadline_ns"][-1])
     due = np.arange(first, last + PERIOD_NS, PROBE_PERIOD_NS)
@@ -50,11 +50,11 @@ def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> Watc
         inside = (wake >= start_ns) & (wake < start_ns + length_ns)
         wake[inside] = start_ns + length_ns
     keep = np.append(True, np.diff(wake) > 0)  # what was due first says how late it was
-    return Watch(wake[keep], (wake - due)[keep], np.full(keep.sum(), ours_ns))
+    return ProbeRecord(wake[keep], (wake - due)[keep], np.full(keep.sum(), ours_ns))
 
 
 def judge(records, *watches, **more):
-    return timing_verdict.judge(records, 0.017, *watches, **more)
+    return timing_verdict.judge_timing(records, 0.017, *watches, **more)
 
 
 def test_a_calm_run_passes():
@@ -112,7 +112,7 @@ def test_a_stall_that_may_have_fallen_outside_the_tick_excuses_it_and_does_not_c
     end_ns = int(records["deadline_ns"][500]) + 17_530_000
     due_ns = end_ns - 300_000 + np.array([-1, 0, 1]) * PROBE_PERIOD_NS
     lateness_ns = np.array([0, 2 * MS, 0])
-    watch = Watch(due_ns + lateness_ns, lateness_ns, np.zeros(3, np.int64))
+    watch = ProbeRecord(due_ns + lateness_ns, lateness_ns, np.zeros(3, np.int64))
     timing = judge(records, watch, probe_over(records))
     assert (timing["misses"], timing["own_misses"]) == (1, 0)
     assert timing["host"]["max_ns"] == 300_000

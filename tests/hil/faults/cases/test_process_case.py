@@ -4,10 +4,10 @@ import pytest
 
 from firmware_py.inference.bundle import ModelBundle
 from hil.emulator.twin_fmu import build_twin
-from hil.faults.case_robot import CaseRobot
+from hil.faults.cases.case_robot import CaseRobot
+from hil.faults.cases.process_case import run_process
 from hil.faults.fault_table import PROCESS
-from hil.faults.fault_verdict import FaultCase, judge
-from hil.faults.process_case import run_process
+from hil.faults.fault_verdict import FaultCase, judge_case
 from models.plant.plant import NOMINAL
 
 PERIOD_S = 0.017
@@ -18,7 +18,7 @@ CASES = {
 
 
 @pytest.fixture(scope="session")
-def rig(toy_bundle, tmp_path_factory):
+def robot(toy_bundle, tmp_path_factory):
     twin = build_twin(NOMINAL, 1, tmp_path_factory.mktemp("twin"))
     return CaseRobot(ModelBundle.load(toy_bundle), twin)
 
@@ -28,12 +28,12 @@ TRIES = 3
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_of_the_process_is_survived(rig, name):
+def test_a_fault_of_the_process_is_survived(robot, name):
     row = next(row for row in PROCESS if f"{row.fault}, {row.how}" == CASES[name])
     astray = []
     for _ in range(TRIES):
-        seen = run_process(rig, row, row.models[0], 1)
-        judged = judge(FaultCase(row, "process", row.models[0], 1), seen, PERIOD_S)
+        seen = run_process(robot, row, row.models[0], 1)
+        judged = judge_case(FaultCase(row, "process", row.models[0], 1), seen, PERIOD_S)
         assert not judged.unsafe
         assert not seen.live
         if name == "killed":

@@ -20,10 +20,10 @@ from typing import Any, Final
 from firmware_py.realtime.clock import RealTimeOptions, real_time
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.fmu_physics import FmuPhysics
-from hil.emulator.line import Line, pty_endpoint, serve, socket_endpoint
-from hil.faults.case_robot import servos_of
-from hil.faults.fault_table import Row
-from hil.faults.injection import Script
+from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
+from hil.faults.cases.case_robot import servos_of
+from hil.faults.fault_row import FaultRow
+from hil.faults.injection import FaultSchedule
 from hil.faults.servo_log import LoggedBus, LoggedServo, ServoLog
 
 _SPAWN: Final = multiprocessing.get_context("spawn")
@@ -35,11 +35,11 @@ class StationTask:
 
     Attributes
     ----------
-    unit : Path
+    fmu : Path
         Twin behind the servos.
     dof : int
         Joints.
-    row : Row
+    row : FaultRow
         The fault.
     number, seed : int
         Model of the servos; moment and bits of the fault.
@@ -51,9 +51,9 @@ class StationTask:
         Processor to stay on.
     """
 
-    unit: Path
+    fmu: Path
     dof: int
-    row: Row
+    row: FaultRow
     number: int
     seed: int
     kind: str
@@ -76,13 +76,13 @@ def _plugged(task: StationTask, port: Path, stop_fd: int) -> Iterator[Callable[[
             port.unlink()
 
 
-class _CountedScript(Script):
+class _CountedScript(FaultSchedule):
     """A script whose progress another process can see."""
 
     counter: Any
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """See `Script.begin_exchange`."""
+        """See `FaultSchedule.begin_exchange`."""
         super().begin_exchange(servos, now_ns)
         self.counter.value = self.exchange
 
@@ -92,25 +92,25 @@ def _run(pipe: Connection, counter: Any, task: StationTask) -> None:
     script = _CountedScript(task.row.injections, task.seed)
     script.counter = counter
     servos = servos_of(task.dof, task.row, task.number)
-    chain = LoggedBus(servos, FmuPhysics(task.unit, task.dof), script)
-    line = Line(chain, dict(task.row.setup).get("latency_s", 1e-3), script)
-    chain.resume(time.monotonic_ns())
+    bus = LoggedBus(servos, FmuPhysics(task.fmu, task.dof), script)
+    line = Line(bus, task.row.setup.latency_s, script)
+    bus.resume(time.monotonic_ns())
     port: Path | None = task.port
     gc.freeze()
     with real_time(RealTimeOptions(priority=PRIORITY, cpu=task.cpu)):
         pipe.send(os.getpid())
         while port is not None:
             with _plugged(task, port, pipe.fileno()) as connect:
-                while (fd := connect()) is not None and serve(line, fd, pipe.fileno()):
+                while (fd := connect()) is not None and serve_line(line, fd, pipe.fileno()):
                     pass
             command = pipe.recv()
             while command == "unplug":
                 pipe.send(time.monotonic_ns())
                 while not pipe.poll(0.01):
-                    chain.advance(time.monotonic_ns())
+                    bus.advance(time.monotonic_ns())
                 command = pipe.recv()
             port = command
-    pipe.send(chain.testify(time.monotonic_ns()))
+    pipe.send(bus.log(time.monotonic_ns()))
 
 
 class Station:
@@ -141,11 +141,11 @@ class Station:
         """Bring it back under a name."""
         self._ours.send(port)
 
-    def testify(self) -> ServoLog:
-        """End it and return what the servos saw."""
+    def stop(self) -> ServoLog:
+        """End the process and return the servos' record."""
         self._ours.send(None)
-        testimony: ServoLog = self._receive()
-        return testimony
+        servo_log: ServoLog = self._receive()
+        return servo_log
 
     def close(self) -> None:
         """End the process if it still runs."""

@@ -1,6 +1,7 @@
 """What the machine did beside the loop: accounts of its processors, and a load on request.
 
-A `Watch` is what a probe (`hil.timing.probe`) saw of a processor, `Releases` what the emulator did.
+A `ProbeRecord` is what a probe (`hil.timing.probe`) saw of a processor; `Releases` is the record
+that the emulator keeps of its replies.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
-class Watch:
+class ProbeRecord:
     """What was seen on one processor.
 
     Attributes
@@ -130,14 +131,14 @@ def _spin(cpus: set[int]) -> None:
         block /= np.abs(block).max()
 
 
-def processors() -> tuple[int, set[int]]:
+def assign_processors() -> tuple[int, set[int]]:
     """Processor for the loop, and those for everything else (the same where there is only one)."""
     available = sorted(os.sched_getaffinity(0))
     return available[-1], set(available[:-1]) or set(available)
 
 
 @contextlib.contextmanager
-def kept_to(cpus: set[int]) -> Iterator[None]:
+def pinned_to(cpus: set[int]) -> Iterator[None]:
     """Keep this process, and all that it starts, to some processors."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cpus)
@@ -147,14 +148,14 @@ def kept_to(cpus: set[int]) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def scheduler() -> str:
+def scheduling_policy() -> str:
     """Policy and priority of the calling thread, like "SCHED_FIFO 50"."""
     names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
 
 
-def environment() -> dict[str, Any]:
+def host_environment() -> dict[str, Any]:
     """Facts about this machine that a timing depends on."""
 
     def fact(path: str) -> str:

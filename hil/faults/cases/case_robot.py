@@ -1,4 +1,4 @@
-"""The robot of a case: its configuration, its servos, its loop with the host's faults in it."""
+"""Robot of a case: its configuration, its servos, its loop with the host's faults in it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from firmware_py.robot import build_bus, build_loop
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary
 from hil.emulator.physics import Physics
-from hil.faults.fault_table import Row
+from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.host_faults import FaultyEstimator, FaultyPredictor, Host
 from hil.faults.observation import CaseOutcome, Columns
 from hil.faults.servo_log import LoggedServo
@@ -34,18 +34,18 @@ _OTHER_MODEL: Final = {54025: 54024, 54024: 54025}
 
 @dataclass(frozen=True)
 class CaseRobot:
-    """What every case of a campaign has in common.
+    """Common part of every case of a campaign.
 
     Attributes
     ----------
     bundle : ModelBundle
         What the robot runs.
-    unit : Path
+    fmu : Path
         Twin behind the servos.
     """
 
     bundle: ModelBundle
-    unit: Path
+    fmu: Path
 
     @property
     def dof(self) -> int:
@@ -61,47 +61,46 @@ class FaultyModels:
         self.predictor = FaultyPredictor(bundle.predictor, host)
 
 
-def robot_config(rig: CaseRobot, row: Row, number: int, port: str) -> RobotConfig:
+def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> RobotConfig:
     """The configuration of a case's robot."""
-    setup = dict(row.setup)
-    models = [number] * rig.dof
-    if setup.get("mixed") == 1:
+    setup = row.setup
+    models = [number] * robot.dof
+    if setup.second_model == "declared":
         models[1] = _OTHER_MODEL[number]
     limits = Limits()
-    if "through_pulse" in setup:
+    if setup.through_pulse is not None:
         limits = Limits(angle_rad=(-0.9, 0.9))
     return RobotConfig(
-        bundle=str(rig.bundle.directory.resolve()),
-        bus=BusConfig(port=port, replug_s=setup.get("replug_s", 0.0)),
+        bundle=str(robot.bundle.directory.resolve()),
+        bus=BusConfig(port=port, replug_s=setup.replug_s),
         servos=tuple(
             ServoConfig(id=joint, model=MODELS[model].name)
             for joint, model in enumerate(models, start=1)
         ),
-        period_s=rig.bundle.manifest.period_s,
+        period_s=robot.bundle.manifest.period_s,
         motion=MotionConfig(rest_s=REST_S),
         limits=limits,
     )
 
 
-def servos_of(dof: int, row: Row, number: int) -> list[LoggedServo]:
+def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     """The servos that are really there."""
-    setup = dict(row.setup)
+    setup = row.setup
     numbers = [number] * dof
-    if "found" in setup:
+    if setup.wrong_model:
         numbers = [_OTHER_MODEL[number]] * dof
-    if "mixed" in setup:
+    if setup.second_model != "as the first":
         numbers[1] = _OTHER_MODEL[number]
-    delay_s = setup.get("return_delay_s", 500e-6)
     servos = [
-        LoggedServo(MODELS[model], joint, 1_000_000, delay_s)
+        LoggedServo(MODELS[model], joint, 1_000_000, setup.return_delay_s)
         for joint, model in enumerate(numbers, start=1)
     ]
-    if "direct" in setup:
+    if setup.refuses_indirect:
         for servo in servos:
             servo.refuses_indirect = True
-    if "hardware_error" in setup:
-        servos[0].fail(int(setup["hardware_error"]))
-    if "reboot" in setup:
+    if setup.hardware_error:
+        servos[0].fail(setup.hardware_error)
+    if setup.rebooted:
         servos[0].reboot()
     return servos
 
@@ -115,7 +114,7 @@ def lean(physics: Physics, angle_rad: float) -> None:
 
 
 def drive(
-    rig: CaseRobot,
+    robot: CaseRobot,
     config: RobotConfig,
     goals_rad: Array,
     slots: int,
@@ -128,7 +127,7 @@ def drive(
     try:
         bus = build_bus(config, opener(), clock, opener)
         loop = build_loop(
-            config, FaultyModels(rig.bundle, host), bus, clock, goals_rad=goals_rad, slots=slots,
+            config, FaultyModels(robot.bundle, host), bus, clock, goals_rad=goals_rad, slots=slots,
             counters=counters, keep=2 * slots,
         )  # fmt: skip
         try:
@@ -141,11 +140,11 @@ def drive(
     return outcome_of(summary), {name: records[name] for name in records.dtype.names or ()}
 
 
-def goals_of(config: RobotConfig, setup: dict[str, float], number: int) -> Array:
+def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
     """The study's motion, or slowly to a goal of given pulses and back."""
-    if "through_pulse" not in setup:
+    if setup.through_pulse is None:
         return config.goals_rad(repeated=True)
-    angle_rad = MODELS[number].angle_rad(int(setup["through_pulse"]))
+    angle_rad = MODELS[number].angle_rad(setup.through_pulse)
     x = np.linspace(0.0, 1.0, 130)
     way = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
     column = np.concatenate([way, np.full(30, angle_rad), way[::-1]])

@@ -1,4 +1,4 @@
-"""A case on the virtual line: simulated time, so that the same seed gives the same run."""
+"""Case on the virtual line: simulated time, so that the same seed gives the same run."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from firmware_py.errors import InputError
 from firmware_py.realtime.clock import SimClock
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, VirtualTransport
-from hil.faults.case_robot import CaseRobot, drive, goals_of, lean, robot_config, servos_of
-from hil.faults.fault_table import Row
+from hil.faults.cases.case_robot import CaseRobot, case_config, drive, goals_of, lean, servos_of
+from hil.faults.fault_row import FaultRow
 from hil.faults.host_faults import FaultyTransport, Host, SteppedClock
-from hil.faults.injection import Script
-from hil.faults.observation import CaseObservation, observe
+from hil.faults.injection import FaultSchedule
+from hil.faults.observation import CaseObservation, observe_case
 from hil.faults.servo_log import LoggedBus
 
 SLOTS: Final = 300
@@ -34,57 +34,59 @@ class _DeafLine(Line):
         return super().receive(now_ns, bytes(byte & 0x55 for byte in data))
 
 
-def run_virtual(rig: CaseRobot, row: Row, number: int, seed: int) -> CaseObservation:
+def run_virtual(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
     """Run one case.
 
     Parameters
     ----------
-    rig : CaseRobot
+    robot : CaseRobot
         What the campaign has in common.
-    row : Row
+    row : FaultRow
         What to try.
     number, seed : int
         Model of the servos; moment and bits of the fault.
     """
-    physics = FmuPhysics(rig.unit, rig.dof)
+    physics = FmuPhysics(robot.fmu, robot.dof)
     try:
-        return _run(rig, row, number, seed, physics)
+        return _run(robot, row, number, seed, physics)
     finally:
-        physics.unit.close()
+        physics.fmu.close()
 
 
-def _run(rig: CaseRobot, row: Row, number: int, seed: int, physics: FmuPhysics) -> CaseObservation:
-    setup = dict(row.setup)
+def _run(
+    robot: CaseRobot, row: FaultRow, number: int, seed: int, physics: FmuPhysics
+) -> CaseObservation:
+    setup = row.setup
     true_clock = SimClock()
-    clock, script = SteppedClock(true_clock), Script(row.injections, seed)
+    clock, script = SteppedClock(true_clock), FaultSchedule(row.injections, seed)
     host = clock.host = Host(
         script, row.injections, true_clock.now_ns, lambda s: true_clock.advance(round(s * 1e9))
     )
-    servos = servos_of(rig.dof, row, number)
-    if "lean_rad" in setup:
-        lean(physics, setup["lean_rad"])
-    chain = LoggedBus(servos, physics, script)
-    if "lean_rad" in setup:  # switched on where they stand
+    servos = servos_of(robot.dof, row, number)
+    if setup.lean_rad is not None:
+        lean(physics, setup.lean_rad)
+    bus = LoggedBus(servos, physics, script)
+    if setup.lean_rad is not None:  # switched on where they stand
         for servo in servos:
             servo.reboot()
-    line = (_DeafLine if "baud" in setup else Line)(chain, setup.get("latency_s", 1e-3), script)
+    line = (_DeafLine if setup.wrong_baud else Line)(bus, setup.latency_s, script)
 
     def opener() -> Transport:
         if host.unplugged():
             raise InputError("virtual", "is missing", "plug it in")
         return FaultyTransport(VirtualTransport(line, true_clock), clock, host)
 
-    config = robot_config(rig, row, number, "virtual")
+    config = case_config(robot, row, number, "virtual")
     goals_rad = goals_of(config, setup, number)
-    outcome, columns = drive(rig, config, goals_rad, SLOTS, clock, host, opener)
-    testimony = chain.testify(true_clock.now_ns() + SETTLE_NS)
-    if (pulse := setup.get("through_pulse")) is not None:
-        wanted_rad = MODELS[number].angle_rad(int(pulse))
-        if not np.any(np.all(testimony.goal_rad == wanted_rad, axis=1)):
+    outcome, columns = drive(robot, config, goals_rad, SLOTS, clock, host, opener)
+    servo_log = bus.log(true_clock.now_ns() + SETTLE_NS)
+    if (pulse := setup.through_pulse) is not None:
+        wanted_rad = MODELS[number].angle_rad(pulse)
+        if not np.any(np.all(servo_log.goal_rad == wanted_rad, axis=1)):
             outcome = replace(outcome, ended="goal lost", reason="the goal never arrived")
-    began = [t for t in (host.began_ns, testimony.began_ns) if t is not None]
-    return observe(
-        outcome, columns, testimony, min(began, default=None), SLOTS, config.period_s,
+    began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
+    return observe_case(
+        outcome, columns, servo_log, min(began, default=None), SLOTS, config.period_s,
         config.limits_in_force.rate_rad_s,
         stepped_in_tick=script.start if any(i.kind == "clock" for i in row.injections) else None,
     )  # fmt: skip

@@ -1,7 +1,7 @@
-"""A case with real processes: `dropstitch run` and its recorder, done to what an operator fears.
+"""Case with real processes: `dropstitch run` and its recorder, killed, stopped or unplugged.
 
-The servos live in a station (`hil.faults.station`) that survives the robot. Unplugging goes over a
-pseudo-terminal, which disappears as a USB adapter does; the rest goes over the socket.
+The servos live in a process of their own (`hil.faults.cases.station`) that outlives the robot.
+Unplugging uses a pseudo-terminal, which disappears as a USB adapter does; the rest uses a socket.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.log.recording import read_recording
 from firmware_py.realtime.clock import RealTimeOptions
-from hil.faults.case_robot import CaseRobot, robot_config
-from hil.faults.fault_table import Row
-from hil.faults.injection import Script
-from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe
-from hil.faults.station import Station, StationTask
-from hil.timing.host import kept_to, processors
+from hil.faults.cases.case_robot import CaseRobot, case_config
+from hil.faults.cases.station import Station, StationTask
+from hil.faults.fault_row import FaultRow, Setup
+from hil.faults.injection import FaultSchedule
+from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
+from hil.timing.cpu_accounts import assign_processors, pinned_to
 
 SECONDS: Final = 2.6
 REPLUG_SECONDS: Final = 4.5
@@ -44,36 +44,36 @@ _END_TIMEOUT_S: Final = 30.0
 _STILL_S: Final = 0.3
 
 
-def run_process(rig: CaseRobot, row: Row, number: int, seed: int) -> CaseObservation:
-    """Run one case; see `hil.faults.virtual_case.run_virtual`."""
-    setup = dict(row.setup)
-    loop_cpu, other_cpus = processors()
+def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
+    """Run one case; see `hil.faults.cases.virtual_case.run_virtual`."""
+    setup = row.setup
+    loop_cpu, other_cpus = assign_processors()
     with contextlib.ExitStack() as stack:
         scratch = Path(stack.enter_context(TemporaryDirectory(prefix="dropstitch-faults-")))
-        stack.enter_context(kept_to(other_cpus))
-        kind = "pty" if "unplug_s" in setup else "socket"
+        stack.enter_context(pinned_to(other_cpus))
+        kind = "pty" if setup.unplug_s is not None else "socket"
         task = StationTask(
-            rig.unit, rig.dof, row, number, seed, kind, scratch / "tty-a", max(other_cpus)
+            robot.fmu, robot.dof, row, number, seed, kind, scratch / "tty-a", max(other_cpus)
         )
         station = stack.enter_context(contextlib.closing(Station(task)))
-        bundle = Path(shutil.copytree(rig.bundle.directory, scratch / "bundle"))
-        port = str(scratch / "tty-*") if "rename" in setup else str(task.port)
+        bundle = Path(shutil.copytree(robot.bundle.directory, scratch / "bundle"))
+        port = str(scratch / "tty-*") if setup.port_renamed else str(task.port)
         config = msgspec.structs.replace(
-            robot_config(rig, row, number, port if kind == "pty" else f"unix:{port}"),
+            case_config(robot, row, number, port if kind == "pty" else f"unix:{port}"),
             bundle=str(bundle), real_time=RealTimeOptions(cpu=loop_cpu),
         )  # fmt: skip
-        seconds = REPLUG_SECONDS if "replug_s" in setup else SECONDS
+        seconds = REPLUG_SECONDS if setup.replug_s else SECONDS
         process = stack.enter_context(_robot(config, scratch, seconds))
-        _await(station, Script((), seed).start, process)
+        _await(station, FaultSchedule((), seed).start, process)
         began_ns = _do(setup, process, station, scratch, task.port)
         output = _end(process, station)
         time.sleep(SETTLE_S)
-        testimony = station.testify()
+        servo_log = station.stop()
         columns = _columns(scratch / "ticks.mcap")
         outcome = _outcome(process, output, columns)
     slots = round(seconds / config.period_s)
-    return observe(
-        outcome, columns, testimony, began_ns, slots, config.period_s,
+    return observe_case(
+        outcome, columns, servo_log, began_ns, slots, config.period_s,
         config.limits_in_force.rate_rad_s,
     )  # fmt: skip
 
@@ -114,7 +114,7 @@ def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> N
 
 
 def _do(
-    setup: dict[str, float],
+    setup: Setup,
     process: subprocess.Popen[str],
     station: Station,
     scratch: Path,
@@ -123,25 +123,25 @@ def _do(
     """Do what the set-up says; return when it began."""
     began_ns = time.monotonic_ns()
     for pid in _recorders(process.pid):
-        if "disk" in setup:
+        if setup.disk_full:
             size = (scratch / "ticks.mcap").stat().st_size
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, size))
-        if "recorder" in setup:
-            os.kill(pid, int(setup["recorder"]))
-    if "swap" in setup:
+        if setup.recorder_signal is not None:
+            os.kill(pid, setup.recorder_signal)
+    if setup.bundle_swapped:
         for path in (scratch / "bundle").iterdir():
             path.write_bytes(b"swapped")
-    if "freeze_s" in setup:
+    if setup.freeze_s:
         os.kill(process.pid, signal.SIGSTOP)
-        time.sleep(setup["freeze_s"])
+        time.sleep(setup.freeze_s)
         os.kill(process.pid, signal.SIGCONT)
-    if "unplug_s" in setup:
+    if setup.unplug_s is not None:
         began_ns = station.unplug()
-        if "replug_s" in setup:
-            time.sleep(setup["unplug_s"])
-            station.plug(port.with_name("tty-b") if "rename" in setup else port)
-    if "signal" in setup:
-        os.kill(process.pid, int(setup["signal"]))
+        if setup.replug_s:
+            time.sleep(setup.unplug_s)
+            station.plug(port.with_name("tty-b") if setup.port_renamed else port)
+    if setup.signal is not None:
+        os.kill(process.pid, setup.signal)
     return began_ns
 
 

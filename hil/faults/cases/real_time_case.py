@@ -1,4 +1,4 @@
-"""A case over the socket in real time: the loop here, the servos in a process of their own."""
+"""Case over the socket in real time: the loop here, the servos in a process of their own."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ import msgspec
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.realtime.timing import KernelCounters
-from hil.faults.case_robot import CaseRobot, drive, robot_config
-from hil.faults.fault_table import Row
+from hil.faults.cases.case_robot import CaseRobot, case_config, drive
+from hil.faults.cases.station import Station, StationTask
+from hil.faults.fault_row import FaultRow
 from hil.faults.host_faults import Host
-from hil.faults.injection import Script
-from hil.faults.observation import CaseObservation, observe
-from hil.faults.station import Station, StationTask
-from hil.timing.host import kept_to, processors
+from hil.faults.injection import FaultSchedule
+from hil.faults.observation import CaseObservation, observe_case
+from hil.timing.cpu_accounts import assign_processors, pinned_to
 
 SLOTS: Final = 150
 """2.6 s: the fault begins before the 110th."""
 
 
-def run_live(rig: CaseRobot, row: Row, number: int, seed: int) -> CaseObservation:
-    """Run one case; see `hil.faults.virtual_case.run_virtual`."""
-    loop_cpu, other_cpus = processors()
+def run_real_time(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
+    """Run one case; see `hil.faults.cases.virtual_case.run_virtual`."""
+    loop_cpu, other_cpus = assign_processors()
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
         scratch = Path(stack.enter_context(TemporaryDirectory(prefix="dropstitch-faults-")))
-        stack.enter_context(kept_to(other_cpus))
+        stack.enter_context(pinned_to(other_cpus))
         task = StationTask(
-            rig.unit, rig.dof, row, number, seed, "socket", scratch / "line", max(other_cpus)
+            robot.fmu, robot.dof, row, number, seed, "socket", scratch / "line", max(other_cpus)
         )
         station = stack.enter_context(contextlib.closing(Station(task)))
-        config = robot_config(rig, row, number, f"unix:{task.port}")
+        config = case_config(robot, row, number, f"unix:{task.port}")
         config = msgspec.structs.replace(config, real_time=RealTimeOptions(cpu=loop_cpu))
-        script = Script(row.injections, seed)
+        script = FaultSchedule(row.injections, seed)
         host = Host(script, row.injections, clock.now_ns, time.sleep)
         goals_rad = config.goals_rad(repeated=True)
 
@@ -50,15 +50,15 @@ def run_live(rig: CaseRobot, row: Row, number: int, seed: int) -> CaseObservatio
         with contextlib.closing(KernelCounters()) as counters, real_time(config.real_time):
             before = _collections()
             outcome, columns = drive(
-                rig, config, goals_rad, SLOTS, clock, host, opener, counters
+                robot, config, goals_rad, SLOTS, clock, host, opener, counters
             )  # fmt: skip
             collections = _collections() - before
-        testimony = station.testify()
+        servo_log = station.stop()
     if collections:
         outcome = replace(outcome, ended="collected", reason=f"{collections} garbage collections")
-    began = [t for t in (host.began_ns, testimony.began_ns) if t is not None]
-    return observe(
-        outcome, columns, testimony, min(began, default=None), SLOTS, config.period_s,
+    began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
+    return observe_case(
+        outcome, columns, servo_log, min(began, default=None), SLOTS, config.period_s,
         config.limits_in_force.rate_rad_s,
     )  # fmt: skip
 

@@ -1,0 +1,152 @@
+"""Row of the fault table: a fault, how it is tried, and what must happen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from hil.faults.injection import Injection
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """Outcome that a fault must have.
+
+    Attributes
+    ----------
+    ended : str
+        "finished", "tripped", "signalled", "refused" (before the torque is on), "killed", or
+        "finished or tripped" where the seed decides.
+    within : int or None
+        Ticks in which the fault must show in the record; None where it need not.
+    lost : int or None
+        Ticks without fresh data, or missed, at most; None where the robot stops anyway.
+    reason : str
+        Words that the reason must hold; "|" parts alternatives.
+    replugs : int
+        Times that the robot must go on after its port was gone.
+    unlogged : bool
+        Whether the log must lack ticks, and nothing but the log.
+    """
+
+    ended: str
+    within: int | None = None
+    lost: int | None = None
+    reason: str = ""
+    replugs: int = 0
+    unlogged: bool = False
+
+    def __str__(self) -> str:
+        parts = [self.ended]
+        if self.within is not None:
+            ticks = "tick" if self.within == 1 else "ticks"
+            parts.append(f"seen within {self.within} {ticks}")
+        if self.lost is not None:
+            ticks = "tick" if self.lost == 1 else "ticks"
+            parts.append(f"at most {self.lost} {ticks} lost" if self.lost else "no tick lost")
+        if self.unlogged:
+            parts.append("only the log suffers")
+        if self.replugs:
+            parts.append("goes on from the measured position")
+        if self.reason:
+            parts.append(f"“{self.reason}”")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Differences between a case and the usual robot; the defaults are the usual robot.
+
+    Attributes
+    ----------
+    latency_s : float
+        Latency timer of the USB adapter.
+    return_delay_s : float
+        Return delay of the servos.
+    wrong_baud : bool
+        Whether the host sends at a baud rate that the servos do not use.
+    through_pulse : int or None
+        Goal in pulses that the motion reaches and leaves again, instead of the study's motion.
+    lean_rad : float or None
+        Angle at which the arm stands before the start.
+    hardware_error : int
+        Hardware error bits that the first servo has before the start.
+    rebooted : bool
+        Whether the first servo was rebooted after that error.
+    refuses_indirect : bool
+        Whether the servos refuse indirect addresses.
+    wrong_model : bool
+        Whether every servo is of another model than the configuration says.
+    second_model : {"as the first", "declared", "undeclared"}
+        Whether servo 2 is of another model, and whether the configuration says so.
+    replug_s : float
+        `bus.replug_s` of the configuration; 0 stays stopped.
+    signal : int or None
+        Signal sent to the robot's process.
+    freeze_s : float
+        How long the robot's process is stopped (SIGSTOP).
+    recorder_signal : int or None
+        Signal sent to the recorder's process.
+    disk_full : bool
+        Whether the recorder can write no further byte.
+    bundle_swapped : bool
+        Whether every file of the bundle is overwritten on disk.
+    unplug_s : float or None
+        How long the port is gone.
+    port_renamed : bool
+        Whether the port comes back under another name.
+    """
+
+    latency_s: float = 1e-3
+    return_delay_s: float = 500e-6
+    wrong_baud: bool = False
+    through_pulse: int | None = None
+    lean_rad: float | None = None
+    hardware_error: int = 0
+    rebooted: bool = False
+    refuses_indirect: bool = False
+    wrong_model: bool = False
+    second_model: Literal["as the first", "declared", "undeclared"] = "as the first"
+    replug_s: float = 0.0
+    signal: int | None = None
+    freeze_s: float = 0.0
+    recorder_signal: int | None = None
+    disk_full: bool = False
+    bundle_swapped: bool = False
+    unplug_s: float | None = None
+    port_renamed: bool = False
+
+
+USUAL = Setup()
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """One fault and how it is tried.
+
+    Attributes
+    ----------
+    fault, how : str
+        Name of the fault; how often or how long.
+    must : Expectation
+        What must happen.
+    injections : tuple of Injection
+        The plan; empty where the set-up is the fault.
+    lines : tuple of str
+        "virtual", and "socket" where there is a timing side; "process" with real processes.
+    setup : Setup
+        What differs from the usual robot.
+    models : tuple of int
+        Model numbers to try.
+    joints : int
+        How many it needs at least.
+    """
+
+    fault: str
+    how: str
+    must: Expectation
+    injections: tuple[Injection, ...] = ()
+    lines: tuple[str, ...] = ("virtual",)
+    setup: Setup = USUAL
+    models: tuple[int, ...] = (54025, 54024)
+    joints: int = 1
