@@ -1,4 +1,4 @@
-"""How every command of the project talks: sub-commands, exit codes, progress, JSON.
+"""Command-line conventions of every room: sub-commands, exit codes, progress, JSON, version.
 
 A command is a module with three names::
 
@@ -17,15 +17,28 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
+from firmware_py import __version__
 from firmware_py.errors import InputError, SafetyTrip
 
 DONE, NEGATIVE, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
+_INTERRUPTED: Final = 130
+_VERSION: Final = f"dropstitch {__version__}"
 
 
 class Command(NamedTuple):
-    """One row of a room's command table."""
+    """One row of a room's command table.
+
+    Attributes
+    ----------
+    name : str
+        Name of the sub-command.
+    module : str
+        Module that implements it.
+    summary : str
+        One line for `--help`.
+    """
 
     name: str
     module: str
@@ -37,6 +50,15 @@ def dispatch(
 ) -> int:
     """Run the sub-command that `argv` names.
 
+    Parameters
+    ----------
+    prog, description : str
+        Name of the command line and its help text.
+    commands : sequence of Command
+        The sub-commands.
+    argv : sequence of str or None
+        Arguments without the name of the program; None takes those of the process.
+
     Returns
     -------
     int
@@ -45,6 +67,7 @@ def dispatch(
     arguments = list(sys.argv[1:] if argv is None else argv)
     chosen = next((c for c in commands if arguments and c.name == arguments[0]), None)
     parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument("--version", action="version", version=_VERSION)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     module = None
     for command in commands:
@@ -60,6 +83,7 @@ def dispatch(
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.configure(sub)
+        sub.add_argument("--version", action="version", version=_VERSION)
         sub.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
     try:
         args = parser.parse_args(arguments)
@@ -74,23 +98,33 @@ def dispatch(
         return NEGATIVE
     except KeyboardInterrupt:
         print(f"{prog}: interrupted", file=sys.stderr)
-        return 130
+        return _INTERRUPTED
     except BrokenPipeError:
         return DONE
 
 
 def emit(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
-    """Print the result on stdout: `data` for machines under --json, else `text` for people."""
+    """Print the result of a command on stdout.
+
+    Parameters
+    ----------
+    args : Namespace
+        The command's arguments.
+    data : dict
+        Result for machines, printed as JSON under --json.
+    text : str
+        Result for people, printed otherwise.
+    """
     print(json.dumps(data, indent=1, sort_keys=True) if args.json else text)
 
 
 class Progress:
-    """Progress of long work, one line on stderr.
+    """Progress display of a long job, one line on stderr.
 
     Parameters
     ----------
     label : str
-        What is being done.
+        Name of the job.
     total : int
         Number of steps.
     """
@@ -101,7 +135,7 @@ class Progress:
         self._shown_s = 0.0
 
     def step(self, detail: str = "") -> None:
-        """Count one finished step and show it (at most once a second where stderr is a file)."""
+        """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file."""
         self.done += 1
         now_s, last = time.monotonic(), self.done >= self.total
         if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):

@@ -18,9 +18,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import chain
 from types import FrameType
 from typing import Final
 
@@ -33,14 +31,14 @@ from firmware_py.errors import InputError
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
-from firmware_py.log.tick_ring import TickRing
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.service import NoService, Service
-from firmware_py.realtime.timing import Counters, NoCounters, Timing, cause_of_miss
+from firmware_py.realtime.timing import Counters, NoCounters
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
+from firmware_py.tick_log import Tick, TickLog
 
 Array = NDArray[np.float64]
 
@@ -116,17 +114,12 @@ class ControlLoop:
         self._period_s = self._period_ns * 1e-9
         self._timeout_ns = min(round(reply_timeout_s * 1e9), self._period_ns)
         self._replug_ns = round(replug_s * 1e9)
-        self._telemetry: Telemetry = telemetry or NoTelemetry()
-        self._counters: Counters = counters or NoCounters()
         self._service: Service = service or NoService()
-        self._timing = Timing()
-        self._statuses: Counter[BusStatus] = Counter()
-        self._out_of_range = 0
+        self._log = TickLog(
+            bus.dof, self._period_ns, telemetry or NoTelemetry(), counters or NoCounters(), keep
+        )
         self._signal = ""
         self._ended = Ended.FINISHED
-        self._ring = TickRing(bus.dof, keep)
-        self._finished: tuple[tuple[int, ...], int, int, int, int] = ((), 0, 0, 0, 0)
-        self._run_delay_ns, self._steal_ns = 0, 0
         self._previous_slot = -1
         self._start_ns: int | None = None
         self._bus_status = BusStatus.OK
@@ -156,7 +149,7 @@ class ControlLoop:
                     self._run_slots()
             finally:
                 released = self._bus.torque(False)
-                self._hand_over()
+                self._log.hand_over()
         return self._summary(released)
 
     def _get_ready(self) -> None:
@@ -197,8 +190,7 @@ class ControlLoop:
 
     def _run_slots(self) -> None:
         clock, period_ns = self._clock, self._period_ns
-        self._run_delay_ns = self._counters.run_delay_ns()
-        self._steal_ns = self._counters.steal_ns()
+        self._log.start()
         if self._start_ns is None:
             approach_ns = self._supervisor.approach(self._goals[0]) * period_ns
             self._start_ns = clock.now_ns() + approach_ns + _START_DELAY_NS
@@ -223,6 +215,7 @@ class ControlLoop:
         bus, supervisor, goals, now = self._bus, self._supervisor, self._goals, self._clock.now_ns
         wake_ns = now()
         missed = slot - self._previous_slot - 1
+        self._previous_slot = slot
         waited_ns = bus.wait_ns
 
         limit_ns = min(wake_ns + self._timeout_ns, deadline_ns + self._period_ns - RESERVE_NS)
@@ -249,43 +242,19 @@ class ControlLoop:
         check_ns = now()
 
         self._bus_status = status = max(status, bus.write(goal_rad, deadline_ns + self._period_ns))
-        write_ns = now()
-
-        self._hand_over()
-        self._service.alive()
-        bus_wait_ns = bus.wait_ns - waited_ns
-        run_delay_ns, steal_ns = self._counters.run_delay_ns(), self._counters.steal_ns()
-        preempted_ns = run_delay_ns - self._run_delay_ns
-        stolen_ns = steal_ns - self._steal_ns
-        self._run_delay_ns, self._steal_ns = run_delay_ns, steal_ns
-        lateness_ns = wake_ns - deadline_ns
-        stages_ns = (
-            lateness_ns, read_ns - wake_ns, estimate_ns - read_ns, predict_ns - estimate_ns,
-            command_ns - predict_ns, check_ns - command_ns, write_ns - check_ns,
+        marks_ns = (
+            deadline_ns, wake_ns, read_ns, estimate_ns, predict_ns, command_ns, check_ns, now(),
         )  # fmt: skip
-        joints = zip(goal_rad.tolist(), bus.angle_rad.tolist(), bus.current_a.tolist(), strict=True)
-        in_range = prediction.in_range
-        self._ring.append((
-            slot, slot * self._period_s, deadline_ns, *chain.from_iterable(joints),
-            estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
-            *prediction.half_width_m.tolist(), in_range, supervisor.state, status,
-            supervisor.stale_ticks, bus.alert, *stages_ns, 0, 0, bus_wait_ns, lateness_ns,
-            preempted_ns, stolen_ns, missed,
-        ))  # fmt: skip
-        self._statuses[status] += 1
-        self._out_of_range += not in_range
-        self._previous_slot = slot
 
+        self._log.hand_over()
+        self._service.alive()
+        self._log.append(Tick(
+            slot, missed, goal_rad, bus.angle_rad, bus.current_a, estimate, prediction,
+            supervisor.state, status, supervisor.stale_ticks, bus.alert,
+            bus.wait_ns - waited_ns, marks_ns,
+        ))  # fmt: skip
         end_ns = now()
-        busy_ns = end_ns - wake_ns
-        self._ring.amend("log_ns", end_ns - write_ns)
-        self._ring.amend("busy_ns", busy_ns)
-        self._finished = (stages_ns, end_ns - write_ns, lateness_ns, busy_ns, bus_wait_ns)
-        if (late_ns := end_ns - deadline_ns - self._period_ns) > 0:
-            self._timing.miss(
-                -(-late_ns // self._period_ns),
-                cause_of_miss(busy_ns, bus_wait_ns, lateness_ns, preempted_ns, stolen_ns),
-            )
+        self._log.close(end_ns)
         return end_ns
 
     def _heed_requests(self, slot: int) -> None:
@@ -300,24 +269,17 @@ class ControlLoop:
             self._ended = ended
             self._supervisor.request_stop(reason)
 
-    def _hand_over(self) -> None:
-        """Count and send the previous tick: its record is complete only after its end."""
-        if self._ring.count:
-            stages_ns, log_ns, lateness_ns, busy_ns, bus_wait_ns = self._finished
-            self._timing.add((*stages_ns, log_ns), lateness_ns, busy_ns, bus_wait_ns)
-            self._telemetry.put(self._ring.latest())
-
     def _summary(self, released: BusStatus) -> RunSummary:
-        supervisor = self._supervisor
+        supervisor, log = self._supervisor, self._log
         return RunSummary(
             ended=Ended.TRIPPED if supervisor.tripped else self._ended,
             reason=supervisor.reason,
-            ticks=self._ring.count,
-            bus_faults={s.name.lower(): n for s, n in self._statuses.items() if s != BusStatus.OK},
-            out_of_range=self._out_of_range,
-            timing=self._timing,
-            records=self._ring.ordered(),
-            telemetry_drops=self._telemetry.drops,
+            ticks=log.ticks,
+            bus_faults=log.bus_faults(),
+            out_of_range=log.out_of_range,
+            timing=log.timing,
+            records=log.records(),
+            telemetry_drops=log.drops,
             replugs=self._replugs,
             released=released is BusStatus.OK,
         )

@@ -147,7 +147,7 @@ def test_a_recorder_that_dies_or_stands_still_does_not_touch_the_loop(tmp_path, 
                     if fate == signal.SIGKILL:
                         os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
-        loop._telemetry = Fatal()
+        loop._log._telemetry = Fatal()
         summary = loop.run()
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGCONT)

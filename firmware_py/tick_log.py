@@ -1,0 +1,168 @@
+"""Log of the loop's ticks: their records, durations, causes of misses and fault counts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import chain
+from operator import sub
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.inference.estimator import Estimate
+from firmware_py.inference.predictor import Prediction
+from firmware_py.log.telemetry import Telemetry
+from firmware_py.log.tick_ring import TickRing
+from firmware_py.realtime.timing import Counters, Timing, cause_of_miss
+from firmware_py.safety.states import SafetyState
+
+Array = NDArray[np.float64]
+
+
+class Tick(NamedTuple):
+    """Inputs, results and time marks of one tick.
+
+    Attributes
+    ----------
+    slot : int
+        Number of its slot.
+    missed : int
+        Slots missed since the previous tick.
+    goal_rad, angle_rad, current_a : ndarray, shape (dof,)
+        Goals sent, angles and currents measured.
+    estimate : Estimate
+        Deformation Index and payload.
+    prediction : Prediction
+        Tip and its prediction interval.
+    state : SafetyState
+        State of the supervisor after the tick.
+    status : BusStatus
+        The worse result of read and write.
+    stale_ticks : int
+        Age of the measured data in ticks.
+    alert : int
+        Alert bits of the servos.
+    bus_wait_ns : int
+        Time spent waiting for the servos.
+    marks_ns : tuple of int
+        Deadline, then the ends of the stages from "wake" to "write".
+    """
+
+    slot: int
+    missed: int
+    goal_rad: Array
+    angle_rad: Array
+    current_a: Array
+    estimate: Estimate
+    prediction: Prediction
+    state: SafetyState
+    status: BusStatus
+    stale_ticks: int
+    alert: int
+    bus_wait_ns: int
+    marks_ns: tuple[int, ...]
+
+
+class TickLog:
+    """Log of the ticks of a run; a tick adds nothing to the memory in use.
+
+    Parameters
+    ----------
+    dof : int
+        Number of joints.
+    period_ns : int
+        Control period.
+    telemetry : Telemetry
+        Receiver of the finished records.
+    counters : Counters
+        The kernel's counters for the loop's thread.
+    keep : int
+        Number of records to keep.
+
+    Attributes
+    ----------
+    timing : Timing
+        Histograms, misses and their causes.
+    out_of_range : int
+        Ticks in which the predictor's inputs lay outside its training range.
+    """
+
+    def __init__(
+        self, dof: int, period_ns: int, telemetry: Telemetry, counters: Counters, keep: int
+    ) -> None:
+        self.timing = Timing()
+        self.out_of_range = 0
+        self._period_ns, self._period_s = period_ns, period_ns * 1e-9
+        self._telemetry, self._counters = telemetry, counters
+        self._statuses: Counter[BusStatus] = Counter()
+        self._ring = TickRing(dof, keep)
+        self._run_delay_ns, self._steal_ns = 0, 0
+        self._delays_ns = (0, 0)
+        self._stages_ns: tuple[int, ...] = ()
+        self._finished: tuple[tuple[int, ...], int, int, int] = ((), 0, 0, 0)
+
+    @property
+    def ticks(self) -> int:
+        """Ticks logged since the start."""
+        return self._ring.count
+
+    @property
+    def drops(self) -> int:
+        """Records that the telemetry did not take."""
+        return self._telemetry.drops
+
+    def records(self) -> NDArray[np.void]:
+        """Copy of the records kept, oldest first."""
+        return self._ring.ordered()
+
+    def bus_faults(self) -> dict[str, int]:
+        """Ticks by status of the bus, OK left out."""
+        return {s.name.lower(): n for s, n in self._statuses.items() if s != BusStatus.OK}
+
+    def start(self) -> None:
+        """Count the kernel's delays from now on."""
+        self._run_delay_ns = self._counters.run_delay_ns()
+        self._steal_ns = self._counters.steal_ns()
+
+    def hand_over(self) -> None:
+        """Count and send the previous tick: its record is complete only after its end."""
+        if self._ring.count:
+            self.timing.add(*self._finished)
+            self._telemetry.put(self._ring.latest())
+
+    def append(self, tick: Tick) -> None:
+        """Add the record of a tick; `close` completes it."""
+        run_delay_ns, steal_ns = self._counters.run_delay_ns(), self._counters.steal_ns()
+        self._delays_ns = run_delay_ns - self._run_delay_ns, steal_ns - self._steal_ns
+        self._run_delay_ns, self._steal_ns = run_delay_ns, steal_ns
+        stages_ns = tuple(map(sub, tick.marks_ns[1:], tick.marks_ns))
+        joints = zip(
+            tick.goal_rad.tolist(), tick.angle_rad.tolist(), tick.current_a.tolist(), strict=True
+        )
+        estimate, prediction, in_range = tick.estimate, tick.prediction, tick.prediction.in_range
+        self._ring.append((
+            tick.slot, tick.slot * self._period_s, tick.marks_ns[0], *chain.from_iterable(joints),
+            estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
+            *prediction.half_width_m.tolist(), in_range, tick.state, tick.status,
+            tick.stale_ticks, tick.alert, *stages_ns, 0, 0, tick.bus_wait_ns, stages_ns[0],
+            *self._delays_ns, tick.missed,
+        ))  # fmt: skip
+        self._statuses[tick.status] += 1
+        self.out_of_range += not in_range
+        self._stages_ns, self._tick = stages_ns, tick
+
+    def close(self, end_ns: int) -> None:
+        """Complete the latest record with what is known only at the end of its tick."""
+        bus_wait_ns, marks_ns = self._tick.bus_wait_ns, self._tick.marks_ns
+        lateness_ns, busy_ns = self._stages_ns[0], end_ns - marks_ns[1]
+        log_ns = end_ns - marks_ns[-1]
+        self._ring.amend("log_ns", log_ns)
+        self._ring.amend("busy_ns", busy_ns)
+        self._finished = ((*self._stages_ns, log_ns), lateness_ns, busy_ns, bus_wait_ns)
+        if (late_ns := end_ns - marks_ns[0] - self._period_ns) > 0:
+            self.timing.miss(
+                -(-late_ns // self._period_ns),
+                cause_of_miss(busy_ns, bus_wait_ns, lateness_ns, *self._delays_ns),
+            )

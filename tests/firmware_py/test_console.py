@@ -1,0 +1,69 @@
+"""Conventions that hold for every command line: version, help, exit codes."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import firmware_py
+import firmware_py.__main__
+import fmu.__main__
+import hil.__main__
+import models.__main__
+from firmware_py import console
+from firmware_py.errors import InputError, SafetyTrip
+
+ROOMS = {
+    "firmware_py": firmware_py.__main__,
+    "models": models.__main__,
+    "fmu": fmu.__main__,
+    "hil": hil.__main__,
+}
+COMMANDS = [(name, command.name) for name, room in ROOMS.items() for command in room.COMMANDS]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_command_line_tells_the_version(room, capsys):
+    assert ROOMS[room].main(["--version"]) == 0
+    assert capsys.readouterr().out == f"dropstitch {firmware_py.__version__}\n"
+
+
+@pytest.mark.parametrize(("room", "command"), COMMANDS)
+def test_every_sub_command_tells_the_version(room, command, capsys):
+    assert ROOMS[room].main([command, "--version"]) == 0
+    assert capsys.readouterr().out == f"dropstitch {firmware_py.__version__}\n"
+
+
+def test_the_version_has_one_source_and_an_entry_in_the_changelog():
+    root = Path(__file__).parents[2]
+    project = tomllib.loads((root / "pyproject.toml").read_text())
+    assert "version" not in project["project"]
+    assert project["tool"]["hatch"]["version"]["path"] == "firmware_py/__init__.py"
+    assert re.search(
+        rf"^## \[?{re.escape(firmware_py.__version__)}\b", (root / "CHANGELOG.md").read_text(), re.M
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (InputError("file", "is missing", "copy it"), 2, "tool: file: is missing; copy it.\n"),
+        (SafetyTrip("joint 1 jumped"), 1, "tool: stopped: joint 1 jumped\n"),
+        (KeyboardInterrupt(), 130, "tool: interrupted\n"),
+        (BrokenPipeError(), 0, ""),
+    ],
+)
+def test_errors_become_exit_codes_and_one_sentence(error, code, message, capsys, monkeypatch):
+    def fail(args):
+        raise error
+
+    monkeypatch.setattr("firmware_py.commands.release.run", fail)
+    commands = (console.Command("go", "firmware_py.commands.release", "a command"),)
+    assert console.dispatch("tool", "", commands, ["go", "--config", "robot.toml"]) == code
+    assert capsys.readouterr().err == message
+
+
+def test_an_unknown_command_is_bad_input(capsys):
+    assert ROOMS["firmware_py"].main(["fly"]) == console.BAD_INPUT
+    assert "invalid choice" in capsys.readouterr().err
