@@ -1,4 +1,4 @@
-"""Switch the torque of every servo off, whatever became of the loop that had switched it on."""
+"""Torque off for every servo, whatever happened to the loop that had switched it on."""
 
 from __future__ import annotations
 

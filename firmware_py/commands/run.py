@@ -1,4 +1,11 @@
-"""Drive the servos along the configured motion, predict, supervise and log."""
+"""Run of the control loop: drive the servos along the configured motion, predict, supervise, log.
+
+Every end that the program can handle switches the torque off: the end of the motion, SIGINT
+(Ctrl-C), SIGTERM, a stop by the supervisor, an exception. After SIGKILL or a power loss of the PC
+the torque stays on. A servo with a bus watchdog then stops and holds its position; a legacy PRO
+(-R), which has none, moves to its last goal and holds it. Switch the torque off with
+'dropstitch release', or switch the power of the servos off.
+"""
 
 from __future__ import annotations
 
