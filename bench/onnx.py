@@ -187,22 +187,21 @@ def _table(cases: dict[tuple[int, int], dict[str, Any]], verdicts: list[dict[str
 
 def draw(cases: dict[tuple[int, int], dict[str, Any]], path: Path) -> None:
     """Draw the medians over the degree, one panel per number of inputs."""
-    import matplotlib
-
-    matplotlib.use("svg")
     from matplotlib import pyplot as plt
 
-    figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True, layout="constrained")
-    for panel, inputs in zip(panels, (3, 5), strict=True):
-        for name in CONTENDERS:
-            medians = [cases[inputs, degree][name]["p50_us"] for degree in DEGREES]
-            panel.plot(DEGREES, medians, marker="o", label=name)
-        panel.set(yscale="log", xlabel="degree", title=f"{inputs} inputs ({inputs // 2}DOF)")
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("median of one prediction, µs")
-    panels[0].legend()
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    from models.shared.svg_drawing import FILE_STYLE  # loads matplotlib
+
+    with plt.rc_context(FILE_STYLE):
+        figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), sharey=True, layout="constrained")
+        for panel, inputs in zip(panels, (3, 5), strict=True):
+            for name in CONTENDERS:
+                medians = [cases[inputs, degree][name]["p50_us"] for degree in DEGREES]
+                panel.plot(DEGREES, medians, marker="o", label=name)
+            panel.set(yscale="log", xlabel="degree", title=f"{inputs} inputs ({inputs // 2}DOF)")
+        panels[0].set_ylabel("median time of one prediction in µs")
+        panels[0].legend()
+        figure.savefig(path, format="svg", metadata={"Date": None})
+        plt.close(figure)
 
 
 if __name__ == "__main__":

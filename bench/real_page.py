@@ -7,14 +7,17 @@ import io
 from pathlib import Path
 from typing import Any, Final
 
+from firmware_py.display_units import ANGLE_ERROR, LENGTH, TIME, signal_unit, signal_words
 from models.plant.identification.evaluation import Comparison, compare
 from models.plant.plant import read_plant
 from models.shared.html_page import Section, page_of, table_of
+from models.shared.palette import MUTED, SIMULATED
+from models.shared.svg_charts import legend
 from models.trials.trial_files import read_trials
 
 COLUMNS: Final = 3
 SHOWN_ROWS: Final = 400
-FACTOR: Final = {"mrad": 1e3, "mm": 1e3}
+UNITS: Final = {unit.name: unit for unit in (ANGLE_ERROR, LENGTH)}
 MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
 
@@ -39,12 +42,12 @@ def write_real_page(data: dict[str, Any], out: Path) -> Path:
 def _rig(name: str, rig: dict[str, Any], out: Path) -> Section:
     """What was named, the fits, and every trial."""
     rounds = "; ".join(" + ".join(names) or "nothing more" for names in rig["rounds"])
-    factor, unit = FACTOR[rig["unit"]], rig["unit"]
+    shown = UNITS[rig["unit"]]
     fits = table_of(
-        ("fit", f"all trials, {unit}", f"condition left out, {unit}"),
+        ("fit", shown.label("all trials"), shown.label("condition left out")),
         [
-            (html.escape(label), f"{factor * row['all']:.1f}",
-             f"{factor * row['left_out']:.1f}" if "left_out" in row else "")
+            (html.escape(label), shown.number(row["all"]),
+             shown.number(row["left_out"]) if "left_out" in row else "")
             for label, row in rig["fits"].items()
         ],
         MEASURE[rig["measure"]],
@@ -65,25 +68,34 @@ def _rig(name: str, rig: dict[str, Any], out: Path) -> Section:
 
 def _picture(comparisons: list[Comparison]) -> str:
     """Measured and simulated coordinate of every trial as one SVG."""
-    import matplotlib
-
-    matplotlib.use("svg")
     from matplotlib import pyplot
+
+    from models.shared.svg_drawing import STYLE  # loads matplotlib
 
     columns = min(COLUMNS, len(comparisons))
     rows = -(-len(comparisons) // columns)
-    figure, axes = pyplot.subplots(
-        rows, columns, squeeze=False, figsize=(3.2 * columns, 1.9 * rows), layout="constrained"
-    )
-    for axis, c in zip(axes.flat, comparisons, strict=False):
-        every = max(1, len(c.trial) // SHOWN_ROWS)
-        (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
-        axis.plot(c.trial.time_s[::every], c.measured[signal][::every], color="0.6", lw=2)
-        axis.plot(c.trial.time_s[::every], c.simulated[signal][::every], color="C3", lw=0.9)
-        axis.set_title(f"{c.trial.name}: {signal.rsplit('_', 1)[1]} over s", fontsize=8)
-        axis.tick_params(labelsize=7)
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    pyplot.close(figure)
+    with pyplot.rc_context(STYLE):
+        figure, axes = pyplot.subplots(
+            rows, columns, squeeze=False, figsize=(3.2 * columns, 1.9 * rows), layout="constrained"
+        )
+        for axis, c in zip(axes.flat, comparisons, strict=False):
+            every = max(1, len(c.trial) // SHOWN_ROWS)
+            (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
+            unit = signal_unit(signal)
+            for values, colour, width in (
+                (c.measured[signal], MUTED, 2.0),
+                (c.simulated[signal], SIMULATED, 0.9),
+            ):
+                shown = unit.shown(values[::every])
+                axis.plot(c.trial.time_s[::every], shown, color=colour, lw=width)
+            axis.set_title(c.trial.name, fontsize=8)
+            axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)
+            axis.set_xlabel(TIME.label("time"), fontsize=7)
+            axis.tick_params(labelsize=7)
+        figure.savefig(text, format="svg", metadata={"Date": None})
+        pyplot.close(figure)
     drawn = text.getvalue()
-    return f"<figure>{drawn[drawn.index('<svg') :]}</figure><p>grey: measured; red: the plant</p>"
+    return f"<figure>{drawn[drawn.index('<svg') :]}</figure>" + legend(
+        [(MUTED, "measured"), (SIMULATED, "plant")]
+    )

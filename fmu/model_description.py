@@ -7,9 +7,10 @@ import importlib.metadata
 from typing import Literal
 from xml.etree import ElementTree as ET
 
+from firmware_py.display_units import VALUE_UNITS
 from firmware_py.signals import PERIOD_S
 from fmu.interface import FmiVariable, Interface, finite_bounds
-from fmu.si_units import DISPLAY_UNITS, base_exponents
+from fmu.si_units import base_exponents
 
 FmiVersion = Literal[2, 3]
 
@@ -99,8 +100,8 @@ def _unit_definitions(interface: Interface) -> ET.Element:
         unit = ET.SubElement(definitions, "Unit", name=name)
         exponents = {symbol: str(power) for symbol, power in base_exponents(name).items()}
         ET.SubElement(unit, "BaseUnit", exponents)
-        if name in DISPLAY_UNITS:
-            shown = DISPLAY_UNITS[name]
+        if name in VALUE_UNITS:
+            shown = VALUE_UNITS[name]
             ET.SubElement(unit, "DisplayUnit", name=shown.name, factor=repr(shown.factor))
     return definitions
 
@@ -124,8 +125,8 @@ def _values(variable: FmiVariable) -> dict[str, str]:
     attributes = {}
     if variable.type == "Float64":
         attributes["unit"] = variable.unit
-        if variable.unit in DISPLAY_UNITS:
-            attributes["displayUnit"] = DISPLAY_UNITS[variable.unit].name
+        if variable.unit in VALUE_UNITS:
+            attributes["displayUnit"] = VALUE_UNITS[variable.unit].name
         attributes.update({name: repr(value) for name, value in finite_bounds(variable).items()})
         if variable.causality != "independent":
             attributes["nominal"] = repr(variable.nominal)

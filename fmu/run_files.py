@@ -5,14 +5,12 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("svg")
 import matplotlib.pyplot as plt
 
+from firmware_py import display_units
 from firmware_py.signals import TIME
 from fmu.fmpy_run import FmuRun
-from fmu.si_units import DISPLAY_UNITS, DisplayUnit
+from models.shared.svg_drawing import FILE_STYLE
 
 
 def write_run(result: FmuRun, path: Path) -> None:
@@ -29,30 +27,28 @@ def draw_run(result: FmuRun, path: Path) -> None:
     panels: dict[tuple[str, str], list[str]] = {}
     for name in result.columns:
         panels.setdefault((_quantity(name), result.units[name]), []).append(name)
-    figure, axes = plt.subplots(
-        len(panels), 1, figsize=(8.0, 2.2 * len(panels)), sharex=True, squeeze=False,
-        layout="constrained",
-    )  # fmt: skip
-    for axis, ((quantity, unit), columns) in zip(axes[:, 0], panels.items(), strict=True):
-        shown = DISPLAY_UNITS.get(unit, DisplayUnit(unit, 1.0))
-        for name in columns:
-            (line,) = axis.plot(
-                result.time_s, shown.factor * result.columns[name], lw=1.0, label=name
-            )
-            if name in result.measured and not name.startswith(
-                "predicted_"
-            ):  # the tip's own panel shows it
-                axis.plot(
-                    result.time_s, shown.factor * result.measured[name], "--", lw=1.0,
-                    color=line.get_color(), alpha=0.5, label=f"{name}, trial",
-                )  # fmt: skip
-        axis.set_ylabel(quantity if unit == "1" else f"{quantity} in {shown.name}")
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes[0, 0].set_title(result.title)
-    axes[-1, 0].set_xlabel("time in s")
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    with plt.rc_context(FILE_STYLE):
+        figure, axes = plt.subplots(
+            len(panels), 1, figsize=(8.0, 2.2 * len(panels)), sharex=True, squeeze=False,
+            layout="constrained",
+        )  # fmt: skip
+        for axis, ((quantity, unit), columns) in zip(axes[:, 0], panels.items(), strict=True):
+            shown = display_units.value_unit(unit)
+            for name in columns:
+                (line,) = axis.plot(
+                    result.time_s, shown.shown(result.columns[name]), lw=1.0, label=name
+                )
+                if name in result.measured and not name.startswith("predicted_"):  # drawn once
+                    axis.plot(
+                        result.time_s, shown.shown(result.measured[name]), "--", lw=1.0,
+                        color=line.get_color(), alpha=0.5, label=f"{name}, trial",
+                    )  # fmt: skip
+            axis.set_ylabel(shown.label(quantity))
+            axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes[0, 0].set_title(result.title)
+        axes[-1, 0].set_xlabel(display_units.TIME.label("time"))
+        figure.savefig(path, format="svg", metadata={"Date": None})
+        plt.close(figure)
 
 
 def _quantity(name: str) -> str:

@@ -6,10 +6,9 @@ dimensionless.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
-from typing import Final, NamedTuple
+from typing import Final
 
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "1": {},
@@ -28,21 +27,6 @@ _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
 }
 _TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
-
-
-class DisplayUnit(NamedTuple):
-    """Unit in which a value is displayed: displayed = factor * value."""
-
-    name: str
-    factor: float
-
-
-DISPLAY_UNITS: Final = {
-    "rad": DisplayUnit("deg", math.degrees(1.0)),
-    "rad/s": DisplayUnit("deg/s", math.degrees(1.0)),
-    "m": DisplayUnit("mm", 1000.0),
-}
-"""Display unit of an SI unit, where it is not the SI unit itself."""
 
 
 def base_exponents(unit: str) -> dict[str, int]:

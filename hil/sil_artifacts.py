@@ -11,11 +11,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from firmware_py.display_units import POSITION, TICK_TIME, TIME
 from firmware_py.motion import GLIDE_S, Motion
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import joint_signals, tip_names
 from hil.emulator.emulator import Truth
 from hil.sil import SilOptions, SilResult
+from models.shared.palette import ALARM, SERIES
+from models.shared.svg_drawing import FILE_STYLE
 from models.trials.trial import Trial, TrialMeta
 
 Array = NDArray[np.float64]
@@ -163,27 +166,27 @@ def draw_summary(result: SilResult, timing: dict[str, Any], path: Path) -> None:
     """A small picture of the run: tip and prediction, tick by tick timing, histogram."""
     records, truth = result.records, true_tip_m(result.records, result.outcome.truth)
     time_s, predicted = records["time_s"], predicted_tip_m(records)
-    busy_ms = (records["lateness_ns"] + records["busy_ns"]) * 1e-6
-    own_ms = (records["busy_ns"] - records["bus_wait_ns"]) * 1e-6
-    period_ms = timing["budget"]["period_ns"] * 1e-6
-    with mpl.rc_context({"svg.hashsalt": "dropstitch", "svg.fonttype": "none", "font.size": 8}):
+    busy_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])
+    own_ms = TICK_TIME.shown(records["busy_ns"] - records["bus_wait_ns"])
+    period_ms = float(TICK_TIME.shown(timing["budget"]["period_ns"]))
+    with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
         figure = Figure(figsize=(8, 6), layout="constrained")
         tip, ticks, histogram = figure.subplots(3)
         for k, axis in enumerate("xyz"):
-            tip.plot(time_s, truth[:, k], color=f"C{k}", label=f"{axis} true")
-            tip.plot(time_s, predicted[:, k], color=f"C{k}", ls=":", label=f"{axis} predicted")
-        tip.set(xlabel="time, s", ylabel="tip, m")
+            tip.plot(time_s, truth[:, k], color=SERIES[k], label=f"{axis} true")
+            tip.plot(time_s, predicted[:, k], color=SERIES[k], ls=":", label=f"{axis} predicted")
+        tip.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip"))
         tip.legend(ncols=3, loc="lower right", fontsize="x-small")
         ticks.plot(
             time_s, busy_ms, ".", ms=2, rasterized=True, label="end of tick behind its deadline"
         )
         ticks.plot(time_s, own_ms, ".", ms=2, rasterized=True, label="own cost")
-        ticks.axhline(period_ms, color="C3", label="period")
-        ticks.set(xlabel="time, s", ylabel="ms", yscale="log")
+        ticks.axhline(period_ms, color=ALARM, ls="--", label="period")
+        ticks.set(xlabel=TIME.label("time"), ylabel=TICK_TIME.label("duration"), yscale="log")
         ticks.legend(ncols=3)
         histogram.hist([busy_ms, own_ms], bins=80, log=True, label=["end of tick", "own cost"])
-        histogram.axvline(period_ms, color="C3")
-        histogram.set(xlabel="ms", ylabel="ticks")
+        histogram.axvline(period_ms, color=ALARM, ls="--")
+        histogram.set(xlabel=TICK_TIME.label("duration"), ylabel="ticks")
         histogram.legend()
         figure.suptitle(f"{timing['verdict']}: {timing['reason']}")
         figure.savefig(path, metadata={"Date": None})

@@ -1,12 +1,9 @@
 """The report of a whole run: one self-contained HTML page.
 
-`inputs` reads a build directory; `motion_figures`, `error_figures`, `estimator_figures` and
-`loop_figures` draw (`svg` gives them one look); `tables` sets figures against targets; `page` puts
-it all together with `page.html` in the look of `models.shared.html_page`. `fault_tables` shows a
-campaign of
-faults, in the page and by itself. A gap that was closed has a page of its own: `gap_inputs`
-reads what was built around the diagnosis, `gap_figures` sets numbers against each other, `gap_page`
-shows them around the sections of `models.gap.report.gap_page`.
+`build_inputs` reads a build directory; the modules in `study/` and `loop_figures` draw;
+`report_tables` compares figures with their targets; `fault_tables` shows a fault campaign, in the
+report and on a page of its own; `report_page` puts the sections together. `gap/` does the same for
+the page of a closed gap. Page parts, colours and drawings are those of `models.shared`.
 """
 
 from __future__ import annotations

@@ -8,21 +8,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.display_units import LENGTH, POSITION, TICK_TIME, TIME
 from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
-from hil.report.svg_figures import ALARM, INK, Drawing, Figure, Panel
+from models.shared.palette import ALARM, BLUE, INK, ORANGE, SPAN
+from models.shared.svg_drawing import Drawing, Figure, Panel
 
 Array = NDArray[np.float64]
 Ticks = dict[str, Array]
 
-MS: Final = 1e-6
-"""Milliseconds in a nanosecond."""
-MM: Final = 1e3
 BINS: Final = 240
 SHOWN_S: Final = 10.0
-WHOLE: Final = "#1d6a96"
-OWN: Final = "#b4532a"
-BETWEEN: Final = "#d5dbe1"
+WHOLE: Final = BLUE
+OWN: Final = ORANGE
 
 
 def loop_figures(loop: LoopRun) -> list[Figure]:
@@ -37,9 +35,9 @@ def loop_figures(loop: LoopRun) -> list[Figure]:
 
 
 def _timing(loop: LoopRun, ticks: Ticks) -> Figure:
-    period_ms = loop.timing["budget"]["period_ns"] * MS
-    whole_ms = (ticks["lateness_ns"] + ticks["busy_ns"]) * MS
-    own_ms = (ticks["busy_ns"] - ticks["bus_wait_ns"]) * MS
+    period_ms = loop.timing["budget"]["period_ns"] * TICK_TIME.factor
+    whole_ms = (ticks["lateness_ns"] + ticks["busy_ns"]) * TICK_TIME.factor
+    own_ms = (ticks["busy_ns"] - ticks["bus_wait_ns"]) * TICK_TIME.factor
     return Figure(
         "Duration of the ticks",
         "Whole tick: from the deadline to the end of the tick. Own cost: without wake-up and "
@@ -68,7 +66,11 @@ def _timeline(time_s: Array, whole_ms: Array, own_ms: Array, period_ms: float) -
             ax.plot(middle_s, [float(np.median(values[g])) for g in groups], color=colour)
         ax.plot(time_s[missed], np.full(missed.sum(), period_ms), "v", color=ALARM, markersize=4)
         ax.axhline(period_ms, color=ALARM, linestyle="--", linewidth=1)
-        ax.set(xlabel="time in s", ylabel="duration in ms", ylim=(0, 1.12 * period_ms))
+        ax.set(
+            xlabel=TIME.label("time"),
+            ylabel=TICK_TIME.label("duration"),
+            ylim=(0, 1.12 * period_ms),
+        )
         ax.set_yticks([0, 5, 10, period_ms])
     return drawing.panel(
         "Timeline",
@@ -87,7 +89,9 @@ def _histogram(whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
             ax.stairs(counts, edges, fill=True, color=colour, alpha=0.3)
             ax.stairs(counts, edges, color=colour, linewidth=1)
         ax.axvline(period_ms, color=ALARM, linestyle="--", linewidth=1)
-        ax.set(xlabel="duration in ms", ylabel="ticks", yscale="log", xlim=(0, edges[-1]))
+        ax.set(
+            xlabel=TICK_TIME.label("duration"), ylabel="ticks", yscale="log", xlim=(0, edges[-1])
+        )
         ax.set_xticks([0, 5, 10, period_ms])
         ax.set_ylim(0.7, None)
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -104,7 +108,7 @@ def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> 
     """The robot's tip beside the plant's over the first seconds, and the distance over all."""
     time_s = ticks["time_s"]
     predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
-    distance_mm = MM * np.linalg.norm(predicted_m - true_m, axis=1)
+    distance_mm = LENGTH.factor * np.linalg.norm(predicted_m - true_m, axis=1)
     first = time_s <= time_s[0] + SHOWN_S
     with Drawing() as (drawing, ax):
         low, high = (predicted_m[:, 0] + sign * ticks["half_width_x_m"] for sign in (-1, 1))
@@ -113,7 +117,7 @@ def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> 
         )
         ax.plot(time_s[first], true_m[first, 0], color=INK)
         ax.plot(time_s[first], predicted_m[first, 0], color=WHOLE, linestyle="--")
-        ax.set(xlabel="time in s", ylabel="tip x in m")
+        ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
     tip = drawing.panel(
         f"Tip x, first {SHOWN_S:g} s",
         "The end effector's x as the robot predicted it, with its 95 % interval, over the plant's; "
@@ -128,7 +132,7 @@ def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> 
             (INK, "plant", "solid"),
             (WHOLE, "robot's prediction and its distance", "dashed"),
             (ALARM, "inputs outside the training range", "dotted"),
-            (BETWEEN, "glide and rest: not in training", "solid"),
+            (SPAN, "glide and rest: not in training", "solid"),
         ],
     )
 
@@ -139,14 +143,14 @@ def _distance(
     groups = np.array_split(np.arange(len(time_s)), min(BINS, len(time_s)))
     with Drawing() as (drawing, ax):
         for start_s, end_s in _between_motions(programme, float(time_s[-1])):
-            ax.axvspan(start_s, end_s, color=BETWEEN, linewidth=0)
+            ax.axvspan(start_s, end_s, color=SPAN, linewidth=0)
         middle_s = [float(np.median(time_s[g])) for g in groups]
         for statistic, width, alpha in ((np.nanmax, 0.7, 0.7), (np.nanmedian, 1.4, 1.0)):
             values = [float(statistic(distance_mm[g])) for g in groups]
             ax.plot(middle_s, values, color=WHOLE, linewidth=width, alpha=alpha)
         outside = ~in_range
         ax.plot(time_s[outside], distance_mm[outside], ".", color=ALARM, markersize=3)
-        ax.set(xlabel="time in s", ylabel="distance in mm", ylim=(0, None))
+        ax.set(xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None))
         ax.set_xlim(time_s[0], time_s[-1])
     return drawing.panel(
         "Distance between prediction and plant",
@@ -185,6 +189,6 @@ def stages(loop: LoopRun) -> list[tuple[str, list[str]]]:
     }
     columns = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
     return [
-        (name, [str(s["n"]), *(f"{s[column] * MS:.3f}" for column in columns)])
+        (name, [str(s["n"]), *(f"{s[column] * TICK_TIME.factor:.3f}" for column in columns)])
         for name, s in rows.items()
     ]

@@ -19,8 +19,8 @@ from hil.report.report_tables import Table, TableCell
 from hil.report.study.error_figures import error_figures
 from hil.report.study.estimator_figures import estimates, predictors_by_payload
 from hil.report.study.motion_figures import motion_figures
-from hil.report.svg_figures import Figure
-from models.shared.html_page import STYLE
+from models.shared.html_page import stylesheet
+from models.shared.svg_drawing import Figure
 
 HERE: Final = Path(__file__).parent
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
@@ -64,7 +64,7 @@ def _rendered(template: str, **values: Any) -> str:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     return environment.get_template(template).render(
-        style=STYLE.read_text(encoding="utf-8"),
+        style=stylesheet(),
         made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC"),
         **values,
     )

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from firmware_py.display_units import error_unit
+from models.shared.palette import css_variables
+
 STYLE: Final = Path(__file__).with_name("style.css")
-SHOWN: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "1": ("%", 1e2)}
-"""SI unit to the one in which an error is shown, and the factor."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def page_of(title: str, opening: str, parts: Sequence[Section]) -> str:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{html.escape(title)}</title><link rel="icon" href="data:,">'
-        f"<style>\n{STYLE.read_text(encoding='utf-8')}</style></head>\n<body><header>"
+        f"<style>\n{stylesheet()}</style></head>\n<body><header>"
         f'<p class="kicker">dropstitch</p><h1>{html.escape(title)}</h1>{opening}'
         f'<nav aria-label="Contents">{contents}</nav></header>\n<main>{body}</main>'
         "</body></html>\n"
@@ -61,10 +62,14 @@ def table_of(header: Sequence[str], rows: Iterable[Sequence[str]], title: str = 
     )
 
 
+def stylesheet() -> str:
+    """The style of every page, its colours from the palette."""
+    return css_variables() + STYLE.read_text(encoding="utf-8")
+
+
 def readable(value: float, unit: str) -> str:
     """A value in the unit in which people read it."""
-    name, factor = SHOWN.get(unit, (unit, 1.0))
-    return f"{factor * value:.3g}\u00a0{name}"
+    return error_unit(unit).significant(value)
 
 
 def panels_of(panels: Iterable[tuple[str, str]]) -> str:

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from models.shared.palette import AFTER, BEFORE, GRID, HEAT, INK, MUTED, PAPER
+
 Array = NDArray[np.float64]
 
 WIDTH: Final = 420
-BEFORE, AFTER, QUIET, INK = "#b4532a", "#1d6a96", "#8a94a0", "#1f2933"
-_RAMP: Final = ((255, 247, 236), (253, 204, 138), (227, 74, 51), (127, 0, 0))
-"""White to dark red by way of orange: read in grey and by the colour-blind alike."""
+_RAMP: Final = tuple(bytes.fromhex(colour[1:]) for colour in HEAT)
 _LETTER: Final = 0.56
 """Mean width of a letter over the size of its font."""
 
@@ -71,7 +71,7 @@ def heat_map(
             if turned
             else f'x="{x:.1f}" y="{top - 6}" text-anchor="middle"'
         )
-        parts.append(_text(column, place, font, QUIET if not turned else INK))
+        parts.append(_text(column, place, font, MUTED if not turned else INK))
     for r, row in enumerate(rows):
         y = top + r * height
         parts.append(_text(row, f'x="{left - 8}" y="{y + 17}" text-anchor="end"', 12))
@@ -81,7 +81,7 @@ def heat_map(
                 continue
             share = 0.0 if (row, column) in quiet else _share(value, most)
             x = left + c * pitch
-            ink = QUIET if (row, column) in quiet else "#fff" if share > 0.6 else INK
+            ink = MUTED if (row, column) in quiet else PAPER if share > 0.6 else INK
             parts += [
                 f'<rect x="{x:.1f}" y="{y}" width="{pitch - 1.5:.1f}" height="{height - 1.5}" '
                 f'rx="2" fill="{_colour(share)}"><title>{html.escape(f"{row}, {column}")}: '
@@ -106,7 +106,7 @@ def bars(rows: Sequence[tuple[str, float]], unit: str, line: float, said: str) -
         parts += [
             _text(label, f'x="{left - 8}" y="{y + 16}" text-anchor="end"', 12),
             f'<rect x="{left}" y="{y + 3}" width="{size:.1f}" height="{height - 7}" rx="2" '
-            f'fill="{QUIET if k else BEFORE}"/>',
+            f'fill="{MUTED if k else BEFORE}"/>',
             _text(f"{value:.1f}{unit}", f'x="{left + size + 5:.1f}" y="{y + 16}"', 12),
         ]
     return _svg([*parts, *_line(left + scale * line, height * len(rows), said)],
@@ -121,7 +121,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> str:
     for k, (label, value) in enumerate(steps):
         y = k * height
         kept, lost = scale * min(value, before), scale * max(before - value, 0.0)
-        colour = BEFORE if k == 0 else QUIET if k == len(steps) - 1 else AFTER
+        colour = BEFORE if k == 0 else MUTED if k == len(steps) - 1 else AFTER
         parts += [
             _text(label, f'x="{left - 8}" y="{y + 21}" text-anchor="end"', 12),
             f'<rect x="{left + kept:.1f}" y="{y + 5}" width="{lost:.1f}" height="{height - 10}" '
@@ -154,19 +154,21 @@ def traces(
         band = half * floor / most
         parts.append(
             f'<rect x="{left}" y="{middle - band:.1f}" width="{WIDTH - left - 4}" '
-            f'height="{2 * band:.1f}" fill="{QUIET}" fill-opacity=".2"/>'
+            f'height="{2 * band:.1f}" fill="{MUTED}" fill-opacity=".2"/>'
         )
-    parts.append(f'<line x1="{left}" x2="{WIDTH - 4}" y1="{middle}" y2="{middle}" stroke="#ccc"/>')
+    parts.append(
+        f'<line x1="{left}" x2="{WIDTH - 4}" y1="{middle}" y2="{middle}" stroke="{GRID}"/>'
+    )
     for place, value in ((top + 8, most), (middle + 4, 0.0), (top + height, -most)):
         parts.append(
-            _text(f"{value:.2g}", f'x="{left - 6}" y="{place:.1f}" text-anchor="end"', 11, QUIET)
+            _text(f"{value:.2g}", f'x="{left - 6}" y="{place:.1f}" text-anchor="end"', 11, MUTED)
         )
-    parts.append(_text(unit, f'x="{left - 6}" y="{middle + 22}" text-anchor="end"', 11, QUIET))
+    parts.append(_text(unit, f'x="{left - 6}" y="{middle + 22}" text-anchor="end"', 11, MUTED))
     for second in range(0, math.floor(spread) + 1, max(1, round(spread / 5))):
         at = left + (WIDTH - left - 4) * second / spread
         label = f"{second} s" if second == 0 else f"{second}"
         parts.append(
-            _text(label, f'x="{at:.1f}" y="{top + height + 16}" text-anchor="middle"', 11, QUIET)
+            _text(label, f'x="{at:.1f}" y="{top + height + 16}" text-anchor="middle"', 11, MUTED)
         )
     for k, (_, values) in enumerate(series):
         y = middle - half * values / most
@@ -193,8 +195,8 @@ def scale_of(most: float) -> str:
             f'fill="{_colour(k / (pieces - 1))}"/>'
         )
     parts += [
-        _text("1, noise", 'x="104" y="12" text-anchor="end"', 11, QUIET),
-        _text(f"{most:.1f} noise floors", f'x="{116 + 5 * pieces}" y="12"', 11, QUIET),
+        _text("1, noise", 'x="104" y="12" text-anchor="end"', 11, MUTED),
+        _text(f"{most:.1f} noise floors", f'x="{116 + 5 * pieces}" y="12"', 11, MUTED),
     ]
     return _svg(parts, 16)
 
@@ -213,15 +215,15 @@ def _colour(share: float) -> str:
 def _curve(values: Array, left: int, width: int, height: int) -> str:
     x = left + (width - left) * np.arange(len(values)) / (len(values) - 1)
     y = height / 2 - (height / 2 - 4) * values
-    zero = f'<line x1="{left}" x2="{width}" y1="{height / 2}" y2="{height / 2}" stroke="#ddd"/>'
-    return zero + _polyline(x, y, QUIET)
+    zero = f'<line x1="{left}" x2="{width}" y1="{height / 2}" y2="{height / 2}" stroke="{GRID}"/>'
+    return zero + _polyline(x, y, MUTED)
 
 
 def _line(x: float, height: float, said: str) -> list[str]:
     return [
         f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height}" stroke="{INK}" '
         f'stroke-dasharray="3 3"/>',
-        _text(said, f'x="{x:.1f}" y="{height + 14}" text-anchor="middle"', 11, QUIET),
+        _text(said, f'x="{x:.1f}" y="{height + 14}" text-anchor="middle"', 11, MUTED),
     ]
 
 

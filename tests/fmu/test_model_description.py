@@ -5,9 +5,9 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
+from firmware_py.display_units import VALUE_UNITS
 from fmu.interface import interface_of
 from fmu.model_description import model_description_xml
-from fmu.si_units import DISPLAY_UNITS
 
 
 def test_fmpy_finds_no_problem(toy_fmu):
@@ -30,7 +30,7 @@ def test_variables_are_those_of_the_table(toy_fmu, toy):
         )
         if v.type == "Float64":
             assert found.unit == v.unit
-            shown = DISPLAY_UNITS.get(v.unit)
+            shown = VALUE_UNITS.get(v.unit)
             assert found.displayUnit == (shown.name if shown else None)
         if v.causality in ("input", "parameter"):
             assert float(found.start) == v.start

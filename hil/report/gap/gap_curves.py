@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.display_units import error_unit
 from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.gap_figures import PART
@@ -15,7 +16,7 @@ from models.gap.report.gap_page import short_signal
 from models.plant.identification.evaluation import TIP
 from models.plant.identification.simulation_fit import measured_signals
 from models.shared import svg_charts
-from models.shared.html_page import SHOWN
+from models.shared.palette import AFTER, BEFORE, MUTED
 
 Array = NDArray[np.float64]
 Titled = tuple[str, str]
@@ -27,9 +28,9 @@ def key() -> str:
     """What the colours of all these curves stand for."""
     return svg_charts.legend(
         [
-            (svg_charts.BEFORE, "before"),
-            (svg_charts.AFTER, "after"),
-            (svg_charts.QUIET, "RMS, effect-free"),
+            (BEFORE, "before"),
+            (AFTER, "after"),
+            (MUTED, "RMS, effect-free"),
         ]
     )
 
@@ -85,7 +86,7 @@ def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:
 def _panel(
     title: str, time_s: Array, series: Mapping[str, Array], unit: str, floor: float | None
 ) -> Titled:
-    shown, factor = SHOWN.get(unit, (unit, 1.0))
+    shown, factor, _ = error_unit(unit)
     curves = [(name, factor * values) for name, values in series.items()]
     sizes = " → ".join(f"{_rms(values):.3g}" for _, values in curves)
     drawing = svg_charts.traces(time_s, curves, shown, None if floor is None else factor * floor)

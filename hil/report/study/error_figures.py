@@ -6,14 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.report.svg_figures import INK, Drawing, Figure, log_axis, ramp
+from firmware_py.display_units import LENGTH
+from models.shared.palette import BLUE, INK, ordered_colours
+from models.shared.svg_drawing import Drawing, Figure, log_axis
 
 Json = dict[str, Any]
 Studies = dict[str, Json]
 """By what they were trained on."""
 
-MM: Final = 1e3
-LINE: Final = "#1d6a96"
 TEST: Final = "trial_2"
 VARIANTS: Final = {
     "with_di": ("true DI", "solid"),
@@ -40,7 +40,7 @@ def error_figures(studies: Studies) -> list[Figure]:
 def _error_over_time(studies: Studies) -> Figure:
     panels = []
     everything = [
-        MM * v
+        LENGTH.factor * v
         for study in studies.values()
         for curve in study["series"]["error"][TEST]["euclidean_distance_m"].values()
         for v in curve
@@ -49,11 +49,11 @@ def _error_over_time(studies: Studies) -> Figure:
         error = study["series"]["error"][TEST]
         curves = error["euclidean_distance_m"]
         with Drawing() as (drawing, ax):
-            for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
-                ax.plot(error["time_s"], MM * np.array(curve), color=colour, linewidth=1.0)
-            ax.set(xlabel="time in s", ylabel="distance in mm")
+            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True):
+                ax.plot(error["time_s"], LENGTH.shown(curve), color=colour, linewidth=1.0)
+            ax.set(xlabel="time in s", ylabel=LENGTH.label("distance"))
             log_axis(ax, everything)
-        listed = ", ".join(f"degree {d} {MM * np.mean(c):.1f} mm" for d, c in curves.items())
+        listed = ", ".join(f"degree {d} {LENGTH.text(np.mean(c))}" for d, c in curves.items())
         panels.append(
             drawing.panel(
                 name,
@@ -61,7 +61,10 @@ def _error_over_time(studies: Studies) -> Figure:
             )
         )
     degrees = list(next(iter(studies.values()))["series"]["error"][TEST]["euclidean_distance_m"])
-    legend = [(c, f"degree {d}", "solid") for d, c in zip(degrees, ramp(len(degrees)), strict=True)]
+    legend = [
+        (c, f"degree {d}", "solid")
+        for d, c in zip(degrees, ordered_colours(len(degrees)), strict=True)
+    ]
     return Figure(
         "Error of the predictors over time",
         "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
@@ -72,7 +75,7 @@ def _error_over_time(studies: Studies) -> Figure:
 def _error_over_degree(studies: Studies) -> Figure:
     panels = []
     everything = [
-        MM * v
+        LENGTH.factor * v
         for study in studies.values()
         for v in (
             *study["mean_euclidean_distance_m"][TEST]["pooled"]["with_di"].values(),
@@ -89,16 +92,16 @@ def _error_over_degree(studies: Studies) -> Figure:
         std = study["std_euclidean_distance_m"][TEST]["pooled"]["with_di"]
         folds = study["cross_validation"]["with_di"]
         degrees = [int(d) for d in mean]
-        centre, band = (MM * np.array([table[d] for d in mean]) for table in (mean, std))
+        centre, band = (LENGTH.shown([table[d] for d in mean]) for table in (mean, std))
         with Drawing() as (drawing, ax):
             ax.fill_between(degrees, np.maximum(centre - band, 1e-3), centre + band,
-                            color=LINE, alpha=0.15, linewidth=0)  # fmt: skip
-            ax.plot(degrees, centre, color=LINE, marker="o", markersize=4)
+                            color=BLUE, alpha=0.15, linewidth=0)  # fmt: skip
+            ax.plot(degrees, centre, color=BLUE, marker="o", markersize=4)
             for kind, (_, line) in FOLDS.items():
                 if kind in folds["1"]:
-                    held_out = [MM * folds[d][kind] for d in mean]
+                    held_out = [LENGTH.factor * folds[d][kind] for d in mean]
                     ax.plot(degrees, held_out, color=INK, linestyle=line)
-            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
+            ax.set(xlabel="degree", ylabel=LENGTH.label("mean distance"), xticks=degrees)
             log_axis(ax, everything)
         listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(centre, 1))
         panels.append(drawing.panel(name, f"Mean Euclidean distance on trial 2, {name}: {listed}."))
@@ -107,14 +110,14 @@ def _error_over_degree(studies: Studies) -> Figure:
         "With true DI, pooled over payloads; the band is one standard deviation of the samples. "
         "The degree is chosen by payloads left out of trial 1, never by trial 2.",
         panels, "14",
-        [(LINE, "trial 2", "solid"), *((INK, text, line) for text, line in FOLDS.values())],
+        [(BLUE, "trial 2", "solid"), *((INK, text, line) for text, line in FOLDS.values())],
     )  # fmt: skip
 
 
 def _gain_by_di(studies: Studies) -> Figure:
     panels = []
     everything = [
-        MM * v
+        LENGTH.factor * v
         for study in studies.values()
         for by_degree in study["mean_euclidean_distance_m"][TEST]["pooled"].values()
         for v in by_degree.values()
@@ -125,13 +128,13 @@ def _gain_by_di(studies: Studies) -> Figure:
             for variant, (_, dash) in VARIANTS.items():
                 degrees = [int(d) for d in table[variant]]
                 ax.plot(
-                    degrees, [MM * v for v in table[variant].values()],
-                    color=LINE, linestyle=dash, marker="o", markersize=3.5,
+                    degrees, [LENGTH.factor * v for v in table[variant].values()],
+                    color=BLUE, linestyle=dash, marker="o", markersize=3.5,
                 )  # fmt: skip
-            ax.set(xlabel="degree", ylabel="mean distance in mm", xticks=degrees)
+            ax.set(xlabel="degree", ylabel=LENGTH.label("mean distance"), xticks=degrees)
             log_axis(ax, everything)
         listed = "; ".join(
-            f"{label} {', '.join(f'{MM * v:.1f}' for v in table[variant].values())} mm"
+            f"{label} {', '.join(f'{LENGTH.factor * v:.1f}' for v in table[variant].values())} mm"
             for variant, (label, _) in VARIANTS.items()
         )
         panels.append(

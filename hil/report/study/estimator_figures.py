@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-
-from hil.report.svg_figures import INK, QUIET, Drawing, Figure, log_axis
+from firmware_py.display_units import DEFORMATION, LENGTH, PAYLOAD, TIME
+from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED
+from models.shared.svg_drawing import Drawing, Figure, log_axis
 
 Json = dict[str, Any]
-MM: Final = 1e3
-PERCENT: Final = 1e2
 SOURCES: Final = {
     "true": ("motion capture", INK, "solid"),
-    "observer": ("plant observer", "#1d6a96", "dashed"),
-    "lagged": ("lagged regressor", "#c77700", "dotted"),
+    "observer": ("plant observer", BLUE, "dashed"),
+    "lagged": ("lagged regressor", AMBER, "dotted"),
 }
 PREDICTORS: Final = {
-    "rigid": ("rigid kinematics", QUIET, "solid"),
-    "without": ("polynomial without DI", "#c77700", "dotted"),
-    "estimated": ("polynomial, estimated DI (robot)", "#1d6a96", "solid"),
+    "rigid": ("rigid kinematics", MUTED, "solid"),
+    "without": ("polynomial without DI", AMBER, "dotted"),
+    "estimated": ("polynomial, estimated DI (robot)", BLUE, "solid"),
     "true": ("polynomial, true DI", INK, "dashed"),
-    "observer": ("plant observer's own tip", "#2e7d4f", "solid"),
+    "observer": ("plant observer's own tip", GREEN, "solid"),
 }
 
 
@@ -41,10 +39,10 @@ def estimates(studies: dict[int, Json]) -> Figure:
             with Drawing() as (drawing, ax):
                 for source, (_, colour, dash) in SOURCES.items():
                     ax.plot(
-                        curves["time_s"], PERCENT * np.array(curves[source]),
+                        curves["time_s"], DEFORMATION.shown(curves[source]),
                         color=colour, linestyle=dash, linewidth=1.2,
                     )  # fmt: skip
-                ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
+                ax.set(xlabel=TIME.label("time"), ylabel=DEFORMATION.label("DI"), ylim=(0, None))
             judged = study["estimators"][name]
             panels.append(
                 drawing.panel(
@@ -67,7 +65,7 @@ def predictors_by_payload(studies: dict[int, Json]) -> Figure:
     """Mean distance of every way to predict the end effector, by payload, on every test."""
     panels = []
     everything = [
-        MM * v
+        LENGTH.factor * v
         for study in studies.values()
         for name in study["tests"]
         for values in _by_payload(study, name).values()
@@ -80,14 +78,15 @@ def predictors_by_payload(studies: dict[int, Json]) -> Figure:
                 for key, values in lines.items():
                     _, colour, dash = PREDICTORS[key]
                     ax.plot(
-                        [float(k) for k in values], [MM * v for v in values.values()],
+                        [float(k) for k in values], [LENGTH.factor * v for v in values.values()],
                         color=colour, linestyle=dash, marker="o", markersize=3.5,
                     )  # fmt: skip
-                ax.set(xlabel="payload in kg", ylabel="mean distance in mm")
+                ax.set(xlabel=PAYLOAD.label("payload"), ylabel=LENGTH.label("mean distance"))
                 ax.set_xticks([float(k) for k in lines["rigid"]])
                 log_axis(ax, everything)
             listed = "; ".join(
-                f"{PREDICTORS[key][0]} {MM * min(v.values()):.1f} to {MM * max(v.values()):.1f} mm"
+                f"{PREDICTORS[key][0]} {LENGTH.number(min(v.values()))} to "
+                f"{LENGTH.text(max(v.values()))}"
                 for key, v in lines.items()
             )
             panels.append(

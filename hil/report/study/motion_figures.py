@@ -6,13 +6,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.report.svg_figures import MOTION_COLOURS, QUIET, Drawing, Figure, Panel, ramp
+from firmware_py.display_units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
+from models.shared.palette import MUTED, SERIES, ordered_colours
+from models.shared.svg_drawing import Drawing, Figure, Panel
 
 Json = dict[str, Any]
 Studies = dict[str, Json]
 """By kind of motion."""
 
-PERCENT: Final = 1e2
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
 
@@ -31,7 +32,7 @@ def motion_figures(studies: Studies) -> list[Figure]:
 def _payload_legend(labels: list[str]) -> list[tuple[str, str, str]]:
     return [
         (colour, _in_words(label), "solid")
-        for label, colour in zip(labels, ramp(len(labels)), strict=True)
+        for label, colour in zip(labels, ordered_colours(len(labels)), strict=True)
     ]
 
 
@@ -47,11 +48,11 @@ def _paths(studies: Studies) -> Figure:
     for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
             with Drawing() as (drawing, ax):
-                for path, colour in zip(paths.values(), ramp(len(paths)), strict=True):
+                for path, colour in zip(paths.values(), ordered_colours(len(paths)), strict=True):
                     point_m = np.column_stack([path[f"tip_{axis}_m"] for axis in "xyz"])
                     ax.plot(*project(point_m).T, color=colour, linewidth=1.1)
                 if view == "from above":
-                    ax.set(xlabel="x in m", ylabel="y in m", aspect="equal")
+                    ax.set(xlabel=POSITION.label("x"), ylabel=POSITION.label("y"), aspect="equal")
                     ax.set(xlim=(-0.9, 0.9), ylim=(-0.65, 0.65))
                 else:
                     _draw_axes(ax)
@@ -89,10 +90,10 @@ def _draw_axes(ax: Any) -> None:
     for k, name in enumerate("xyz"):
         end = np.zeros((2, 3))
         end[1, k] = 0.35
-        ax.plot(*_oblique(end).T, color=QUIET, linewidth=0.8)
-        ax.annotate(name, _oblique(end * 1.12)[1], color=QUIET, ha="center", va="center")
+        ax.plot(*_oblique(end).T, color=MUTED, linewidth=0.8)
+        ax.annotate(name, _oblique(end * 1.12)[1], color=MUTED, ha="center", va="center")
     link = np.array([[0, 0, 0], [0, 0, 1.01]])
-    ax.plot(*_oblique(link).T, color=QUIET, linewidth=0.8, linestyle=":")
+    ax.plot(*_oblique(link).T, color=MUTED, linewidth=0.8, linestyle=":")
     ax.set(aspect="equal", xlim=(-0.95, 0.95))
     ax.axis("off")
 
@@ -104,13 +105,13 @@ def _poses(studies: Studies) -> Figure:
         line_m = np.array(poses["centre_line_m"])
         for plane, k in (("x–z plane", 0), ("y–z plane", 1))[: study["dof"]]:
             with Drawing() as (drawing, ax):
-                colours = ramp(len(line_m))
+                colours = ordered_colours(len(line_m))
                 for points, colour in zip(line_m, colours, strict=True):
                     whole = np.vstack([np.zeros(3), points])
                     ax.plot(whole[:, k], whole[:, 2], color=colour, marker="o", markersize=2.2)
-                ax.set(xlabel=f"{'xy'[k]} in m", ylabel="z in m", aspect="equal")
+                ax.set(xlabel=POSITION.label("xy"[k]), ylabel=POSITION.label("z"), aspect="equal")
                 ax.set(xlim=(-0.8, 0.8), ylim=(0, 1.08))
-            di = [PERCENT * v for v in poses["di"]]
+            di = [DEFORMATION.factor * v for v in poses["di"]]
             panels.append(
                 drawing.panel(
                     f"{motion}, {plane}, {poses['payload_kg']:g} kg",
@@ -119,13 +120,13 @@ def _poses(studies: Studies) -> Figure:
                 )
             )
     with Drawing() as (drawing, ax):
-        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False):
+        for (motion, study), colour in zip(studies.items(), SERIES, strict=False):
             poses = study["series"]["poses"]
             ax.plot(
-                poses["time_s"], PERCENT * np.array(poses["di"]),
+                poses["time_s"], DEFORMATION.shown(poses["di"]),
                 color=colour, marker="o", markersize=4, label=motion,
             )  # fmt: skip
-        ax.set(xlabel="time in s", ylabel="DI in %", ylim=(0, None))
+        ax.set(xlabel=TIME.label("time"), ylabel=DEFORMATION.label("DI"), ylim=(0, None))
         ax.legend(frameon=False, fontsize=8, handlelength=1.4, loc="upper right")
     panels.append(
         drawing.panel(
@@ -133,7 +134,9 @@ def _poses(studies: Studies) -> Figure:
         )
     )
     times = next(iter(studies.values()))["series"]["poses"]["time_s"]
-    legend = [(c, f"{t:.1f} s", "solid") for t, c in zip(times, ramp(len(times)), strict=True)]
+    legend = [
+        (c, f"{t:.1f} s", "solid") for t, c in zip(times, ordered_colours(len(times)), strict=True)
+    ]
     return Figure(
         "The link in motion",
         "Centre line through base plate and marker rows, drawn without exaggeration.",
@@ -147,15 +150,19 @@ def _di_over_angle(studies: Studies) -> Figure:
     for motion, study in studies.items():
         curves = study["series"]["di"]
         with Drawing() as (drawing, ax):
-            for curve, colour in zip(curves.values(), ramp(len(curves)), strict=True):
+            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True):
                 ax.plot(
-                    np.degrees(curve["angle_1_rad"]), PERCENT * np.array(curve["di"]),
+                    ANGLE.shown(curve["angle_1_rad"]), DEFORMATION.shown(curve["di"]),
                     color=colour, linewidth=1.0,
                 )  # fmt: skip
-            ax.set(xlabel="angle 1 in °", ylabel="DI in %", xticks=[-30, -15, 0, 15, 30])
-            ax.set_ylim(0, 1.05 * PERCENT * top)
+            ax.set(
+                xlabel=ANGLE.label("angle 1"),
+                ylabel=DEFORMATION.label("DI"),
+                xticks=[-30, -15, 0, 15, 30],
+            )
+            ax.set_ylim(0, 1.05 * DEFORMATION.factor * top)
         peaks = ", ".join(
-            f"{PERCENT * max(c['di']):.2f} % at {_in_words(k)}" for k, c in curves.items()
+            f"{DEFORMATION.text(max(c['di']))} at {_in_words(k)}" for k, c in curves.items()
         )
         panels.append(
             drawing.panel(
@@ -173,18 +180,18 @@ def _di_over_angle(studies: Studies) -> Figure:
 def _mean_di(studies: Studies) -> Figure:
     lines = [
         (motion, study["mean_di"], colour)
-        for (motion, study), colour in zip(studies.items(), MOTION_COLOURS, strict=False)
+        for (motion, study), colour in zip(studies.items(), SERIES, strict=False)
     ]
     with Drawing() as (drawing, ax):
         for _, values, colour in lines:
             ax.plot(
-                [float(k) for k in values], [PERCENT * v for v in values.values()],
+                [float(k) for k in values], [DEFORMATION.factor * v for v in values.values()],
                 color=colour, marker="o", markersize=4,
             )  # fmt: skip
-        ax.set(xlabel="payload in kg", ylabel="mean DI in %", ylim=(0, None))
+        ax.set(xlabel=PAYLOAD.label("payload"), ylabel=DEFORMATION.label("mean DI"), ylim=(0, None))
         ax.set_xticks(sorted({float(k) for _, values, _ in lines for k in values}))
     alt = "; ".join(
-        f"{motion}: " + ", ".join(f"{PERCENT * v:.2f} % at {k} kg" for k, v in values.items())
+        f"{motion}: " + ", ".join(f"{DEFORMATION.text(v)} at {k} kg" for k, v in values.items())
         for motion, values, _ in lines
     )
     return Figure(

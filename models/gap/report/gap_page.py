@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from firmware_py.display_units import error_unit
 from models.gap.report.gap_json import goal_not_followed_in_words, nuisance_bias_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
@@ -21,7 +22,8 @@ from models.plant.identification.evaluation import TIP, Comparison, compare
 from models.plant.plant import Plant
 from models.shared import svg_charts
 from models.shared.catalogue import CATALOGUE
-from models.shared.html_page import SHOWN, Section, page_of, panels_of, readable, table_of
+from models.shared.html_page import Section, page_of, panels_of, readable, table_of
+from models.shared.palette import AFTER, BEFORE, MUTED
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
@@ -262,8 +264,8 @@ def _compared(data: Mapping[str, Any], before: Plant, after: Plant, trials: Tria
         "residual", "Before and after",
         table_of(["root mean square error", "before", "after", "noise floor"], rows)
         + svg_charts.legend([
-            (svg_charts.BEFORE, "before"), (svg_charts.AFTER, "after"),
-            (svg_charts.QUIET, "noise floor"),
+            (BEFORE, "before"), (AFTER, "after"),
+            (MUTED, "noise floor"),
         ])
         + panels_of(_residuals(data, part, both)),
         f"Table: repetitions under every payload. Curves: measured minus simulated in "
@@ -281,7 +283,7 @@ def _residuals(
         if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in data["before"][part]:
             continue
         row = data["before"][part][signal]
-        unit, factor = SHOWN.get(row["unit"], (row["unit"], 1.0))
+        unit, factor, _ = error_unit(row["unit"])
         named = list(zip(("before", "after"), (factor * s for s in series), strict=True))
         floor = factor * row["rms"] / row["floors"] if row["floors"] else None
         drawing = svg_charts.traces(both[0].trial.time_s, named, unit, floor)

@@ -110,7 +110,7 @@ def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
     (figure,) = [f for f in motion_figures(inputs.motions) if f.title == "Mean DI by payload"]
     (panel,) = figure.panels
     for motion, study in inputs.motions.items():
-        assert f"{motion}: {100 * study['mean_di']['0']:.2f} % at 0 kg" in panel.alt
+        assert f"{motion}: {100 * study['mean_di']['0']:.2f}\u00a0% at 0 kg" in panel.alt
     badges = re.findall(r'class="badge \w+">(.*?)</span>', html)
     assert set(badges) == set(inputs.every_study)
 

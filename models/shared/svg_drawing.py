@@ -1,4 +1,4 @@
-"""Small figures as SVG to put into a page: one look, text as text, no external resources."""
+"""Drawings by matplotlib as SVG: one style, text as text, no external resources."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ from typing import Any, Final
 import matplotlib
 
 matplotlib.use("svg")
+from cycler import cycler
 from matplotlib import pyplot as plt
 from matplotlib.ticker import LogLocator, NullLocator
 
-INK: Final = "#1f2933"
-QUIET: Final = "#8a94a0"
-MOTION_COLOURS: Final = ("#1d6a96", "#b4532a", "#7a4fa3", "#2e7d4f")
-"""Of the kinds of motion: 1DOF, 2DOF at each phase, 2DOF at all phases."""
-ALARM: Final = "#b3261e"
+from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
+
 SIZE_IN: Final = (4.3, 2.9)
 """On a phone its 9 pt text measures about 10 px, in two columns about 15 px."""
 
-_STYLE: Final = {
+STYLE: Final = {
     "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,
-    "axes.edgecolor": QUIET, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "axes.edgecolor": MUTED, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
     "ytick.color": INK, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5, "axes.linewidth": 0.7,
     "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.grid": True, "grid.color": "#e4e8ec", "grid.linewidth": 0.7,
+    "axes.spines.right": False, "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.7,
     "axes.axisbelow": True, "lines.linewidth": 1.4, "lines.solid_capstyle": "round",
     "figure.facecolor": "none", "axes.facecolor": "none", "path.simplify_threshold": 0.3,
 }  # fmt: skip
+"""matplotlib's settings for drawings inside a page."""
+FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
+"""The same for pictures that are files of their own."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +79,6 @@ class Figure:
     legend: list[tuple[str, str, str]] = field(default_factory=list)
 
 
-def ramp(count: int) -> list[str]:
-    """Colours of an ordered quantity, amber to navy, all dark enough on white."""
-    colours = matplotlib.colormaps["plasma_r"]
-    shares = [0.22 + 0.74 * k / max(count - 1, 1) for k in range(count)]
-    return [matplotlib.colors.to_hex(colours(share)) for share in shares]
-
-
 class Drawing:
     """Axes in the page's look, drawn once the block is left.
 
@@ -100,7 +95,7 @@ class Drawing:
         self._figure: Any = None
 
     def __enter__(self) -> tuple[Drawing, Any]:
-        self._stack.enter_context(plt.rc_context(_STYLE))
+        self._stack.enter_context(plt.rc_context(STYLE))
         self._figure, ax = plt.subplots(figsize=SIZE_IN, layout="constrained")
         self._stack.callback(plt.close, self._figure)
         return self, ax
