@@ -22,7 +22,7 @@ from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
 from firmware_py.summary import Ended
 from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
-from tests.firmware_py.test_loop import make
+from tests.firmware_py.simulated_loop import make
 
 ANYWHERE = ("127.0.0.1", 0)
 PATIENCE_S = 30
