@@ -76,9 +76,11 @@ class OnnxGraph:
     InputError
         If the file is missing or damaged, or has other inputs or outputs.
 
-    Notes ----- One thread, because the loop's thread is the one with real-time priority; IO binding
-    on preallocated buffers saves 6-7 µs a call and all allocation on our side (docs/sources.md,
-    "ONNX").
+    Notes
+    -----
+    One thread, because the loop's thread is the one with real-time priority; IO binding on
+    preallocated buffers saves 6-7 µs a call and all allocation on our side
+    (docs/sources.md, "ONNX").
     """
 
     def __init__(self, path: Path | str, inputs: int, outputs: tuple[tuple[str, int], ...]) -> None:

@@ -1,0 +1,113 @@
+"""Recipes of CONTRIBUTING.md, run as they are printed."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_py.__main__ import main as dropstitch
+from firmware_py.bus.registers import Register
+from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.predictor import OnnxPredictor
+from models.__main__ import main as models
+from models.trials import importers
+from models.trials.trial_files import read_trial
+
+ROOT = Path(__file__).resolve().parents[1]
+GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", GUIDE, re.MULTILINE | re.DOTALL))
+
+
+def code(section, space=None):
+    """Names that the Python blocks of a section leave behind."""
+    space = {} if space is None else space
+    for block in re.findall(r"```python\n(.*?)```", SECTIONS[section], re.DOTALL):
+        exec(compile(block, f"CONTRIBUTING.md, {section}", "exec"), space)
+    return space
+
+
+def test_the_servo_turns_angles_into_pulses_and_back():
+    model = code("Add a servo")["XM540_W270"]
+    assert model.position_raw(0.0) == 2048 and model.position_raw(np.pi / 2) == 3072
+    assert model.angle_rad(3072) == pytest.approx(np.pi / 2)
+    assert Register.BUS_WATCHDOG in model.table
+
+
+@pytest.fixture
+def npz_importer(monkeypatch):
+    module = types.ModuleType("models.trials.importers.npz_file")
+    code("Add an importer", module.__dict__)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(importers._MODULES, "npz", "npz_file")
+    command = importlib.import_module("models.commands.import_")
+    monkeypatch.setattr(command, "KINDS", (*importers.KINDS, "npz"))
+
+
+MAP = """
+step_s = 0.017
+[trial]
+dof = 1
+payload_kg = 0.5
+pressure_pa = 41300.0
+trial = 2
+motion = "sinusoid"
+period_s = 4.352
+amplitude_rad = 0.5236
+base_offset_m = 0.06
+link_length_m = 0.95
+link_width_m = 0.15
+"""
+
+
+def test_the_importer_makes_a_trial(npz_importer, tmp_path):
+    time_s = 0.017 * np.arange(200)
+    angle_rad = 0.5 * np.sin(np.maximum(time_s - 0.5, 0.0))
+    np.savez(
+        tmp_path / "run.npz", time_s=time_s, angle_1_rad=angle_rad, goal_1_rad=angle_rad,
+        current_1_a=np.zeros(200),
+    )  # fmt: skip
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
+    assert models(["import", str(tmp_path / "run.npz"), *arguments]) == 0
+    trial = read_trial(tmp_path / "out" / "run.csv")
+    assert np.allclose(trial.angle_rad[:, 0], angle_rad[: len(trial)], atol=1e-12)
+
+
+def test_the_importer_refuses_a_truncated_file(npz_importer, tmp_path, capsys):
+    np.savez(tmp_path / "run.npz", time_s=np.arange(200.0))
+    whole = (tmp_path / "run.npz").read_bytes()
+    (tmp_path / "run.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
+    assert models(["import", str(tmp_path / "run.npz"), *arguments]) == 2
+    assert "run.npz" in capsys.readouterr().err
+
+
+def test_the_predictor_runs_on_the_robot(toy_bundle, tmp_path):
+    recipe = code("Add a predictor")
+    bundle = tmp_path / "bundle"
+    shutil.copytree(toy_bundle, bundle)
+    dof = read_manifest(bundle).dof
+    rng = np.random.default_rng(1)
+    features = rng.uniform(-1.0, 1.0, (400, 2 * dof + 1))
+    slope = rng.normal(size=(2 * dof + 1, 3))
+    recipe["replace_predictor"](bundle, recipe["linear_predictor"](features, features @ slope))
+    predictor = OnnxPredictor(bundle / "predictor.onnx", dof)
+    row = features[7]
+    inside = predictor.predict(row[:dof], row[dof:-1], row[-1])
+    assert inside.in_range and inside.tip_m == pytest.approx(row @ slope, abs=1e-12)
+    assert not predictor.predict(row[:dof], row[dof:-1], 2.0).in_range
+    assert dropstitch(["replay", "--bundle", str(bundle)]) == 0
+
+
+@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make ([\w-]+)", GUIDE, re.MULTILINE))))
+def test_the_make_targets_are_there(target):
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert re.search(rf"^{target}:", makefile, re.MULTILINE)
