@@ -62,18 +62,22 @@ class BendLaw:
         yield_rad = np.array(
             [p["memory.root_yield_rad"], *[p["memory.span_yield_rad"] / hinges] * hinges]
         )
-        self._per_yield = 1.0 / yield_rad
-        self._friction_nm = p["memory.hysteresis_share"] * self.stiffness_nm_rad * yield_rad
+        self._per_yield = 1.0 / yield_rad[:, None]
+        friction_nm = p["memory.hysteresis_share"] * self.stiffness_nm_rad * yield_rad
+        self._friction_nm = friction_nm[:, None]
         self._rest_rad = np.zeros((hinges + 1, 2))
         self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / hinges
         self._skew = 0.5 * p["stiffness.directional_share"]
         self._rounding_rad = p["stiffness.directional_rounding"] * yield_rad[:, None]
+        self._rounding_rad_squared = self._rounding_rad**2
         coupling = 0.5 * p["stiffness.coupling_share"]
         self._mix = np.array([[1.0, coupling], [coupling, 1.0]])
+        self._coupled = coupling != 0.0
         per_reference = np.array([1.0, *[float(hinges)] * hinges]) / REFERENCE_BEND_RAD
         soft = p["stiffness.softening_share"]
         self._soft = soft / (1.0 - soft) * per_reference
         self._hard = p["stiffness.hardening_share"] * per_reference**2
+        self._bend_dependent = bool(self._soft.any() or self._hard.any())
         self._kept_share = 1.0 - p["stiffness.leak_share"]
 
         times_s = np.array([p[f"memory.relaxation_{b}_s"] for b in (1, 2, 3)])
@@ -90,9 +94,13 @@ class BendLaw:
     def measure(self, angle_rad: Array) -> tuple[Array, Array]:
         """Measure of bend u and the diagonal of its derivative before mixing, both (9, 2)."""
         phi = angle_rad - self._rest_rad
-        root = np.sqrt(phi * phi + self._rounding_rad**2)
+        root = np.sqrt(phi * phi + self._rounding_rad_squared)
         skewed = phi + self._skew * (root - self._rounding_rad)
-        return skewed @ self._mix, 1.0 + self._skew * phi / root
+        return self._mixed(skewed), 1.0 + self._skew * phi / root
+
+    def _mixed(self, planes: Array) -> Array:
+        """Both planes coupled; rows of shape (9, 2)."""
+        return planes @ self._mix if self._coupled else planes
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and return the torque on the hinges.
@@ -112,16 +120,23 @@ class BendLaw:
         u, slope = self.measure(angle_rad)
         du = u - self._bend
         self._bend = u
-        self._branch_nm = self._branch_nm * self._decay + self._branch_nm_rad * du
-        along = (self._z * du).sum(axis=1)
+        branch_nm = self._branch_nm
+        branch_nm *= self._decay
+        branch_nm += self._branch_nm_rad * du
+        along = self._z * du
+        along = along[:, :1] + along[:, 1:]
         shed = 0.5 * self._per_yield * (np.abs(along) + along)
-        self._z = (self._z + self._per_yield[:, None] * du) / (1.0 + shed)[:, None]
+        self._z = (self._z + self._per_yield * du) / (1.0 + shed)
 
-        size = np.sqrt((u * u).sum(axis=1)) + 1e-12
+        size = u * u
+        size = np.sqrt(size[:, 0] + size[:, 1]) + 1e-12
         level = size * self._per_limit
         secant = self.stiffness_nm_rad * np.tanh(level) / level
-        secant = secant * (1.0 + self._hard * size * size) / (1.0 + self._soft * size)
-        moment = secant[:, None] * u + self._branch_nm.sum(axis=0)
-        moment = moment + self._friction_nm[:, None] * self._z
-        moment = moment * self._kept_share ** (leaking_s / LEAK_TIME_S)
-        return np.asarray(-slope * (moment @ self._mix))
+        if self._bend_dependent:
+            secant = secant * (1.0 + self._hard * size * size) / (1.0 + self._soft * size)
+        moment = secant[:, None] * u
+        moment += branch_nm[0] + branch_nm[1] + branch_nm[2]
+        moment += self._friction_nm * self._z
+        if leaking_s:
+            moment *= self._kept_share ** (leaking_s / LEAK_TIME_S)
+        return -slope * self._mixed(moment)

@@ -69,7 +69,9 @@ class Rig:
         self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
         self._load_nm = p["servo.load_offset_nm"]
         self._drag = p["world.drag_nm"] * self._drag_shares()
+        self._dragged = bool(self._drag.any())
         self._centres = self.data.xipos[self.chain.bodies]
+        self._drives = list(zip(self.servos, self.chain.joints.tolist(), strict=True))
         self._steps = 0
         self._leak_from_s = np.inf
 
@@ -103,22 +105,24 @@ class Rig:
 
     def step(self) -> None:
         """Advance by one integration step."""
-        data, chain = self.data, self.chain
-        for servo, joint in zip(self.servos, chain.joints.tolist(), strict=True):
-            torque = servo.step(self.time_s, float(data.qpos[joint]), float(data.qvel[joint]))
-            data.qfrc_applied[joint] = torque + self._load_nm
-        leaking_s = max(self.time_s - self._leak_from_s, 0.0)
-        data.qfrc_applied[chain.hinges] = self.law.torque_nm(data.qpos[chain.hinges], leaking_s)
-        if self._drag.any():
+        data, chain, time_s = self.data, self.chain, self.time_s
+        qpos, qvel, applied_nm = data.qpos, data.qvel, data.qfrc_applied
+        for servo, joint in self._drives:
+            torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
+            applied_nm[joint] = torque + self._load_nm
+        leaking_s = max(time_s - self._leak_from_s, 0.0)
+        applied_nm[chain.hinges] = self.law.torque_nm(qpos.take(chain.hinges), leaking_s)
+        if self._dragged:
             self._apply_drag()
         mujoco.mj_step(chain.model, data)
         self._steps += 1
 
     def _apply_drag(self) -> None:
         """Quadratic drag on the centre of every piece of the link."""
-        centres = self.data.xipos[self.chain.bodies]
+        centres = self.data.xipos.take(self.chain.bodies, axis=0)
         velocity = (centres - self._centres) / self.step_s
-        speed = np.sqrt((velocity * velocity).sum(axis=1))
+        square = velocity * velocity
+        speed = np.sqrt(square[:, 0] + square[:, 1] + square[:, 2])
         self.data.xfrc_applied[self.chain.bodies, :3] = -(self._drag * speed)[:, None] * velocity
         self._centres = centres
 
