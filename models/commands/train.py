@@ -1,11 +1,11 @@
-"""Train the predictors of one dof on trial 1, test them on trial 2, write the bundle.
+"""Training of the predictors of one dof, their tests, and the bundle.
 
-Trial 1 of the largest amplitude trains; its repetitions are trial_2. A motion that no training
-saw comes from --unseen, or from trials of a smaller amplitude in DIR. The plant is the one that
-`identify` made: its observer gives the DI that the robot will have.
+Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)
+and on an unseen motion: trials of --unseen, or trials of a smaller amplitude in DIR. The plant
+comes from `identify`; its observer gives the DI that the robot will have.
 
-A 2DOF predictor for the robot needs trials in which the joints move apart: where they always move
-together their angles are one input. --phase-deg keeps to some phases, as a study of one does.
+A 2DOF predictor for the robot needs trials in which the joints move independently: joints that
+always move together are one input. --phase-deg selects phases, for a study of one phase.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import argparse
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -23,12 +23,15 @@ from firmware_py.errors import InputError
 from models.plant.provenance import Provenance
 from models.trials.trial_files import STEP_TOLERANCE, Trial, TrialSet, read_trials
 
+if TYPE_CHECKING:
+    from models.study.study_document import StudyDocument
+
 EXAMPLE = (
     "python -m models train build/trials --dof 1 --plant build/plant.json "
     "--out build/bundle_1dof --unseen build/unseen_20deg"
 )
 STEPS: Final = 20
-"""Progress reports of a study: DI, 18 cross-validations and the fits; the tests come on top."""
+"""Progress steps of a study before its tests: DI, 18 cross-validations and the fits."""
 MM: Final = 1e3
 
 
@@ -41,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
     add(
         "--unseen", type=Path, metavar="DIR",
-        help="trials of a motion that neither training nor identification saw",
+        help="trials of a motion that neither training nor identification used",
     )  # fmt: skip
     add(
         "--phase-deg", type=float, action="append", metavar="DEG",
@@ -50,7 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Study, export, report."""
+    """Run the study, write the bundle, print the summary."""
     everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
     unseen: Sequence[Trial] = ()
@@ -75,17 +78,26 @@ def run(args: argparse.Namespace) -> int:
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
-    data = {"bundle": str(args.out), "parity": parity, "degree": study.document["chosen_degree"]}
+    data = {"bundle": str(args.out), "parity": parity, "degree": study.document.chosen_degree}
     tables = {
         name: by_part["pooled"]
-        for name, by_part in study.document["mean_euclidean_distance_m"].items()
+        for name, by_part in study.document.mean_euclidean_distance_m.items()
     }
     emit(args, data | {"mean_euclidean_distance_m": tables}, _summary(args.out, study.document))
     return DONE
 
 
 def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
-    """Trials of one dof.
+    """Return the trials of one dof.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        Trials of any dof.
+    dof : int
+        Number of joints.
+    where : Path
+        Directory of the trials, for the message.
 
     Raises
     ------
@@ -99,12 +111,21 @@ def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
 
 
 def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path) -> TrialSet:
-    """Trials without those of 2DOF at another phase of joint 2; all where no phase is named.
+    """Return all 1DOF trials, and the 2DOF trials at the given phases of joint 2.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        Trials of any dof.
+    phases_deg : sequence of float or None
+        Phases in degrees; None keeps every trial.
+    where : Path
+        Directory of the trials, for the message.
 
     Raises
     ------
     InputError
-        If a phase is named that no trial has.
+        If no trial has one of the phases.
     """
     if not phases_deg:
         return trials
@@ -119,17 +140,22 @@ def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path)
 
 
 def phase_deg(trial: Trial) -> int:
-    """Lead of joint 2 in whole degrees."""
+    """Return the lead of joint 2 in whole degrees."""
     return round(math.degrees(trial.meta.phase_2_rad))
 
 
 def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
     """Refuse trials of different time steps: the predictor has one period.
 
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Training and test trials.
+
     Raises
     ------
     InputError
-        Naming the first trial that differs.
+        If a trial has another time step than the first.
     """
     step_s = trials[0].step_s
     for t in trials:
@@ -141,12 +167,19 @@ def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
 
 
 def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, TrialSet]:
-    """Sort held-out trials into named tests, repetitions of the training first.
+    """Sort held-out trials into named tests.
+
+    Parameters
+    ----------
+    training : TrialSet
+        Trials that the predictors are trained on.
+    held_out : tuple of Trial
+        All other trials.
 
     Returns
     -------
     dict of str to TrialSet
-        "trial_2" (the training's motion again), "unseen_20deg" (another amplitude),
+        "trial_2" (repetition of the training motion), "unseen_20deg" (another amplitude),
         "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
     """
 
@@ -188,28 +221,28 @@ def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str,
         for t in trials if name.startswith("unseen") else ():
             if provenance.was_fitted_to(t):
                 raise InputError(
-                    where, f"was fitted on {t.name}, a trial of the motion that is to be unseen",
+                    where, f"was fitted to {t.name}, a trial of the unseen motion",
                     "identify without it, or give other trials to --unseen",
                 )  # fmt: skip
 
 
-def _summary(out: Path, document: Mapping[str, Any]) -> str:
-    degree = str(document["chosen_degree"])
+def _summary(out: Path, document: StudyDocument) -> str:
+    degree = str(document.chosen_degree)
     lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
-    for name, table in document["mean_euclidean_distance_m"].items():
+    for name, table in document.mean_euclidean_distance_m.items():
         pooled = table["pooled"]
-        r2 = document["estimators"][name]["observer"]["r2_di"]
+        r2 = document.estimators[name]["observer"].r2_di
         lines.append(
             f"  {name}: mean Euclidean distance {MM * pooled['estimated_di'][degree]:.2f} mm with "
             f"estimated DI ({MM * pooled['with_di'][degree]:.2f} with true DI, "
             f"{MM * pooled['without_di'][degree]:.2f} without), R² of DI {r2:.3f}, interval "
-            f"covers {document['deployed'][name]['interval_coverage_mean']:.1%}"
+            f"covers {document.deployed[name].interval_coverage_mean:.1%}"
         )
-    if not any(name.startswith("trial_") for name in document["tests"]):
+    if not any(name.startswith("trial_") for name in document.tests):
         lines.append("  no trial 2 to test on: simulate with --trials 2")
-    if not any(name.startswith("unseen") for name in document["tests"]):
+    if not any(name.startswith("unseen") for name in document.tests):
         lines.append(
             "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 "
-            "--out build/unseen_20deg, then give it to --unseen"
+            "--out build/unseen_20deg, then pass that directory to --unseen"
         )
     return "\n".join(lines)

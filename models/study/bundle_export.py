@@ -1,9 +1,8 @@
-"""From a study to a bundle: graphs behind a parity gate, manifest, golden ticks, model card."""
+"""Export of a study to a bundle: ONNX graphs, parity gate, manifest, golden ticks, model card."""
 
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import shutil
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +22,7 @@ from models.learning.predictors import Array, GuardedPredictor, Polynomial
 from models.plant.plant import Plant
 from models.study.model_card import model_card
 from models.study.study import Study
+from models.study.study_document import StudyDocument, write_study
 
 GATE_POINTS: Final = 10_000
 GATE_M: Final = 1e-9
@@ -31,23 +31,23 @@ LIBRARIES: Final = ("numpy", "scikit-learn", "skl2onnx", "onnx", "onnxruntime", 
 
 
 class ParityError(DropstitchError):
-    """The graph does not answer what scikit-learn does; nothing was written."""
+    """The outputs of the graph differ from scikit-learn's; no bundle was written."""
 
 
-def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, Any]:
-    """Write the bundle of a study, whole or not at all.
+def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
+    """Write the bundle of a study, complete or not at all.
 
-    The estimator that it names is the lagged one, until `python -m fmu build --unit observer`
-    adds the observer that the predictor was trained with. The same study gives the same bytes.
+    Its estimator is the lagged regressor, until `python -m fmu build --unit observer` adds the
+    observer that the predictor was trained with. The same study gives the same bytes.
 
     Parameters
     ----------
     directory : Path
-        Of the bundle; one that stands there is replaced, anything else refused.
+        Directory of the bundle; an old bundle there is replaced, anything else refused.
     study : Study
-        Of one dof.
+        Study of one dof.
     plant : Plant
-        Whose observer the study used; copied in as `plant.json`.
+        Plant whose observer the study used; written as `plant.json`.
 
     Returns
     -------
@@ -57,12 +57,12 @@ def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If `directory` holds something that is no bundle.
+        If `directory` holds something that is not a bundle.
     ParityError
         If the graph and scikit-learn differ by more than 1e-9 m in the training hull.
     """
     if directory.exists() and not (directory / MANIFEST).is_file() and _occupied(directory):
-        raise InputError(directory, "exists and is no bundle", "choose another --out")
+        raise InputError(directory, "exists and is not a bundle", "choose another --out")
     scratch = directory.with_name(f".{directory.name}.partial")
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir(parents=True)
@@ -81,7 +81,7 @@ def _occupied(path: Path) -> bool:
 
 
 def _fill(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
-    document, dof = study.document, study.document["dof"]
+    document, dof = study.document, study.document.dof
     features = study.training.features("observer")
     manifest = _manifest(study, plant)
     facts = {
@@ -102,7 +102,7 @@ def _fill(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
     onnx.save(lagged, lagged_path)
 
     plant.write(directory / "plant.json")
-    (directory / "study.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_study(directory / "study.json", document)
     heaviest = max(study.training.trials, key=lambda t: t.meta.payload_kg)
     ticks = slice(0, heaviest.meta.rest_samples + GOLDEN_TICKS)
     golden = record_golden(
@@ -123,8 +123,19 @@ def check_parity(
 ) -> dict[str, float]:
     """Compare the graph with scikit-learn on 10,000 points of the training hull.
 
-    A point of the hull is a random convex combination of as many training rows as there are
-    features, and one more.
+    A point of the hull is a random convex combination of n + 1 training rows, with n the number
+    of features.
+
+    Parameters
+    ----------
+    path : Path
+        ONNX file of the predictor.
+    predictor : GuardedPredictor
+        Predictor that the file was converted from.
+    features : ndarray, shape (rows, n)
+        Training rows in SI units.
+    dof : int
+        Number of joints.
 
     Returns
     -------
@@ -160,17 +171,17 @@ def check_parity(
 
 def _manifest(study: Study, plant: Plant) -> Manifest:
     document, predictor = study.document, study.predictor
-    names = feature_names(document["dof"])
+    names = feature_names(document.dof)
     tips_m = study.training.tip_m
     return Manifest(
-        dof=document["dof"],
-        period_s=document["training"]["step_s"],
-        degree=document["chosen_degree"],
+        dof=document.dof,
+        period_s=document.training.step_s,
+        degree=document.chosen_degree,
         estimator="lagged",
         features=_quantities(names, predictor.lower, predictor.upper),
         outputs=_quantities(tip_names(), tips_m.min(axis=0), tips_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
-        training_data_sha256=document["training"]["sha256"],
+        training_data_sha256=document.training.sha256,
         plant_sha256=plant.sha256(),
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=_metrics(document),
@@ -193,18 +204,18 @@ def _described(quantities: tuple[Quantity, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def _metrics(document: dict[str, Any]) -> dict[str, float]:
+def _metrics(document: StudyDocument) -> dict[str, float]:
     """Held-out figures of the deployed predictor, by test."""
-    degree = str(document["chosen_degree"])
+    degree = str(document.chosen_degree)
     metrics = {}
-    for name, table in document["mean_euclidean_distance_m"].items():
+    for name, table in document.mean_euclidean_distance_m.items():
         pooled = table["pooled"]
-        deployed = document["deployed"][name]
-        metrics[f"{name}_mean_euclidean_distance_m"] = deployed["mean_euclidean_distance_m"]
+        deployed = document.deployed[name]
+        metrics[f"{name}_mean_euclidean_distance_m"] = deployed.mean_euclidean_distance_m
         metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
         metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
-        metrics[f"{name}_r2_di"] = document["estimators"][name]["observer"]["r2_di"]
-        metrics[f"{name}_interval_coverage"] = deployed["interval_coverage_mean"]
+        metrics[f"{name}_r2_di"] = document.estimators[name]["observer"].r2_di
+        metrics[f"{name}_interval_coverage"] = deployed.interval_coverage_mean
     return metrics
 
 
@@ -217,7 +228,15 @@ def _coefficients(polynomial: Polynomial, names: tuple[str, ...]) -> dict[str, t
 
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
-    """Write a monomial: "1", "angle_1_rad^2 di"."""
+    """Write a monomial of features, like "1" or "angle_1_rad^2 di".
+
+    Parameters
+    ----------
+    exponents : tuple of int
+        One per feature.
+    names : tuple of str
+        Names of the features.
+    """
     factors = [
         name if power == 1 else f"{name}^{power}"
         for name, power in zip(names, exponents, strict=True)

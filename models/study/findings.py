@@ -1,55 +1,53 @@
-"""Which of the paper's findings come out of these trials, in sentences with figures.
+"""Findings of the paper, tested on the trials at hand and stated in sentences with figures.
 
-A claim holds or it does not on the data at hand; nothing is tuned towards it. `depends_on` says
-what in a link, servo or laboratory brings a finding about.
+Nothing is tuned towards a finding. `depends_on` names the property of the link, the servo or the
+motion that causes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from models.learning.predictors import Array
 from models.learning.validation import payload_key
+from models.study.study_document import ByDegree, StudyDocument, StudyFinding
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
 PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
+"""Degree of least distance by dof (paper, Fig. 14)."""
 NOISE_FACTOR: Final = 3.0
-"""A DI loop counts as hysteresis when it is this much wider than marker noise makes it."""
+"""Width of a DI loop, relative to the width from marker noise alone, that counts as hysteresis;
+assumed."""
 MEAN_OF_ABSOLUTE: Final = 0.8
-"""Mean absolute value of a normal variable, √(2/π), in standard deviations."""
+"""Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
 ANGLE_BINS: Final = 12
+"""Bins of the angle over a DI loop."""
 MM: Final = 1e3
 PERCENT: Final = 1e2
 
 
 def judge_findings(
-    document: Mapping[str, Any], training: TrialSet, tests: Mapping[str, TrialSet]
-) -> list[dict[str, Any]]:
-    """Judge the paper's findings.
+    document: StudyDocument, training: TrialSet, tests: Mapping[str, TrialSet]
+) -> tuple[StudyFinding, ...]:
+    """Test the paper's findings.
 
     Parameters
     ----------
-    document : mapping
-        The study's tables so far.
+    document : StudyDocument
+        Tables of the study; its findings are not read.
     training : TrialSet
         Trial 1 of every payload.
     tests : mapping of str to TrialSet
-        Held-out trials; the first one stands for the paper's trial 2.
-
-    Returns
-    -------
-    list of dict
-        `claim`, `holds` (true, false, or null where the trials cannot tell), `text` and
-        `depends_on`.
+        Held-out trials; the first set corresponds to the paper's trial 2.
     """
     name = next(iter(tests), None)
-    listed = [_rises_with_payload(document["mean_di"])]
+    listed = [_rises_with_payload(document.mean_di)]
     if name is not None:
-        table = document["mean_euclidean_distance_m"][name]["pooled"]
+        table = document.mean_euclidean_distance_m[name]["pooled"]
         listed += [
             _degree_one_is_worst(table["with_di"], name),
             _di_helps(table, name),
@@ -61,79 +59,72 @@ def judge_findings(
         _hysteresis(training),
         _more_joints_deform_more(document),
     ]
-    return listed
+    return tuple(listed)
 
 
-def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> dict[str, Any]:
-    verdict = {True: "Comes out", False: "Does not come out", None: "Cannot be told"}[holds]
-    return {
-        "claim": claim,
-        "holds": holds,
-        "text": f"{verdict}: {text}.",
-        "depends_on": depends_on,
-    }
+def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> StudyFinding:
+    verdict = {True: "Reproduced", False: "Not reproduced", None: "Cannot be tested"}[holds]
+    return StudyFinding(claim, holds, f"{verdict}: {text}.", depends_on)
 
 
 def _percent(value: float) -> str:
     return f"{PERCENT * value:.2f} %"
 
 
-def _rises_with_payload(mean_di: Mapping[str, float]) -> dict[str, Any]:
+def _rises_with_payload(mean_di: Mapping[str, float]) -> StudyFinding:
     values = list(mean_di.values())
     listed = ", ".join(f"{_percent(v)} at {k} kg" for k, v in mean_di.items())
     holds = bool(np.all(np.diff(values) > 0)) if len(values) > 1 else None
     return _finding(
         "DI rises with payload", holds, f"mean DI {listed}",
-        "the bending moment at the root, so on payload, amplitude and acceleration; at small "
-        "payloads marker noise alone adds about 0.07 %",
+        "the bending moment at the root: payload, amplitude and acceleration; at small payloads "
+        "marker noise alone adds about 0.07 %",
     )  # fmt: skip
 
 
-def _degree_one_is_worst(by_degree: Mapping[str, float], name: str) -> dict[str, Any]:
+def _degree_one_is_worst(by_degree: ByDegree, name: str) -> StudyFinding:
     worst = max(by_degree, key=lambda d: by_degree[d])
     others = [v for d, v in by_degree.items() if d != "1"]
     return _finding(
         "Degree 1 is worst", worst == "1",
         f"mean Euclidean distance on {name} {MM * by_degree['1']:.1f} mm at degree 1, "
         f"{MM * min(others):.1f} to {MM * max(others):.1f} mm at the others",
-        "the arc alone is curved: a linear map of the angle cannot follow it at any stiffness",
+        "the geometry: the tip moves on an arc, which no linear map of the angle follows",
     )  # fmt: skip
 
 
-def _di_helps(table: Mapping[str, Mapping[str, float]], name: str) -> dict[str, Any]:
+def _di_helps(table: Mapping[str, ByDegree], name: str) -> StudyFinding:
     gains = {d: table["without_di"][d] - v for d, v in table["with_di"].items()}
     listed = ", ".join(f"{MM * g:.1f}" for g in gains.values())
     return _finding(
         "DI helps at every degree", all(g > 0 for g in gains.values()),
         f"without DI the distance on {name} is larger by {listed} mm at degrees "
         f"{', '.join(gains)}",
-        "friction in the servo: without it the current would tell the load, and so the bend, by "
-        "itself",
+        "friction in the servo: without friction the current alone determines the load and so "
+        "the deformation",
     )  # fmt: skip
 
 
-def _best_degree(
-    document: Mapping[str, Any], by_degree: Mapping[str, float], name: str
-) -> dict[str, Any]:
-    paper = PAPER_BEST_DEGREE[document["dof"]]
+def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> StudyFinding:
+    paper = PAPER_BEST_DEGREE[document.dof]
     best = min(by_degree, key=lambda d: by_degree[d])
-    validated = document["cross_validation"]["with_di"]
-    chosen = min(validated, key=lambda d: validated[d]["selection_m"])
+    validated = document.cross_validation["with_di"]
+    chosen = min(validated, key=lambda d: validated[d].selection_m)
     return _finding(
-        f"{document['dof']}DOF predicts best at degree {paper}", best == str(paper),
+        f"{document.dof}DOF predicts best at degree {paper}", best == str(paper),
         f"on {name} degree {best} is best with {MM * by_degree[best]:.2f} mm (degree {paper}: "
         f"{MM * by_degree[str(paper)]:.2f} mm, degree 6: {MM * by_degree['6']:.2f} mm); "
-        f"cross-validation on the training trials, which never sees {name}, chooses {chosen}",
-        "how much trials differ among themselves: a minimum below degree 6 needs a second trial "
-        "that departs from the first by more than the higher terms gain",
+        f"cross-validation on the training trials, without {name}, chooses {chosen}",
+        "trial-to-trial variation: the minimum lies below degree 6 only if the second trial "
+        "differs from the first by more than the higher terms gain",
     )  # fmt: skip
 
 
-def _negative_angles(training: TrialSet, repeated: TrialSet) -> dict[str, Any]:
+def _negative_angles(training: TrialSet, repeated: TrialSet) -> StudyFinding:
     ratios: dict[str, list[float]] = {}
     for trial in (*training, *repeated):
         di, angle_rad = deformation_index(trial), trial.angle_rad[:, 0]
-        deep = 0.5 * np.abs(angle_rad).max()  # near zero the sign says nothing about the bend
+        deep = 0.5 * np.abs(angle_rad).max()  # near zero the bend is small
         ratio = np.nanmean(di[angle_rad < -deep]) / np.nanmean(di[angle_rad > deep])
         ratios.setdefault(payload_key(trial.meta.payload_kg), []).append(float(ratio))
     every = [r for of_payload in ratios.values() for r in of_payload]
@@ -142,11 +133,11 @@ def _negative_angles(training: TrialSet, repeated: TrialSet) -> dict[str, Any]:
         "Negative angles deform more", min(every) > 1.0,
         f"DI at negative over DI at positive angles of joint 1, beyond half the amplitude: "
         f"{listed}; over single trials {min(every):.2f} to {max(every):.2f}",
-        "a link that is softer or pre-bent to one side, like the paper's; a symmetric one gives 1",
+        "a link that is softer or pre-bent to one side, like the paper's; a symmetric link gives 1",
     )  # fmt: skip
 
 
-def _hysteresis(training: TrialSet) -> dict[str, Any]:
+def _hysteresis(training: TrialSet) -> StudyFinding:
     loops: dict[str, HysteresisLoop] = {}
     for payload in sorted({t.meta.payload_kg for t in training}):
         of_payload = [hysteresis_loop(t) for t in training if t.meta.payload_kg == payload]
@@ -161,24 +152,24 @@ def _hysteresis(training: TrialSet) -> dict[str, Any]:
     noise = max(found.noise for found in loops.values())
     return _finding(
         "DI shows hysteresis at high payload", beyond[heaviest],
-        f"DI on the way up and on the way down differ on average by {listed}; marker noise alone "
-        f"makes up to {PERCENT * noise:.3f} %",
-        "inertia and damping as much as on hysteresis of the material: a loop at one speed does "
-        "not tell them apart",
+        f"DI at rising and at falling angle differs on average by {listed}; marker noise alone "
+        f"gives up to {PERCENT * noise:.3f} %",
+        "inertia and damping as well as hysteresis of the material: a loop at one speed does not "
+        "separate them",
     )  # fmt: skip
 
 
 class HysteresisLoop(NamedTuple):
-    """DI over the angle of joint 1, up and down.
+    """DI over the angle of joint 1, at rising and at falling angle.
 
     Attributes
     ----------
     width : float
-        Mean distance of the two branches, in DI.
+        Mean difference of DI between the two branches.
     span : float
         Largest less smallest DI of the trial.
     noise : float
-        Mean distance that the scatter of DI at rest alone would make.
+        Mean difference that the noise of DI at rest alone would give.
     """
 
     width: float
@@ -187,12 +178,18 @@ class HysteresisLoop(NamedTuple):
 
 
 def hysteresis_loop(trial: Trial) -> HysteresisLoop:
-    """Measure the loop that DI makes over the angle of joint 1, in bins of the angle."""
+    """Measure the loop of DI over the angle of joint 1, in bins of the angle.
+
+    Parameters
+    ----------
+    trial : Trial
+        With rest rows, from which the noise is estimated.
+    """
     every = deformation_index(trial)
     di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]
     scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
     rising = np.gradient(trial.goal_rad[trial.moving, 0]) > 0
-    limit = 0.8 * np.abs(angle_rad).max()  # at the turning points both branches meet
+    limit = 0.8 * np.abs(angle_rad).max()  # the branches meet at the turning points
     number = np.digitize(angle_rad, np.linspace(-limit, limit, ANGLE_BINS + 1))
     branches = []
     for k in range(1, ANGLE_BINS + 1):
@@ -204,7 +201,7 @@ def hysteresis_loop(trial: Trial) -> HysteresisLoop:
     (up_rad, up_di, up_count), (down_rad, down_di, down_count) = np.array(branches).transpose(
         1, 2, 0
     )
-    # The branches' samples lie differently within a bin: compare them at the same angle.
+    # Samples of the branches lie at other angles within a bin: compare them at the same angle.
     width = float(np.mean(np.abs(np.interp(down_rad, up_rad, up_di) - down_di)))
     noise = MEAN_OF_ABSOLUTE * scatter * float(np.mean(np.sqrt(1 / up_count + 1 / down_count)))
     return HysteresisLoop(width, _range(di), noise)
@@ -214,14 +211,14 @@ def _range(values: Array) -> float:
     return float(np.nanmax(values) - np.nanmin(values))
 
 
-def _more_joints_deform_more(document: Mapping[str, Any]) -> dict[str, Any]:
-    own, other = document["mean_di"], document["mean_di_other_dof"]
-    one, two = (own, other) if document["dof"] == 1 else (other, own)
+def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
+    own, other = document.mean_di, document.mean_di_other_dof
+    one, two = (own, other) if document.dof == 1 else (other, own)
     shared = [k for k in own if k in other]
     if not shared:
         return _finding(
             "2DOF deforms more than 1DOF", None,
-            "the directory holds trials of one kind of motion only",
+            "the directory holds trials of one dof only",
             "simulate with --dof 1 2 into one directory",
         )  # fmt: skip
     ratios = {k: two[k] / one[k] for k in shared}
@@ -229,6 +226,6 @@ def _more_joints_deform_more(document: Mapping[str, Any]) -> dict[str, Any]:
     return _finding(
         "2DOF deforms more than 1DOF", min(ratios.values()) > 1.0,
         f"mean DI of 2DOF over 1DOF: {listed}",
-        "the phase of joint 2, which the paper does not give: in phase the planes add up in one "
-        "direction, a quarter turn apart the link is bent all the time",
+        "the phase of joint 2, which the paper does not state: in phase the two planes bend "
+        "together, a quarter period apart the link is bent at all times",
     )  # fmt: skip

@@ -1,17 +1,26 @@
-"""The model card: what a bundle is, for whom, how well it does and where it ends, for people."""
+"""Model card of a bundle: purpose, data, accuracy and limits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Iterable, Sequence
+from typing import Final
 
 from firmware_py.inference.bundle import Manifest
+from models.study.study_document import StudyDocument, TrialsSummary
 
 MM: Final = 1e3
 
 
-def model_card(manifest: Manifest, document: Mapping[str, Any]) -> str:
-    """Write `MODEL_CARD.md` from the manifest and the study's tables."""
+def model_card(manifest: Manifest, document: StudyDocument) -> str:
+    """Return the text of `MODEL_CARD.md`.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Manifest of the bundle.
+    document : StudyDocument
+        Tables of the study.
+    """
     sections = (
         _purpose(manifest),
         _data(document),
@@ -38,95 +47,96 @@ def _purpose(manifest: Manifest) -> str:
     )
     return f"""# End effector of a drop-stitch link, {manifest.dof}DOF
 
-A polynomial of degree {manifest.degree} that predicts where the tip of an inflatable link is \
-from what its servos measure and the Deformation Index (DI), every {MM * manifest.period_s:g} ms. \
-On the robot DI is estimated, not seen: the plant observer (`observer.fmu`, added by \
-`python -m fmu build --unit observer`) drives the identified link with the measured angle and \
-current. The predictor was trained on the observer's DI.
+A polynomial of degree {manifest.degree} that predicts the tip position of an inflatable link \
+from the measured angles and currents of its servos and the Deformation Index (DI), every \
+{MM * manifest.period_s:g} ms. On the robot DI is estimated, not measured: the plant observer \
+(`observer.fmu`, added by `python -m fmu build --unit observer`) drives the identified link with \
+the measured angle and current. The predictor was trained on the observer's DI.
 
-Made for this link, its servos, its pressure and its motions. It is no safety device: stop the \
-robot by limits of its own.
+It is valid for this link, its servos, its pressure and its motions. It is not a safety device: \
+the robot needs safety limits of its own.
 
 {ranges}
 
-Inputs outside their range are clipped into it and `in_range` turns 0; a NaN does the same. \
-`tip_m` is in the world frame (z up, origin where the joint axes meet). `half_width_m` is half \
-the width of a 95 % prediction interval per axis; it grows outside the training data."""
+Inputs outside their range are clipped to it and `in_range` becomes 0; a NaN also sets \
+`in_range` to 0. `tip_m` is in the world frame (z up, origin where the joint axes meet). \
+`half_width_m` is half the width of a 95 % prediction interval per axis; it grows outside the \
+training data."""
 
 
-def _data(document: Mapping[str, Any]) -> str:
-    def line(role: str, part: Mapping[str, Any]) -> tuple[str, ...]:
-        payloads = ", ".join(f"{kg:g}" for kg in part["payload_kg"])
-        amplitudes = ", ".join(f"{rad:.3f}" for rad in part["amplitude_rad"])
-        return role, str(len(part["trials"])), payloads, amplitudes, f"`{part['sha256'][:12]}`"
+def _data(document: StudyDocument) -> str:
+    def line(role: str, part: TrialsSummary) -> tuple[str, ...]:
+        payloads = ", ".join(f"{kg:g}" for kg in part.payload_kg)
+        amplitudes = ", ".join(f"{rad:.3f}" for rad in part.amplitude_rad)
+        return role, str(len(part.trials)), payloads, amplitudes, f"`{part.sha256[:12]}`"
 
-    rows = [line("trained on", document["training"])]
-    rows += [line(f"tested on {name}", part) for name, part in document["tests"].items()]
+    rows = [line("trained on", document.training)]
+    rows += [line(f"tested on {name}", part) for name, part in document.tests.items()]
     header = ("role", "trials", "payload in kg", "amplitude in rad", "SHA-256")
     return "## Data\n\n" + _table(header, rows)
 
 
-def _figures(manifest: Manifest, document: Mapping[str, Any]) -> str:
-    degrees = list(document["cross_validation"]["estimated_di"])
+def _figures(manifest: Manifest, document: StudyDocument) -> str:
+    degrees = list(document.cross_validation["estimated_di"])
     rows = []
-    for name, table in document["mean_euclidean_distance_m"].items():
+    for name, table in document.mean_euclidean_distance_m.items():
         for variant, by_degree in table["pooled"].items():
             values = [f"{MM * by_degree[d]:.2f}" for d in degrees]
             rows.append((name, variant.replace("_", " "), *values))
-    validated = document["cross_validation"]["estimated_di"]
+    validated = document.cross_validation["estimated_di"]
     rows.append(("cross-validation", "estimated di",
-                 *(f"{MM * validated[d]['selection_m']:.2f}" for d in degrees)))  # fmt: skip
+                 *(f"{MM * validated[d].selection_m:.2f}" for d in degrees)))  # fmt: skip
     baselines = "; ".join(
-        f"on {name} the observer's own tip {MM * part['observer_tip']['pooled']:.2f} mm, a link "
-        f"that does not bend {MM * part['rigid_kinematics']['pooled']:.1f} mm"
-        for name, part in document["baselines"].items()
+        f"on {name} the observer's own tip {MM * part.observer_tip['pooled']:.2f} mm, a link "
+        f"that does not bend {MM * part.rigid_kinematics['pooled']:.1f} mm"
+        for name, part in document.baselines.items()
     )
-    several = "leave_one_payload_out_m" in validated[degrees[0]]
+    several = validated[degrees[0]].leave_one_payload_out_m is not None
     folds = "each payload left out" if several else "five blocks of each run, with 1 s gaps"
-    return f"""## How well it does
+    return f"""## Accuracy
 
 Mean Euclidean distance in mm over all payloads, by degree. Degree {manifest.degree} was chosen \
-by cross-validation on the training trials ({folds}), never on a test.
+by cross-validation on the training trials ({folds}), without any test trial.
 
 {_table(("test", "predictor", *degrees), rows)}
 
 Without a polynomial: {baselines or "no test was given"}."""
 
 
-def _estimation(document: Mapping[str, Any]) -> str:
+def _estimation(document: StudyDocument) -> str:
     rows = []
-    for name, estimators in document["estimators"].items():
+    for name, estimators in document.estimators.items():
         for source, part in estimators.items():
-            share = part["benefit_recovered"]["3"]
-            shown = "none to recover" if share is None else f"{100 * share:.0f} %"
-            rows.append((name, source, f"{part['r2_di']:.3f}", shown))
-    header = ("test", "DI from", "R² of DI", "share of true DI's benefit at degree 3")
+            fraction = part.benefit_recovered["3"]
+            shown = "no benefit" if fraction is None else f"{100 * fraction:.0f} %"
+            rows.append((name, source, f"{part.r2_di:.3f}", shown))
+    header = ("test", "DI from", "R² of DI", "fraction of true DI's benefit at degree 3")
     return "## DI without motion capture\n\n" + _table(header, rows)
 
 
-def _limits(manifest: Manifest, document: Mapping[str, Any]) -> str:
+def _limits(manifest: Manifest, document: StudyDocument) -> str:
     coverage = "\n".join(
-        f"- On {name} the 95 % interval held the tip in "
-        f"{100 * part['interval_coverage_mean']:.1f} % of the rows and axes; "
-        f"{100 * part['in_range_share']:.1f} % of the rows were in range."
-        for name, part in document["deployed"].items()
+        f"- On {name} the 95 % interval contained the tip in "
+        f"{100 * part.interval_coverage_mean:.1f} % of the rows and axes; "
+        f"{100 * part.in_range_fraction:.1f} % of the rows were in range."
+        for name, part in document.deployed.items()
     )
-    validated = document["cross_validation"]["estimated_di"][str(manifest.degree)]
-    payload = validated.get("leave_one_payload_out_m")
+    validated = document.cross_validation["estimated_di"][str(manifest.degree)]
+    payload = validated.leave_one_payload_out_m
     unseen = (
-        f"\n- A payload that training did not see: {MM * payload:.1f} mm (each payload left out "
-        "in turn)."
+        f"\n- Mean distance for a payload that is not in the training: {MM * payload:.1f} mm (each "
+        "payload left out in turn)."
         if payload is not None
         else ""
     )
-    return f"""## Where it ends
+    return f"""## Limits
 
 {coverage}{unseen}
-- The interval is calibrated on payloads left out of training, so it is wide for those that were \
-not; on motions unlike the training's expect less coverage.
+- The interval is calibrated on payloads left out of training, so it is wide for the trained \
+payloads. Coverage is lower on motions that differ from the training motion.
 - Another pressure, temperature, link or servo needs new trials."""
 
 
-def _findings(document: Mapping[str, Any]) -> str:
-    lines = [f"- **{f['claim']}.** {f['text']}" for f in document["findings"]]
-    return "## The published study's findings on these trials\n\n" + "\n".join(lines)
+def _findings(document: StudyDocument) -> str:
+    lines = [f"- **{f.claim}.** {f.text}" for f in document.findings]
+    return "## Findings of the published study on these trials\n\n" + "\n".join(lines)

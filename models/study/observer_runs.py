@@ -1,4 +1,4 @@
-"""The plant observer over recorded trials: the same equations that the robot runs as a unit."""
+"""Runs of the plant observer on recorded trials, with the equations of the observer FMU."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from models.trials.trial import Trial
 
 
 class ObserverRun(NamedTuple):
-    """What the observer answers after each sample of a trial.
+    """Output of the observer after each sample of a trial.
 
     Attributes
     ----------
     di : ndarray, shape (n,)
         Estimated Deformation Index.
     tip_m : ndarray, shape (n, 3)
-        End effector by the plant alone: a baseline that needs no polynomial.
+        End effector by the plant alone: a baseline without a polynomial.
     payload_kg : ndarray, shape (n,)
         Estimated payload.
     """
@@ -33,8 +33,15 @@ class ObserverRun(NamedTuple):
 def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
     """Drive the observer with a trial's angles and currents, from its first row on.
 
-    Row k is the output after the step that ends at sample k, as on the robot; the rest rows are
-    part of the run, and the geometry is the plant's, not the trial's.
+    Row k is the output after the step that ends at sample k, as on the robot. The rest rows are
+    part of the run. The geometry is the plant's, not the trial's.
+
+    Parameters
+    ----------
+    observer : CompiledModel
+        Plant observer of the trial's dof.
+    trial : Trial
+        Recorded angles and currents.
     """
     y = observer.simulate(trial_inputs(observer.model, trial), trial.step_s)[1:]
     rows = dict(zip(names(observer.model.outputs), y.T, strict=True))

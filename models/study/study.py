@@ -1,34 +1,18 @@
-"""The published study on any set of trials: every table of the paper, and DI without mocap.
+"""Published study on any set of trials: training, cross-validation and tests of all predictors.
 
-Trained on trial 1, tested on trial 2 and on a motion that no training saw. Degrees are compared
-by cross-validation on trial 1 alone; trial 2 chooses nothing. The tables of the tests are of the
-paper's plain polynomials; cross-validation and the section `deployed` have the guard that clips
-inputs into the training box, like the predictor on the robot.
-
-`study.json` (distances in m, DI and shares dimensionless, TEST is trial_2, unseen_20deg, …, PART is
-pooled, a payload in kg or phase_90deg, VARIANT is with_di, without_di or estimated_di)::
-
-    chosen_degree                             of the least selection_m of estimated_di below
-    cross_validation[VARIANT][degree]         blocks_m, leave_one_payload_out_m, …_fold_std_m;
-                                              selection_m: payloads left out if there are several
-    mean_di[payload], mean_di_other_dof[payload]
-    training, tests[TEST]                     trials, hash, payloads, amplitudes, phases
-    mean_euclidean_distance_m[TEST][PART][VARIANT][degree]      and std_euclidean_distance_m
-    estimators[TEST][observer|lagged|none]    r2_di, rms_error_di, benefit_recovered[degree],
-                                              mean_euclidean_distance_m[degree]
-    baselines[TEST]                           observer_tip[PART], rigid_kinematics[PART],
-                                              final_payload_error_kg[trial]
-    deployed[TEST]                            mean_euclidean_distance_m, interval_coverage[axis], …
-    series                                    curves of the figures (models.study.figure_curves)
-    findings                                  claim, holds, text, depends_on
+Predictors are trained on trial 1 and tested on trial 2 and on a motion that is not in the
+training. Degrees are compared by cross-validation on trial 1 alone; no test trial influences a
+choice. The tables of the tests use the paper's plain polynomials. Cross-validation and
+`deployed` use the guard that clips inputs into the training box, like the predictor on the robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
+import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
@@ -48,18 +32,17 @@ from models.plant.step_model import StepModel
 from models.study.figure_curves import figure_curves
 from models.study.findings import judge_findings
 from models.study.observer_runs import ObserverRun, run_observer
-from models.study.tables import (
-    ESTIMATORS,
-    baseline_table,
-    deployed_table,
-    distance_table,
-    distances_m,
-    estimator_table,
-)
+from models.study.study_document import FoldErrors, StudyDocument, TrialsSummary
+from models.study.tables import ESTIMATORS, Fitted, StudyTest, score_predictors
 from models.trials.deformation import deformation_index
 from models.trials.trial import TrialSet
 
-SCHEMA: Final = 1
+__all__ = ["Study", "run_study"]
+
+Folds = dict[str, list[Fold]]
+"""Folds by kind: "blocks" of time, and "leave_one_payload_out" where there are several."""
+
+ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
 
 
 @dataclass(frozen=True)
@@ -68,17 +51,17 @@ class Study:
 
     Attributes
     ----------
-    document : dict
-        What `study.json` holds.
+    document : StudyDocument
+        Content of `study.json`.
     predictor : GuardedPredictor
-        Trained on the observer's DI, at the chosen degree: what the robot gets.
+        Trained on the observer's DI at the chosen degree; the robot gets this one.
     lagged : LaggedRegressor
-        The fallback estimator of DI.
+        Fallback estimator of DI.
     training : Samples
         Rows that both were trained on.
     """
 
-    document: dict[str, Any]
+    document: StudyDocument
     predictor: GuardedPredictor
     lagged: LaggedRegressor
     training: Samples
@@ -98,13 +81,13 @@ def run_study(
     training : TrialSet
         Trial 1 of every payload, one dof.
     tests : mapping of str to TrialSet
-        "trial_2", "unseen_20deg", …: never trained on.
+        "trial_2", "unseen_20deg", …: trials that nothing is trained on.
     observer : StepModel
-        The plant observer of that dof.
+        Plant observer of that dof.
     others : TrialSet, optional
         Trials of the other dof, for the comparison of mean DI.
     progress : callable
-        Told what was finished.
+        Called with the name of each finished part.
 
     Raises
     ------
@@ -112,143 +95,158 @@ def run_study(
         If the trials are too short to hold out blocks with gaps.
     """
     training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
-    true_di = [deformation_index(t) for t in training]
-    lagged = LaggedRegressor.fit(tuple(training), true_di)
+    lagged = LaggedRegressor.fit(tuple(training), [deformation_index(t) for t in training])
     compiled = CompiledModel(observer)
-    fit, _ = _observed(training, compiled, lagged)
+    samples, _ = _estimated(training, compiled, lagged)
     progress("DI")
-    folds = _folds(fit)
-    document: dict[str, Any] = {
-        "schema": SCHEMA,
-        "dof": training[0].meta.dof,
-        "rows": "moving rows only; the observer also runs through the rest rows in front",
-        "training": _described(training),
-        "cross_validation": _cross_validation(fit, folds, progress),
-        "mean_di": _mean_di(training),
-        "mean_di_other_dof": _mean_di(others) if others else {},
-    }
-    chosen = _best_degree(document["cross_validation"]["estimated_di"])
-    # The robot's next run is a whole one: so the interval is calibrated on whole runs held out,
-    # not on blocks, which a predictor that saw every start of a motion never has to bridge.
-    runs = folds.get("leave_one_payload_out", folds["blocks"])
-    predictor = GuardedPredictor.fit(chosen, fit.features("observer"), fit.tip_m, runs)
-    fitted = {
-        (source, degree): polynomial_pipeline(degree).fit(fit.features(source), fit.tip_m)
-        for source in ("true", *ESTIMATORS)
-        for degree in DEGREES
-    }
+    folds = _folds(samples)
+    cross_validation = _cross_validation(samples, folds, progress)
+    degree = _best_degree(cross_validation["estimated_di"])
+    predictor = _deployed_predictor(degree, samples, folds)
+    fitted = _fit_every_predictor(samples)
     progress("fits")
-    document["chosen_degree"] = chosen
-    sections = ("tests", "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators",
-                "baselines", "deployed")  # fmt: skip
-    document |= {section: {} for section in sections}
-    observed: dict[str, Samples] = {}
+    results: dict[str, StudyTest] = {}
     for name, trials in tests.items():
-        samples, observations = _observed(trials, compiled, lagged)
-        distances = distances_m(samples, fitted)
-        observed[name] = samples
-        document["tests"][name] = _described(trials)
-        for section, statistic in (("mean", np.mean), ("std", np.std)):
-            document[f"{section}_euclidean_distance_m"][name] = distance_table(
-                samples, distances, statistic
-            )
-        document["estimators"][name] = estimator_table(samples, distances)
-        document["baselines"][name] = baseline_table(samples, observations)
-        document["deployed"][name] = deployed_table(predictor, samples)
+        results[name] = score_predictors(*_estimated(trials, compiled, lagged), fitted, predictor)
         progress(name)
-    document["series"] = figure_curves(fit, observed, fitted)
-    document["findings"] = judge_findings(document, training, tests)
-    return Study(document, predictor, lagged, fit)
+    document = StudyDocument(
+        schema=StudyDocument.VERSION,
+        dof=training[0].meta.dof,
+        rows=ROWS,
+        training=_summary(training),
+        cross_validation=cross_validation,
+        mean_di=_mean_di(training),
+        mean_di_other_dof=_mean_di(others) if others else {},
+        chosen_degree=degree,
+        tests={name: _summary(trials) for name, trials in tests.items()},
+        mean_euclidean_distance_m={name: r.mean_m for name, r in results.items()},
+        std_euclidean_distance_m={name: r.std_m for name, r in results.items()},
+        estimators={name: r.estimators for name, r in results.items()},
+        baselines={name: r.baselines for name, r in results.items()},
+        deployed={name: r.deployed for name, r in results.items()},
+        series=figure_curves(samples, {name: r.samples for name, r in results.items()}, fitted),
+        findings=(),
+    )
+    findings = judge_findings(document, training, tests)
+    document = msgspec.structs.replace(document, findings=findings)
+    return Study(document, predictor, lagged, samples)
 
 
 def by_payload(trials: TrialSet) -> TrialSet:
-    """Trials in the order in which tables and figures list them."""
+    """Return the trials in the order of tables and figures: payload, phase of joint 2, name."""
     return TrialSet(
         tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
     )
 
 
-def _observed(
+def _estimated(
     trials: TrialSet, observer: CompiledModel, lagged: LaggedRegressor
 ) -> tuple[Samples, list[ObserverRun]]:
-    observations = [run_observer(observer, t) for t in trials]
+    """Rows of trials with DI from every source, and the runs of the observer."""
+    runs = [run_observer(observer, t) for t in trials]
     di = {
         "true": [deformation_index(t) for t in trials],
-        "observer": [o.di for o in observations],
+        "observer": [run.di for run in runs],
         "lagged": [lagged.estimate(t) for t in trials],
     }
-    return collect_samples(tuple(trials), di), observations
+    return collect_samples(tuple(trials), di), runs
 
 
-def _described(trials: TrialSet) -> dict[str, Any]:
-    def span(name: str) -> list[float]:
-        return sorted({getattr(t.meta, name) for t in trials})
-
+def _fit_every_predictor(samples: Samples) -> Fitted:
     return {
-        "trials": [t.name for t in trials],
-        "sha256": trials.sha256(),
-        "payload_kg": span("payload_kg"),
-        "amplitude_rad": span("amplitude_rad"),
-        "phase_2_rad": span("phase_2_rad"),
-        "step_s": round(trials[0].step_s, 9),
+        (source, degree): polynomial_pipeline(degree).fit(samples.features(source), samples.tip_m)
+        for source in ("true", *ESTIMATORS)
+        for degree in DEGREES
     }
+
+
+def _deployed_predictor(degree: int, samples: Samples, folds: Folds) -> GuardedPredictor:
+    """Fit the robot's predictor; its interval is calibrated on whole runs that are held out.
+
+    The robot's next run is a whole one. Blocks would be too optimistic: a predictor that saw the
+    start of every motion never has to extrapolate to it.
+    """
+    runs = folds.get("leave_one_payload_out", folds["blocks"])
+    return GuardedPredictor.fit(degree, samples.features("observer"), samples.tip_m, runs)
+
+
+def _summary(trials: TrialSet) -> TrialsSummary:
+    def values(name: str) -> tuple[float, ...]:
+        return tuple(sorted({getattr(t.meta, name) for t in trials}))
+
+    return TrialsSummary(
+        trials=tuple(t.name for t in trials),
+        sha256=trials.sha256(),
+        payload_kg=values("payload_kg"),
+        amplitude_rad=values("amplitude_rad"),
+        phase_2_rad=values("phase_2_rad"),
+        step_s=round(trials[0].step_s, 9),
+    )
 
 
 def _mean_di(trials: TrialSet) -> dict[str, float]:
     """Mean DI over the moving rows by payload (paper, Fig. 11)."""
-    by_payload: dict[str, list[Array]] = {}
+    of_payload: dict[str, list[Array]] = {}
     for t in trials:
         moving = deformation_index(t)[t.moving]
-        by_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
+        of_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
     return {
-        key: float(np.nanmean(np.concatenate(by_payload[key])))
-        for key in sorted(by_payload, key=float)
+        key: float(np.nanmean(np.concatenate(of_payload[key])))
+        for key in sorted(of_payload, key=float)
     }
 
 
-def _folds(fit: Samples) -> dict[str, list[Fold]]:
-    folds = {"blocks": block_folds(fit.run, fit.time_s)}
-    if len(np.unique(fit.payload_kg)) > 1:
-        folds["leave_one_payload_out"] = payload_folds(fit.payload_kg)
+def _folds(samples: Samples) -> Folds:
+    folds = {"blocks": block_folds(samples.run, samples.time_s)}
+    if len(np.unique(samples.payload_kg)) > 1:
+        folds["leave_one_payload_out"] = payload_folds(samples.payload_kg)
     shortest = min(min(len(train), len(test)) for train, test in folds["blocks"])
-    if shortest < fit.signals.shape[1] + 1:
+    if shortest < samples.signals.shape[1] + 1:
         raise InputError(
-            fit.trials[0].path,
-            f"{len(fit)} moving rows are too few to hold out five blocks with 1 s gaps",
+            samples.trials[0].path,
+            f"{len(samples)} moving rows are too few to hold out five blocks with 1 s gaps",
             "train on runs of at least 4 s",
         )
     return folds
 
 
 def _cross_validation(
-    fit: Samples, folds: dict[str, list[Fold]], progress: Callable[[str], None]
-) -> dict[str, Any]:
-    """Held-out distances by degree: mean and standard deviation over the folds of each kind.
+    samples: Samples, folds: Folds, progress: Callable[[str], None]
+) -> dict[str, dict[str, FoldErrors]]:
+    """Held-out distances by variant and degree.
 
-    Payloads left out decide where there are several: a robot will carry others than the trained
-    ones. Blocks of time stand beside: where one of them holds the only start of a motion, that
-    block alone would decide.
+    Payloads left out choose the degree where there are several, because a robot will carry other
+    payloads than the trained ones. Blocks of time are reported beside them: where one block holds
+    the only start of a motion, that block alone would decide.
     """
-    result: dict[str, Any] = {}
+    result: dict[str, dict[str, FoldErrors]] = {}
     for variant, source in VARIANTS.items():
-        features = fit.features(source)
+        result[variant] = {}
         for degree in DEGREES:
-            entry = {}
-            for kind, parts in folds.items():
-                distances = [
-                    euclidean_distance_m(
-                        fit.tip_m[fold[1]], predict_held_out(degree, features, fit.tip_m, fold)
-                    )
-                    for fold in parts
-                ]
-                of_folds = [float(d.mean()) for d in distances]
-                entry[f"{kind}_m"] = float(np.mean(np.concatenate(distances)))
-                entry[f"{kind}_fold_std_m"] = float(np.std(of_folds))
-            entry["selection_m"] = entry.get("leave_one_payload_out_m", entry["blocks_m"])
-            result.setdefault(variant, {})[str(degree)] = entry
+            features = samples.features(source)
+            result[variant][str(degree)] = _fold_errors(degree, features, samples.tip_m, folds)
             progress(f"cross-validation {variant} degree {degree}")
     return result
 
 
-def _best_degree(by_degree: dict[str, dict[str, float]]) -> int:
-    return int(min(by_degree, key=lambda degree: by_degree[degree]["selection_m"]))
+def _fold_errors(degree: int, features: Array, tip_m: Array, folds: Folds) -> FoldErrors:
+    mean_m: dict[str, float] = {}
+    std_m: dict[str, float] = {}
+    for kind, parts in folds.items():
+        distances = [
+            euclidean_distance_m(tip_m[fold[1]], predict_held_out(degree, features, tip_m, fold))
+            for fold in parts
+        ]
+        mean_m[kind] = float(np.mean(np.concatenate(distances)))
+        std_m[kind] = float(np.std([float(d.mean()) for d in distances]))
+    return FoldErrors(
+        blocks_m=mean_m["blocks"],
+        blocks_fold_std_m=std_m["blocks"],
+        leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
+        leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
+        selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
+    )
+
+
+def _best_degree(by_degree: Mapping[str, FoldErrors]) -> int:
+    return int(min(by_degree, key=lambda degree: by_degree[degree].selection_m))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -12,16 +13,75 @@ from models.learning.samples import VARIANTS, Samples, Source
 from models.learning.validation import euclidean_distance_m, r_squared
 from models.shared.kinematics import rigid_tip_m
 from models.study.observer_runs import ObserverRun
+from models.study.study_document import (
+    BaselineErrors,
+    DeployedScores,
+    DistanceTable,
+    EstimatorScores,
+)
 
 ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
 Fitted = Mapping[tuple[Source, int], Any]
 """Fitted pipelines by source of DI and degree."""
 Distances = Mapping[tuple[Source, int], Array]
-"""Euclidean distance of every row by source of DI and degree, in m."""
+"""Euclidean distance of every row in m, by source of DI and degree."""
 
 
-def distances_m(samples: Samples, fitted: Fitted) -> dict[tuple[Source, int], Array]:
-    """Distances of every predictor on every row (see `Distances`)."""
+@dataclass(frozen=True)
+class StudyTest:
+    """Results on one set of held-out trials.
+
+    Attributes
+    ----------
+    samples : Samples
+        Rows of the trials.
+    mean_m, std_m : DistanceTable
+        Mean and standard deviation of the Euclidean distance over rows.
+    estimators : dict of str to EstimatorScores
+        By source of DI.
+    baselines : BaselineErrors
+        Distances without a polynomial.
+    deployed : DeployedScores
+        The predictor that the robot gets.
+    """
+
+    samples: Samples
+    mean_m: DistanceTable
+    std_m: DistanceTable
+    estimators: dict[str, EstimatorScores]
+    baselines: BaselineErrors
+    deployed: DeployedScores
+
+
+def score_predictors(
+    samples: Samples, runs: list[ObserverRun], fitted: Fitted, predictor: GuardedPredictor
+) -> StudyTest:
+    """Test every predictor on held-out trials.
+
+    Parameters
+    ----------
+    samples : Samples
+        Rows of the trials with DI from every source.
+    runs : list of ObserverRun
+        One per trial.
+    fitted : mapping
+        Fitted pipelines by source of DI and degree.
+    predictor : GuardedPredictor
+        The predictor that the robot gets.
+    """
+    distances = distances_m(samples, fitted)
+    return StudyTest(
+        samples=samples,
+        mean_m=distance_table(samples, distances, np.mean),
+        std_m=distance_table(samples, distances, np.std),
+        estimators=estimator_table(samples, distances),
+        baselines=baseline_table(samples, runs),
+        deployed=deployed_table(predictor, samples),
+    )
+
+
+def distances_m(samples: Samples, fitted: Fitted) -> Distances:
+    """Return the Euclidean distance of every row in m, by source of DI and degree."""
     return {
         (source, degree): euclidean_distance_m(
             samples.tip_m, predict(pipeline, samples.features(source))
@@ -31,12 +91,20 @@ def distances_m(samples: Samples, fitted: Fitted) -> dict[tuple[Source, int], Ar
 
 
 def distance_table(
-    samples: Samples,
-    distances: Distances,
-    statistic: Callable[[Array], Any],
-) -> dict[str, dict[str, dict[str, float]]]:
-    """[pooled | payload][variant][degree] (paper, eq. 8 and Figs. 14 and 15)."""
-    table: dict[str, dict[str, dict[str, float]]] = {}
+    samples: Samples, distances: Distances, statistic: Callable[[Array], Any]
+) -> DistanceTable:
+    """Return a statistic of the distances by part, variant and degree (paper, eq. 8).
+
+    Parameters
+    ----------
+    samples : Samples
+        The rows.
+    distances : mapping
+        As `distances_m` returns them.
+    statistic : callable
+        Maps an array to a number, like `numpy.mean`.
+    """
+    table: DistanceTable = {}
     for variant, source in VARIANTS.items():
         for degree in DEGREES:
             for key, rows in samples.parts().items():
@@ -45,65 +113,85 @@ def distance_table(
     return table
 
 
-def estimator_table(samples: Samples, distances: Distances) -> dict[str, Any]:
-    """Each estimator of DI: R², error, and the share of true DI's benefit that it recovers.
+def estimator_table(samples: Samples, distances: Distances) -> dict[str, EstimatorScores]:
+    """Return the scores of each estimator of DI.
 
-    The share is null where true DI itself brings no benefit.
+    Parameters
+    ----------
+    samples : Samples
+        The rows.
+    distances : mapping
+        As `distances_m` returns them.
     """
-    result: dict[str, Any] = {}
+    result: dict[str, EstimatorScores] = {}
     true = samples.di["true"]
     for source in ESTIMATORS:
         estimate = samples.di.get(source, np.zeros_like(true))
-        errors = {str(d): float(distances[source, d].mean()) for d in DEGREES}
-        shares: dict[str, float | None] = {}
+        errors_m = {str(d): float(distances[source, d].mean()) for d in DEGREES}
+        fractions: dict[str, float | None] = {}
         for degree in DEGREES:
-            without = distances["none", degree].mean()
-            benefit = without - distances["true", degree].mean()
-            gained = without - errors[str(degree)]
-            shares[str(degree)] = float(gained / benefit) if benefit > 0 else None
-        result[source] = {
-            "r2_di": r_squared(true, estimate),
-            "rms_error_di": float(np.sqrt(np.mean((estimate - true) ** 2))),
-            "mean_euclidean_distance_m": errors,
-            "benefit_recovered": shares,
-        }
+            without_m = distances["none", degree].mean()
+            benefit_m = without_m - distances["true", degree].mean()
+            gained_m = without_m - errors_m[str(degree)]
+            fractions[str(degree)] = float(gained_m / benefit_m) if benefit_m > 0 else None
+        result[source] = EstimatorScores(
+            r2_di=r_squared(true, estimate),
+            rms_error_di=float(np.sqrt(np.mean((estimate - true) ** 2))),
+            mean_euclidean_distance_m=errors_m,
+            benefit_recovered=fractions,
+        )
     return result
 
 
-def baseline_table(samples: Samples, observations: list[ObserverRun]) -> dict[str, Any]:
-    """Distances without a polynomial: the observer's own tip, and a link that does not bend."""
-    result: dict[str, Any] = {}
+def baseline_table(samples: Samples, runs: list[ObserverRun]) -> BaselineErrors:
+    """Return distances without a polynomial: the observer's tip, and a link that does not bend.
+
+    Parameters
+    ----------
+    samples : Samples
+        The rows.
+    runs : list of ObserverRun
+        One per trial of `samples`.
+    """
     rigid = [
         rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
     ]
-    for name, tips_m in (
-        ("observer_tip", [o.tip_m for o in observations]),
-        ("rigid_kinematics", rigid),
-    ):
+
+    def by_part(tips_m: list[Array]) -> dict[str, float]:
         distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
-        result[name] = {
-            key: float(distance_m[rows].mean()) for key, rows in samples.parts().items()
-        }
-    result["final_payload_error_kg"] = {
-        trial.name: float(observation.payload_kg[-1] - trial.meta.payload_kg)
-        for trial, observation in zip(samples.trials, observations, strict=True)
-    }
-    return result
+        return {key: float(distance_m[rows].mean()) for key, rows in samples.parts().items()}
+
+    return BaselineErrors(
+        observer_tip=by_part([run.tip_m for run in runs]),
+        rigid_kinematics=by_part(rigid),
+        final_payload_error_kg={
+            trial.name: float(run.payload_kg[-1] - trial.meta.payload_kg)
+            for trial, run in zip(samples.trials, runs, strict=True)
+        },
+    )
 
 
-def deployed_table(predictor: GuardedPredictor, samples: Samples) -> dict[str, Any]:
-    """Figures of the predictor that the robot gets: guard and 95 % interval included."""
+def deployed_table(predictor: GuardedPredictor, samples: Samples) -> DeployedScores:
+    """Return the scores of the robot's predictor, with guard and 95 % interval.
+
+    Parameters
+    ----------
+    predictor : GuardedPredictor
+        Trained on the observer's DI.
+    samples : Samples
+        The rows.
+    """
     features = samples.features("observer")
     predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
     inside = np.abs(samples.tip_m - predicted_m) <= half_width_m
     axes = list(enumerate("xyz"))
-    return {
-        "mean_euclidean_distance_m": float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
-        "interval_coverage": {axis: float(inside[:, k].mean()) for k, axis in axes},
-        "interval_coverage_mean": float(inside.mean()),
-        "interval_coverage_by_part": {
+    return DeployedScores(
+        mean_euclidean_distance_m=float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
+        interval_coverage={axis: float(inside[:, k].mean()) for k, axis in axes},
+        interval_coverage_mean=float(inside.mean()),
+        interval_coverage_by_part={
             key: float(inside[rows].mean()) for key, rows in samples.parts().items()
         },
-        "mean_half_width_m": {axis: float(half_width_m[:, k].mean()) for k, axis in axes},
-        "in_range_share": float(predictor.in_range(features).mean()),
-    }
+        mean_half_width_m={axis: float(half_width_m[:, k].mean()) for k, axis in axes},
+        in_range_fraction=float(predictor.in_range(features).mean()),
+    )

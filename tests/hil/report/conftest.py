@@ -26,6 +26,7 @@ from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.study.study import run_study
+from models.study.study_document import write_study
 from models.trials.trial_files import TrialSet, write_trial
 
 COMMANDS = [
@@ -57,14 +58,13 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     both = TrialSet((*training, *with_phase(training, 1.5708)))
     tests = name_tests(both, (*held_out, *with_phase(held_out, 1.5708)))
     pooled = run_study(both, tests, toy_observer(2), one)
-    (directory / "bundle_2dof" / "study.json").write_text(json.dumps(pooled.document))
+    write_study(directory / "bundle_2dof" / "study.json", pooled.document)
     around = with_phase(training, 1.5708)
     apart = run_study(around, name_tests(around, tuple(with_phase(held_out, 1.5708))),
                       toy_observer(2), one)  # fmt: skip
     for name, of_phase in (("phase0", study), ("phase90", apart)):
         (directory / f"study_2dof_{name}").mkdir()
-        text = json.dumps(of_phase.document)
-        (directory / f"study_2dof_{name}" / "study.json").write_text(text)
+        write_study(directory / f"study_2dof_{name}" / "study.json", of_phase.document)
     plant = read_plant()
     few = TrialSet((*held_out[:1], *one[:1]))
     (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluation(plant, few)))

@@ -16,6 +16,7 @@ from models.learning.onnx_symbolic import predictor_function
 from models.learning.predictors import GuardedPredictor, polynomial_pipeline, predict
 from models.plant.plant import read_plant
 from models.study.bundle_export import GATE_M, ParityError, check_parity, monomial, write_bundle
+from models.study.study_document import read_study
 
 CASES = [(n, degree) for n in (3, 5) for degree in range(1, 7)]
 
@@ -147,8 +148,9 @@ def test_bundle_holds_what_the_contract_lists(toy_bundle, toy_study):
         ("tip_x_m", "m"), ("tip_y_m", "m"), ("tip_z_m", "m"),
     ]  # fmt: skip
     assert manifest.plant_sha256 == read_plant(toy_bundle / "plant.json").sha256()
-    study = json.loads((toy_bundle / "study.json").read_text())
-    assert manifest.degree == study["chosen_degree"]
+    study = read_study(toy_bundle / "study.json")
+    assert study == toy_study.document
+    assert manifest.degree == study.chosen_degree
     assert (toy_bundle / "study.json").stat().st_size < 600_000
     facts = onnx.load(toy_bundle / "predictor.onnx").metadata_props
     assert {"features", "outputs", "in_range", "half_width_m"} <= {prop.key for prop in facts}
@@ -182,7 +184,7 @@ def test_the_same_study_writes_the_same_bytes(toy_bundle, toy_study, tmp_path):
 
 def test_a_directory_that_is_no_bundle_is_left_alone(toy_study, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="no bundle"):
+    with pytest.raises(InputError, match="not a bundle"):
         write_bundle(tmp_path, toy_study, read_plant())
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 

@@ -1,6 +1,5 @@
 """The study on a toy link whose answers are known, and the command that trains."""
 
-import json
 from dataclasses import replace
 
 import msgspec
@@ -26,44 +25,43 @@ DEGREES = ["1", "2", "3", "4", "5", "6"]
 
 
 def test_tables_have_the_keys_of_the_contract(toy_study):
-    table = toy_study.document["mean_euclidean_distance_m"]
+    table = toy_study.document.mean_euclidean_distance_m
     assert list(table) == ["trial_2", "unseen_20deg"]
     for by_part in table.values():
         assert list(by_part) == ["pooled", "0", "1", "2"]
         for by_variant in by_part.values():
             assert list(by_variant) == ["with_di", "without_di", "estimated_di"]
             assert all(list(by_degree) == DEGREES for by_degree in by_variant.values())
-    assert list(toy_study.document["mean_di"]) == ["0", "1", "2"]
-    json.dumps(toy_study.document, allow_nan=False)
+    assert list(toy_study.document.mean_di) == ["0", "1", "2"]
 
 
 def test_pooled_distance_is_the_mean_over_payloads_of_equal_length(toy_study):
-    by_part = toy_study.document["mean_euclidean_distance_m"]["trial_2"]
+    by_part = toy_study.document.mean_euclidean_distance_m["trial_2"]
     of_payloads = [by_part[kg]["with_di"]["3"] for kg in ("0", "1", "2")]
     assert by_part["pooled"]["with_di"]["3"] == pytest.approx(np.mean(of_payloads))
 
 
 def test_an_observer_that_knows_the_link_recovers_what_true_di_gains(toy_study):
     for test in ("trial_2", "unseen_20deg"):
-        estimators = toy_study.document["estimators"][test]
-        assert estimators["observer"]["benefit_recovered"]["3"] > 0.9
-        assert estimators["observer"]["r2_di"] > 0.9
-        assert set(estimators["none"]["benefit_recovered"].values()) <= {0.0, None}
+        estimators = toy_study.document.estimators[test]
+        assert estimators["observer"].benefit_recovered["3"] > 0.9
+        assert estimators["observer"].r2_di > 0.9
+        assert set(estimators["none"].benefit_recovered.values()) <= {0.0, None}
 
 
 def test_baselines_tell_a_bent_link_from_a_rigid_one(toy_study):
-    baseline = toy_study.document["baselines"]["trial_2"]
-    assert baseline["observer_tip"]["pooled"] < 0.1 * baseline["rigid_kinematics"]["pooled"]
-    assert baseline["rigid_kinematics"]["2"] > baseline["rigid_kinematics"]["0"]
-    assert all(abs(kg) < 0.05 for kg in baseline["final_payload_error_kg"].values())
+    baseline = toy_study.document.baselines["trial_2"]
+    assert baseline.observer_tip["pooled"] < 0.1 * baseline.rigid_kinematics["pooled"]
+    assert baseline.rigid_kinematics["2"] > baseline.rigid_kinematics["0"]
+    assert all(abs(kg) < 0.05 for kg in baseline.final_payload_error_kg.values())
 
 
 def test_interval_covers_trial_2(toy_study):
-    assert toy_study.document["deployed"]["trial_2"]["interval_coverage_mean"] > 0.9
+    assert toy_study.document.deployed["trial_2"].interval_coverage_mean > 0.9
 
 
 def test_findings_that_the_toy_was_built_with_come_out(toy_study):
-    holds = {f["claim"]: f["holds"] for f in toy_study.document["findings"]}
+    holds = {f.claim: f.holds for f in toy_study.document.findings}
     assert holds["DI rises with payload"] is True
     assert holds["Degree 1 is worst"] is True
     assert holds["DI helps at every degree"] is True  # the toy's servo has friction
@@ -78,11 +76,10 @@ def test_trial_2_chooses_nothing(toy_trials, toy_observer, toy_study):
         replace(t, columns=t.columns | {"tip_x_m": t.columns["tip_x_m"][::-1]}) for t in held_out
     ]
     other = run_study(training, name_tests(training, tuple(scrambled)), toy_observer(1))
-    assert other.document["chosen_degree"] == toy_study.document["chosen_degree"]
-    assert other.document["cross_validation"] == toy_study.document["cross_validation"]
-    assert (
-        other.document["mean_euclidean_distance_m"]
-        != (toy_study.document["mean_euclidean_distance_m"])
+    assert other.document.chosen_degree == toy_study.document.chosen_degree
+    assert other.document.cross_validation == toy_study.document.cross_validation
+    assert other.document.mean_euclidean_distance_m != (
+        toy_study.document.mean_euclidean_distance_m
     )
     features = toy_study.training.features("observer")
     np.testing.assert_array_equal(
@@ -91,10 +88,10 @@ def test_trial_2_chooses_nothing(toy_trials, toy_observer, toy_study):
 
 
 def test_the_chosen_degree_has_the_least_cross_validation_error(toy_study):
-    by_degree = toy_study.document["cross_validation"]["estimated_di"]
-    errors = {degree: entry["selection_m"] for degree, entry in by_degree.items()}
-    assert errors[str(toy_study.document["chosen_degree"])] == min(errors.values())
-    assert all(entry["leave_one_payload_out_m"] > 0 for entry in by_degree.values())
+    by_degree = toy_study.document.cross_validation["estimated_di"]
+    errors = {degree: entry.selection_m for degree, entry in by_degree.items()}
+    assert errors[str(toy_study.document.chosen_degree)] == min(errors.values())
+    assert all(entry.leave_one_payload_out_m > 0 for entry in by_degree.values())
 
 
 @pytest.mark.parametrize("dof", [1, 2])

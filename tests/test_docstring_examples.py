@@ -1,0 +1,52 @@
+"""Examples of docstrings, run as they stand."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("firmware_py", "models", "fmu", "hil")
+LEAST = 20
+"""Public functions and classes with an example, over all rooms."""
+
+
+def modules_with_examples() -> list[str]:
+    found = []
+    for path in (p for room in ROOMS for p in sorted((ROOT / room).rglob("*.py"))):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+        docstrings = (ast.get_docstring(n) or "" for n in nodes if isinstance(n, documented))
+        if any(">>> " in d for d in docstrings):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found.append(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    return found
+
+
+def examples(module: str) -> list[doctest.DocTest]:
+    found = doctest.DocTestFinder().find(importlib.import_module(module))
+    return [test for test in found if test.examples]
+
+
+@pytest.mark.parametrize("module", modules_with_examples())
+def test_examples_give_what_they_show(module, tmp_path, monkeypatch):
+    (tmp_path / "models").symlink_to(ROOT / "models")  # for the plant files that they read
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    monkeypatch.chdir(tmp_path)
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    output: list[str] = []
+    with np.printoptions(precision=6, suppress=True):
+        for test in examples(module):
+            runner.run(test, out=output.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(output)
+
+
+@pytest.mark.xfail(strict=False, reason="the rooms are being put in order")
+def test_enough_functions_have_an_example():
+    count = sum(len(examples(module)) for module in modules_with_examples())
+    assert count >= LEAST

@@ -1,0 +1,47 @@
+"""Schemas: `docs/schema/` holds those of the documents as the code has them, and of every one."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from hil.document_schemas import DOCUMENTS, main, schema_files
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("firmware_py", "models", "fmu", "hil")
+REMEDY = "python -m hil.document_schemas docs/schema"
+
+
+@pytest.mark.parametrize("name", sorted(schema_files()))
+def test_a_schema_file_is_that_of_its_document(name):
+    file = ROOT / "docs" / "schema" / name
+    assert file.is_file() and file.read_text(encoding="utf-8") == schema_files()[name], REMEDY
+
+
+def test_no_schema_file_is_left_over():
+    files = {p.name for p in (ROOT / "docs" / "schema").iterdir()}
+    assert files == set(schema_files()), REMEDY
+
+
+def test_every_document_of_the_rooms_has_a_schema():
+    classes = {
+        node.name
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*.py")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef)
+        and any(isinstance(b, ast.Name) and b.id == "Document" for b in node.bases)
+    }
+    assert classes == {kind.__name__ for kind in DOCUMENTS}
+
+
+@pytest.mark.parametrize("kind", DOCUMENTS, ids=lambda kind: kind.__name__)
+def test_a_document_names_the_command_that_makes_it(kind):
+    assert kind.MADE_BY.startswith(("python -m ", "dropstitch ")) and kind.VERSION >= 1
+
+
+def test_the_command_writes_every_schema(tmp_path):
+    assert main([str(tmp_path)]) == 0
+    assert {p.name: p.read_text(encoding="utf-8") for p in tmp_path.iterdir()} == schema_files()
