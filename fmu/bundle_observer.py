@@ -32,11 +32,19 @@ class ModelEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Return to the state before the first sample."""
         self._state: Array | None = None
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample; see `DeformationEstimator.update`."""
+        """Take one sample; see `DeformationEstimator.update`.
+
+        Parameters
+        ----------
+        angle_rad, current_a : ndarray, shape (dof,)
+            Measured sample.
+        step_s : float
+            Time since the last sample.
+        """
         model, p = self._model, self._parameters
         u = np.concatenate([angle_rad, current_a])
         before = np.asarray(model.initial(u, p)).ravel() if self._state is None else self._state

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 
+__all__ = ["FmpyInstance", "FmuArchive"]
+
 Array = NDArray[np.float64]
 
 
@@ -106,7 +108,13 @@ class FmpyInstance:
         self.messages.append(message.decode() if isinstance(message, bytes) else str(message))
 
     def initialize(self, start: Mapping[str, float] | None = None) -> None:
-        """Go through initialization with these values set."""
+        """Set values and go through initialization mode.
+
+        Parameters
+        ----------
+        start : mapping of str to float, optional
+            Inputs and parameters by name.
+        """
         self.set(start or {})
         if self.fmi == 2:
             self.fmu.setupExperiment(startTime=0.0)
@@ -115,14 +123,31 @@ class FmpyInstance:
         self.time_s = 0.0
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Set variables; FMPy raises FMICallException where the FMU refuses."""
+        """Set variables.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values by name, in the SI unit of each variable.
+
+        Raises
+        ------
+        fmpy.fmi1.FMICallException
+            If the FMU refuses a value.
+        """
         references = [self.variables[name].valueReference for name in values]
         if references:
             put = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
             put(references, list(values.values()))
 
     def get(self, names: Sequence[str]) -> Array:
-        """Return the values of variables, shape (n,)."""
+        """Return the values of variables, shape (n,).
+
+        Parameters
+        ----------
+        names : sequence of str
+            Names of n variables.
+        """
         fetch = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
         values = np.empty(len(names))
         booleans = np.array([self.variables[name].type == "Boolean" for name in names], dtype=bool)
@@ -134,7 +159,13 @@ class FmpyInstance:
         return values
 
     def step(self, step_s: float) -> None:
-        """Advance by one communication step."""
+        """Advance by one communication step.
+
+        Raises
+        ------
+        fmpy.fmi1.FMICallException
+            If the FMU refuses the step.
+        """
         self.fmu.doStep(self.time_s, step_s)
         self.time_s += step_s
 
@@ -144,7 +175,7 @@ class FmpyInstance:
         Parameters
         ----------
         inputs, outputs : sequence of str
-            Names.
+            Names of variables.
         u : ndarray, shape (n, len(inputs))
             Row k drives step k.
         steps_s : ndarray, shape (n,)

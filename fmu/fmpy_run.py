@@ -19,6 +19,8 @@ from models.plant.step_model import names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
+__all__ = ["FmuRun", "simulate_fmu"]
+
 Array = NDArray[np.float64]
 
 

@@ -25,6 +25,8 @@ from models.plant.simulation.model_c import write_model
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
 
+__all__ = ["PLATFORMS", "build_fmu"]
+
 ROOT: Final = Path(__file__).parents[1]
 WRAPPER: Final = Path(__file__).parent / "c"
 HEADERS: Final = Path(fmpy.__file__).parent / "c-code"

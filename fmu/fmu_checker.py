@@ -33,6 +33,8 @@ from fmu.parity import (
 )
 from fmu.stimulus import inputs_from_motion
 
+__all__ = ["FmuReport", "check_fmu"]
+
 PAYLOAD_KG: Final = 1.0
 STEPS: Final = 256
 """Steps of a parity run: one cycle of the study's motion."""
@@ -128,7 +130,13 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
 
 
 def exported_functions(fmi: int) -> list[str]:
-    """Names of every function that the standard's header declares."""
+    """Return the names of all functions that the header of FMI 2.0 or 3.0 declares.
+
+    Parameters
+    ----------
+    fmi : {2, 3}
+        Version of the standard.
+    """
     text = (HEADERS / f"fmi{fmi}Functions.h").read_text(encoding="utf-8")
     return sorted(set(re.findall(rf"fmi{fmi}FullName\((fmi{fmi}\w+)\)", text)))
 

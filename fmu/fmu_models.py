@@ -24,6 +24,8 @@ from models.learning.onnx_symbolic import predictor_function
 from models.plant.plant import Plant, read_plant
 from models.plant.step_model import StepModel, Variable, names
 
+__all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
+
 Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
@@ -45,13 +47,20 @@ class FmuParts(NamedTuple):
     Attributes
     ----------
     kind : str
-        See the module's table.
+        "twin", "predictor" or "observer"; see the table of this module.
     dof : int
         Number of joints.
     plant : Plant or None
         None in a predictor.
     predictor : Path or None
         The ONNX file; None in an observer.
+
+    Examples
+    --------
+    >>> from models.plant.plant import read_plant
+    >>> parts = FmuParts("observer", dof=1, plant=read_plant(), predictor=None)
+    >>> names(parts.model().inputs)
+    ['angle_1_rad', 'current_1_a']
     """
 
     kind: Kind
@@ -100,7 +109,20 @@ class FmuParts(NamedTuple):
         return self.predictor
 
     def replaced_by(self, plant: Path | None, bundle: Path | None) -> FmuParts:
-        """Return these parts with another plant, or with the predictor of another bundle."""
+        """Return these parts with another plant, or with the predictor of another bundle.
+
+        Parameters
+        ----------
+        plant : Path or None
+            Plant document, used where this kind has a plant.
+        bundle : Path or None
+            Bundle, used where this kind has a predictor.
+
+        Raises
+        ------
+        InputError
+            If the plant cannot be read.
+        """
         return self._replace(
             plant=read_plant(plant) if plant and self.plant else self.plant,
             predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
@@ -148,7 +170,18 @@ def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None)
 
 
 def embedded_parts(resources: Path) -> FmuParts | None:
-    """Return the parts that an unpacked FMU carries; None where it is not one of ours."""
+    """Return the parts that an unpacked FMU carries; None where it is not one of ours.
+
+    Parameters
+    ----------
+    resources : Path
+        Folder resources/ of the FMU.
+
+    Raises
+    ------
+    InputError
+        If a part is damaged.
+    """
     try:
         card = json.loads((resources / CARD).read_bytes())
         kind, dof = card["kind"], int(card["dof"])

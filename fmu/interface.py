@@ -156,6 +156,12 @@ def _dependencies(
 
 
 def finite_bounds(variable: FmiVariable) -> dict[str, float]:
-    """Return the finite bounds of a variable by their FMI names, "min" and "max"."""
+    """Return the finite bounds of a variable by their FMI names, "min" and "max".
+
+    Parameters
+    ----------
+    variable : FmiVariable
+        Bounds that are infinite are left out.
+    """
     pair = {"min": variable.minimum, "max": variable.maximum}
     return {name: value for name, value in pair.items() if math.isfinite(value)}

@@ -18,7 +18,7 @@ from models.plant.step_model import StepModel, names
 Array = NDArray[np.float64]
 
 PARITY: Final = 1e-9
-"""Largest difference from the interpreted model, in the unit of each output."""
+"""Largest allowed difference from the interpreted model, in the SI unit of each output."""
 
 
 class FmuCheck(NamedTuple):
@@ -30,7 +30,13 @@ class FmuCheck(NamedTuple):
 
 
 def varying_steps_s(count: int) -> Array:
-    """Return communication steps of 0.2 to 2 periods, in a quasi-random order, shape (count,)."""
+    """Return communication steps of 0.2 to 2 periods in a quasi-random order, shape (count,).
+
+    Parameters
+    ----------
+    count : int
+        Number of steps.
+    """
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     return np.asarray(PERIOD_S * (0.2 + 1.8 * ((np.arange(count) * golden) % 1.0)))
 
@@ -159,7 +165,22 @@ def _continue(
 
 
 def step_times_us(archive: FmuArchive, model: StepModel, u: Array) -> dict[str, float]:
-    """Median time of a step in FMPy in µs: bare, and with all inputs set and all outputs read."""
+    """Measure the median time of a step in FMPy, in µs.
+
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    model : StepModel
+        Model that it was built from.
+    u : ndarray, shape (n, inputs)
+        Row k drives step k.
+
+    Returns
+    -------
+    dict of str to float
+        "bare", and "with_sets_and_gets" of all inputs and outputs.
+    """
     inputs, outputs = names(model.inputs), names(model.outputs)
     bare, whole = [], []
     with archive.instance() as instance:

@@ -14,7 +14,15 @@ from models.shared.svg_drawing import FILE_STYLE
 
 
 def write_run(result: FmuRun, path: Path) -> None:
-    """Write time, inputs and outputs as CSV in SI units, one row per step."""
+    """Write time, inputs and outputs as CSV in SI units, one row per step.
+
+    Parameters
+    ----------
+    result : FmuRun
+        The run.
+    path : Path
+        CSV file.
+    """
     columns = [result.time_s, *result.columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -23,7 +31,15 @@ def write_run(result: FmuRun, path: Path) -> None:
 
 
 def draw_run(result: FmuRun, path: Path) -> None:
-    """Plot a run, one panel per quantity; the values of the trial, if any, are dashed."""
+    """Plot a run, one panel per quantity; the values of the trial, if any, are dashed.
+
+    Parameters
+    ----------
+    result : FmuRun
+        The run.
+    path : Path
+        SVG file.
+    """
     panels: dict[tuple[str, str], list[str]] = {}
     for name in result.columns:
         panels.setdefault((_quantity(name), result.units[name]), []).append(name)

@@ -10,6 +10,8 @@ import re
 from collections import Counter
 from typing import Final
 
+__all__ = ["DISPLAY_UNITS", "DisplayUnit", "base_exponents"]
+
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "1": {},
     "kg": {"kg": 1},

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
-    Command("simulate", "models.commands.simulate", "run the virtual laboratory, write trials"),
+    Command("simulate", "models.commands.simulate", "run the rig, write trials"),
     Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
-    Command("gap", "models.commands.gap", "name what the plant lacks, add it"),
+    Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
 )
 

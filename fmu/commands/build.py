@@ -38,7 +38,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the FMU."""
+    """Build the FMU.
+
+    Raises
+    ------
+    InputError
+        If an option or a file cannot be used.
+    """
     from firmware_py.inference.bundle import read_manifest
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu

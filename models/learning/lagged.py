@@ -1,4 +1,4 @@
-"""The lagged regressor of DI: what the servo alone can tell, without a model of the link.
+"""Lagged regressor of DI: an estimate from the servo's measurements, without a model of the link.
 
 A quadratic in angles and currents now and up to 16 ticks (0.27 s) ago. On the motion that it was
 trained on it recovers most of what DI gains; on others less (docs/sources.md, "DI without motion
@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from sklearn.pipeline import Pipeline
 
 from models.learning.onnx_power import PolynomialGraph
 from models.learning.predictors import Array, polynomial_pipeline, predict
 from models.trials.trial import Trial
+
+__all__ = ["LAG_TICKS", "LaggedRegressor", "lagged_features"]
 
 LAG_TICKS: Final = (0, 4, 8, 16)
 DEGREE: Final = 2
@@ -24,17 +27,19 @@ DEGREE: Final = 2
 def lagged_features(
     angle_rad: Array, current_a: Array, lag_ticks: Sequence[int] = LAG_TICKS
 ) -> Array:
-    """Angles and currents at each lag, side by side.
+    """Stack angles and currents of several lags as columns.
 
     Parameters
     ----------
     angle_rad, current_a : ndarray, shape (n, dof)
-        A run from its first sample on; before it, that sample is taken to have held.
+        A run from its first sample on; that sample also stands for the time before it.
+    lag_ticks : sequence of int
+        Lags in ticks.
 
     Returns
     -------
     ndarray, shape (n, len(lag_ticks) * 2 * dof)
-        For each lag angles, then currents: the input of `lagged.onnx`.
+        For each lag angles, then currents; the input of `lagged.onnx`.
     """
     signals = np.hstack([angle_rad, current_a])
     row = np.arange(len(signals))
@@ -43,17 +48,17 @@ def lagged_features(
 
 @dataclass(frozen=True)
 class LaggedRegressor:
-    """A fitted lagged regressor.
+    """Fitted lagged regressor.
 
     Attributes
     ----------
     pipeline : sklearn Pipeline
         Quadratic in the lagged features, output DI.
     lower, upper : ndarray
-        Training box, to which inputs are clipped.
+        Training box in SI units; inputs are clipped to it.
     """
 
-    pipeline: Any
+    pipeline: Pipeline
     lower: Array
     upper: Array
 
@@ -64,9 +69,9 @@ class LaggedRegressor:
         Parameters
         ----------
         trials : sequence of Trial
-            To fit on.
+            Training trials.
         di : sequence of ndarray
-            True DI of every row of each; NaN rows are left out.
+            True DI of every row of each trial; NaN rows are left out.
         """
         features = np.vstack([lagged_features(t.angle_rad, t.current_a)[t.moving] for t in trials])
         target = np.concatenate([d[t.moving] for t, d in zip(trials, di, strict=True)])
@@ -76,15 +81,15 @@ class LaggedRegressor:
         return cls(pipeline, features.min(axis=0), features.max(axis=0))
 
     def estimate(self, trial: Trial) -> Array:
-        """DI of every row of a trial, shape (n,)."""
+        """Return the estimated DI of every row of a trial, shape (n,)."""
         features = lagged_features(trial.angle_rad, trial.current_a)
         return predict(self.pipeline, np.clip(features, self.lower, self.upper))[:, 0]
 
     @property
     def inputs(self) -> int:
-        """Width of the graph's input."""
+        """Number of inputs of the graph."""
         return len(self.lower)
 
     def graph(self) -> PolynomialGraph:
-        """What `models.learning.onnx_power.to_onnx` converts to `lagged.onnx`."""
+        """Return the model that `to_onnx` converts to `lagged.onnx`."""
         return PolynomialGraph(self.pipeline, "di", (self.lower, self.upper))

@@ -1,4 +1,4 @@
-"""scikit-learn to ONNX in the power form: converters of our own for skl2onnx.
+"""Converters from scikit-learn to ONNX in the power form, registered with skl2onnx.
 
 A polynomial of degree d in n inputs is an exact sum of d-th powers of linear forms (a Waring
 decomposition), so that
@@ -28,9 +28,12 @@ import numpy as np
 import onnx
 from skl2onnx import convert_sklearn, update_registered_converter
 from skl2onnx.common.data_types import DoubleTensorType
+from sklearn.pipeline import Pipeline
 
 from models.learning.power_form import power_form
 from models.learning.predictors import Array, GuardedPredictor, Polynomial
+
+__all__ = ["PolynomialGraph", "to_onnx"]
 
 OPSET: Final = 13
 IR_VERSION: Final = 7
@@ -38,7 +41,7 @@ IR_VERSION: Final = 7
 
 @dataclass(frozen=True)
 class PolynomialGraph:
-    """A fitted `polynomial_pipeline` to convert by itself.
+    """Fitted `polynomial_pipeline` that is converted by itself.
 
     Attributes
     ----------
@@ -47,16 +50,16 @@ class PolynomialGraph:
     output : str
         Name of the graph's output.
     box : tuple of two ndarray, shape (n,), optional
-        Lower and upper bounds that the inputs are clipped to; by default they are not.
+        Lower and upper bounds that the inputs are clipped to; by default they are not clipped.
     """
 
-    pipeline: Any
+    pipeline: Pipeline
     output: str
     box: tuple[Array, Array] | None = None
 
 
 class _Graph:
-    """Adds nodes and constants to skl2onnx's container under unique, stable names."""
+    """Builder that adds nodes and constants to skl2onnx's container under stable, unique names."""
 
     def __init__(self, scope: Any, container: Any) -> None:
         self.scope, self.container = scope, container
@@ -92,7 +95,7 @@ class _Graph:
         return self.node("MatMul", [power, self.constant(f"{stem}_weights", weights)], output)
 
     def power(self, base: str, degree: int, stem: str) -> str:
-        """Square repeatedly: Pow is slow, and CasADi broadcasts it wrongly."""
+        """Raise to a power by repeated squaring: Pow is slow, and CasADi broadcasts it wrongly."""
         result = ""
         while degree:
             if degree & 1:
@@ -157,7 +160,7 @@ def _parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> A
 
 
 def _keep_shapes(operator: Any) -> None:
-    """Shapes were declared by the parser."""
+    """Do nothing: `_parse` declares the shapes."""
 
 
 for _model, _convert in (
@@ -175,7 +178,7 @@ def to_onnx(
     input_name: str = "features",
     metadata: Mapping[str, Any] | None = None,
 ) -> onnx.ModelProto:
-    """Convert a model to its graph.
+    """Convert a model to an ONNX graph.
 
     Parameters
     ----------
@@ -186,13 +189,28 @@ def to_onnx(
     input_name : str
         Name of the graph's input, float64 [1, inputs].
     metadata : mapping, optional
-        Written to `metadata_props` as JSON, value by value: onnxruntime shows nothing else of
-        names, units and ranges.
+        Written to `metadata_props`, each value as JSON. onnxruntime exposes names, units and
+        ranges in no other way.
 
     Returns
     -------
     onnx.ModelProto
         The same bytes for the same model.
+
+    Examples
+    --------
+    The graph of y = 1 + 2 x evaluates to 7 at x = 3:
+
+    >>> import numpy as np
+    >>> import onnxruntime
+    >>> from models.learning.predictors import polynomial_pipeline
+    >>> x = np.array([[0.0], [1.0], [2.0]])
+    >>> pipeline = polynomial_pipeline(1).fit(x, 1.0 + 2.0 * x)
+    >>> graph = to_onnx(PolynomialGraph(pipeline, "y"), inputs=1, input_name="x")
+    >>> session = onnxruntime.InferenceSession(graph.SerializeToString())
+    >>> y = session.run(["y"], {"x": np.array([[3.0]])})[0]
+    >>> round(float(y[0, 0]), 9)
+    7.0
     """
     graph = convert_sklearn(
         model,

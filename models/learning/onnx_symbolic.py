@@ -1,7 +1,7 @@
-"""A CasADi function from an ONNX file of `models.learning.onnx_power`: the file itself, not a copy.
+"""Import of an ONNX file of `models.learning.onnx_power` as a CasADi function.
 
-The twin and the predictor unit are generated from it, so what a tool co-simulates and what
-onnxruntime evaluates on the robot have one source.
+The twin and predictor FMUs are generated from it, so the FMU and onnxruntime on the robot evaluate
+the same file.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import onnx
 
 from firmware_py.errors import InputError
 
+__all__ = ["predictor_function"]
+
 
 def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function:
-    """Import the graph symbolically, differentiable and ready for code generation.
+    """Import a graph as a symbolic function for differentiation and code generation.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function
     Notes
     -----
     Agrees with onnxruntime to 1e-12 except for tip_m of an input that is NaN: there CasADi's
-    fmin and fmax answer the bound and onnxruntime NaN. in_range is 0 in both.
+    fmin and fmax return the bound and onnxruntime NaN. in_range is 0 in both.
     """
     path = Path(path)
     try:
@@ -47,7 +49,7 @@ def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function
         imported = ca.GraphBuilder(str(path)).create("imported", {"symbolic": True})
     except Exception as error:  # protobuf and CasADi raise types of their own
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "damaged"
-        raise InputError(path, f"is not a graph that can be imported ({reason})",
+        raise InputError(path, f"is not an ONNX graph that CasADi can import ({reason})",
                          "train the bundle again") from None  # fmt: skip
     source = graph.input[0].name
     outputs = [output.name for output in graph.output]

@@ -1,4 +1,4 @@
-"""A polynomial as a sum of powers of linear forms (a Waring decomposition)."""
+"""Power form of a polynomial: a sum of powers of linear forms (Waring decomposition)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 
 from models.learning.predictors import Array, Polynomial
 
+__all__ = ["power_form"]
+
 OVERSAMPLING: Final = 1.3
 """Linear forms per monomial: with spare ones the weights stay small (docs/sources.md, "ONNX")."""
 
 
 def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
-    """Write a polynomial as sum of powers of linear forms of the features in SI units.
+    """Write a polynomial as a sum of powers of linear forms of the features in SI units.
+
+    Parameters
+    ----------
+    polynomial : Polynomial
+        Of n features and any number of outputs.
 
     Returns
     -------
@@ -33,6 +40,17 @@ def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
     multinomial coefficients m_α. Comparing coefficients gives m_α Σ_r c_r w_r^α = β_α: M
     equations for the weights of 1.3 M random unit vectors w_r, solved for the least norm in the
     Bombieri scaling (rows divided by √m_α), which keeps rounding near 1e-14.
+
+    Examples
+    --------
+    x² + x of one feature, at x = 3:
+
+    >>> exponents, coefficients = np.array([[0], [1], [2]]), np.array([[0.0], [1.0], [1.0]])
+    >>> polynomial = Polynomial(np.ones(1), np.zeros(1), exponents, coefficients)
+    >>> rows, bias, weights = power_form(polynomial)
+    >>> y = ((np.array([[3.0]]) @ rows + bias) ** polynomial.degree) @ weights
+    >>> round(float(y[0, 0]), 9)
+    12.0
     """
     degree = polynomial.degree
     n = polynomial.exponents.shape[1]

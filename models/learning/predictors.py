@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,48 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 
+__all__ = [
+    "DEGREES",
+    "Array",
+    "Fold",
+    "GuardedPredictor",
+    "Polynomial",
+    "polynomial_pipeline",
+    "predict",
+    "predict_held_out",
+]
+
 Array = NDArray[np.float64]
 Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Row numbers to train on and to test on."""
 
 DEGREES: Final = (1, 2, 3, 4, 5, 6)
 COVERAGE: Final = 0.95
+"""Nominal coverage of the prediction interval."""
 LEVERAGE_RIDGE: Final = 1e-6
-"""Added to the mean squares of the leverage's regressors: it bounds the leverage of a direction
-that the training never moved in (angles 1 and 2 in phase) instead of dividing by zero."""
+"""Ridge λ of the leverage's normal equation, relative to its mean squares; assumed. It bounds the
+leverage in a direction without training data, like angle 1 less angle 2 of a motion in phase."""
 
 
 def polynomial_pipeline(degree: int) -> Pipeline:
-    """Unfitted pipeline: scale to the box [-1, 1]^n, all monomials up to `degree`, least squares.
+    """Return an unfitted pipeline of scaling to [-1, 1]^n, monomials and least squares.
 
-    The bias column is left to the intercept; skl2onnx writes an unusable float64 graph for it.
+    The constant is the intercept of the regression, not a bias column: with a bias column skl2onnx
+    writes a float64 graph that onnxruntime refuses (docs/sources.md, "ONNX").
+
+    Parameters
+    ----------
+    degree : int
+        Largest total degree of the monomials (paper, eq. 2 and 3).
+
+    Examples
+    --------
+    A quadratic through exact data of y = 2 x²:
+
+    >>> x = np.linspace(-1.0, 3.0, 9)[:, None]
+    >>> pipeline = polynomial_pipeline(2).fit(x, 2.0 * x**2)
+    >>> predict(pipeline, np.array([[2.0]])).round(9)
+    array([[8.]])
     """
     return make_pipeline(
         MinMaxScaler(feature_range=(-1.0, 1.0)),
@@ -39,16 +66,36 @@ def polynomial_pipeline(degree: int) -> Pipeline:
     )
 
 
-def predict(pipeline: Any, features: Array) -> Array:
-    """Outputs of a fitted pipeline, shape (n, outputs)."""
+def predict(pipeline: Pipeline, features: Array) -> Array:
+    """Return the outputs of a fitted pipeline, shape (n, outputs).
+
+    Parameters
+    ----------
+    pipeline : sklearn Pipeline
+        Fitted.
+    features : ndarray, shape (n, inputs)
+        In SI units.
+    """
     return np.asarray(pipeline.predict(features), dtype=np.float64)
 
 
 def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -> Array:
     """Fit on a fold's training rows and predict its test rows, shape (test rows, outputs).
 
-    Inputs are clipped into the box of the fold's training rows, as the deployed predictor does:
-    a block that holds the only start of a motion is else extrapolated to by metres.
+    Inputs are clipped to the box of the fold's training rows, as in the deployed predictor.
+    Without the clip a block that holds the only start of a motion is extrapolated, with errors of
+    metres.
+
+    Parameters
+    ----------
+    degree : int
+        Of the polynomial.
+    features : ndarray, shape (n, inputs)
+        In SI units.
+    targets : ndarray, shape (n, outputs)
+        In SI units.
+    fold : tuple of two ndarray of int
+        Rows to train on and rows to test on.
     """
     train, test = fold
     seen = features[train]
@@ -58,7 +105,7 @@ def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A fitted pipeline read as a polynomial in z = scale * x + offset.
+    """Polynomial in z = scale * x + offset, as read from a fitted pipeline.
 
     Attributes
     ----------
@@ -81,8 +128,8 @@ class Polynomial:
         return int(self.exponents.sum(axis=1).max())
 
     @classmethod
-    def of(cls, pipeline: Any) -> Polynomial:
-        """Read the steps of a fitted `polynomial_pipeline`."""
+    def of(cls, pipeline: Pipeline) -> Polynomial:
+        """Read the polynomial from a fitted `polynomial_pipeline`."""
         scaler, monomials, regression = (step for _, step in pipeline.steps)
         powers = np.asarray(monomials.powers_, dtype=np.int64)
         coefficients = np.vstack(
@@ -92,19 +139,24 @@ class Polynomial:
         return cls(scaler.scale_, scaler.min_, exponents, coefficients)
 
     def monomials(self, features: Array) -> Array:
-        """Values of the monomials at features in SI units, shape (n, monomials)."""
+        """Return the values of the monomials at features in SI units, shape (n, monomials)."""
         z = features * self.scale + self.offset
         return np.asarray(np.prod(z[:, None, :] ** self.exponents, axis=2))
 
     def __call__(self, features: Array) -> Array:
-        """Values of the polynomial at features in SI units, shape (n, outputs)."""
+        """Return the values of the polynomial at features in SI units, shape (n, outputs)."""
         return self.monomials(features) @ self.coefficients
 
     def in_si_units(self) -> dict[tuple[int, ...], Array]:
-        """Exponents to coefficients of the features themselves (the paper's β, eq. 2 and 3).
+        """Return the coefficients of the features in SI units (the paper's β, eq. 2 and 3).
 
-        For reading: at high degree these large coefficients of both signs cancel, so evaluate
-        the scaled form instead.
+        They are for display. At high degree large coefficients of both signs cancel, so a
+        computation must use the scaled form.
+
+        Returns
+        -------
+        dict of tuple of int to ndarray, shape (outputs,)
+            Exponents to coefficients, by total degree.
         """
         n = len(self.scale)
         factor = [_powers_of_affine(self.scale[i], self.offset[i], self.degree) for i in range(n)]
@@ -132,14 +184,15 @@ def _powers_of_affine(scale: float, offset: float, degree: int) -> list[Array]:
 
 @dataclass(frozen=True)
 class GuardedPredictor:
-    """What the robot gets: polynomial, guard of the inputs and 95 % prediction interval.
+    """Predictor of the robot: polynomial, input guard and 95 % prediction interval.
 
-    The polynomial sees inputs clipped into the training box; `in_range` says whether they lay in
+    The polynomial gets inputs clipped to the training box; `in_range` tells whether they lay in
     it. The half width is q sqrt(1 + h(x)): h is the leverage of the quadratic model on the
     *unclipped* input, a quartic polynomial whatever the predictor's degree (the leverage of a
     degree-d model would have degree 2 d: 8008 monomials at 5 inputs and degree 5), so it grows
     outside the training data. q is the quantile of the out-of-fold residuals divided by the same
-    root, per output: a cross-conformal interval, which assumes no distribution.
+    root, per output: a cross-conformal interval, which assumes no distribution (Vovk, Ann. Math.
+    Artif. Intell. 74, 2015).
 
     Attributes
     ----------
@@ -153,7 +206,7 @@ class GuardedPredictor:
         q, in the unit of the outputs.
     """
 
-    pipeline: Any
+    pipeline: Pipeline
     lower: Array
     upper: Array
     leverage: Polynomial
@@ -163,7 +216,7 @@ class GuardedPredictor:
     def fit(
         cls, degree: int, features: Array, targets: Array, folds: Iterable[Fold]
     ) -> GuardedPredictor:
-        """Fit on all rows; the interval comes from the rows that each fold holds out.
+        """Fit on all rows; the interval is calibrated on the rows that each fold holds out.
 
         Parameters
         ----------
@@ -174,8 +227,8 @@ class GuardedPredictor:
         targets : ndarray, shape (n, outputs)
             In SI units.
         folds : iterable of (train rows, test rows)
-            As `models.learning.validation.payload_folds` gives them: whole runs, for the rows of
-            one run resemble each other more than those of the next.
+            Folds of whole runs, as `models.learning.validation.payload_folds` gives them: rows of
+            one run are correlated.
         """
         pipeline = polynomial_pipeline(degree).fit(features, targets)
         leverage = _leverage(features)
@@ -190,15 +243,15 @@ class GuardedPredictor:
         return cls(pipeline, features.min(axis=0), features.max(axis=0), leverage, quantile)
 
     def predict(self, features: Array) -> Array:
-        """Outputs at the clipped inputs, shape (n, outputs)."""
+        """Return the outputs at the clipped inputs, shape (n, outputs)."""
         return predict(self.pipeline, np.clip(features, self.lower, self.upper))
 
     def in_range(self, features: Array) -> NDArray[np.bool_]:
-        """True where every input lies in the training box (bounds included), shape (n,)."""
+        """Return where every input lies in the training box, bounds included, shape (n,)."""
         return np.asarray(np.all((features >= self.lower) & (features <= self.upper), axis=1))
 
     def half_width(self, features: Array) -> Array:
-        """Half width of the 95 % prediction interval, shape (n, outputs)."""
+        """Return the half width of the 95 % prediction interval, shape (n, outputs)."""
         return self.quantile * np.sqrt(1.0 + self.leverage(features))
 
 

@@ -1,4 +1,4 @@
-"""Rows of trials as the regressions see them: features, end effector, and where each is from."""
+"""Samples: rows of trials with the features, the end effector and the origin of each."""
 
 from __future__ import annotations
 
@@ -14,30 +14,32 @@ from models.learning.predictors import Array
 from models.learning.validation import split_rows
 from models.trials.trial import Trial
 
+__all__ = ["VARIANTS", "Samples", "Source", "collect_samples"]
+
 Source = Literal["true", "observer", "lagged", "none"]
-"""Where DI comes from: motion capture, the plant observer, the lagged regressor, nowhere."""
+"""Source of DI: motion capture, the plant observer, the lagged regressor, or none."""
 
 VARIANTS: Final[dict[str, Source]] = {
     "with_di": "true",
     "without_di": "none",
     "estimated_di": "observer",
 }
-"""The study's three predictors and the DI that each is trained and tested on."""
+"""The study's three predictors, and the source of DI that each is trained and tested on."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Moving rows of some trials (the paper's 512 steps each), one under the other.
+    """Moving rows of several trials (512 steps each in the paper), stacked.
 
-    A row that shows no marker at all has no true DI and is left out for every source alike, so
-    that all predictors are compared on the same rows.
+    A row without any marker has no true DI. It is left out for every source, so that all
+    predictors are compared on the same rows.
 
     Attributes
     ----------
     trials : tuple of Trial
-        Where the rows come from.
+        Trials that the rows come from.
     kept : tuple of ndarray of bool
-        Rows of each trial that are here.
+        Rows of each trial that are kept.
     run : ndarray of int, shape (n,)
         Number of the trial in `trials`.
     time_s, payload_kg : ndarray, shape (n,)
@@ -63,20 +65,30 @@ class Samples:
         return len(self.run)
 
     def features(self, source: Source) -> Array:
-        """Inputs of a predictor: angles, currents and the DI of a source.
+        """Return the inputs of a predictor: angles, currents and DI.
 
-        "none" leaves the column out, which fits the same functions as the paper's DI = 0.
+        Parameters
+        ----------
+        source : str
+            Source of DI. "none" leaves the column out, which fits the same functions as the
+            paper's DI = 0.
         """
         if source == "none":
             return self.signals
         return np.column_stack([self.signals, self.di[source]])
 
     def rows_of(self, arrays: Sequence[Array]) -> Array:
-        """Pick from one array per trial, a row a sample, the rows that are here."""
+        """Return the kept rows of arrays, stacked.
+
+        Parameters
+        ----------
+        arrays : sequence of ndarray
+            One per trial, with one row per row of the trial.
+        """
         return _stack(arrays, self.kept)
 
     def parts(self) -> dict[str, NDArray[np.bool_]]:
-        """Rows of each part that a table reports (see `models.learning.validation.split_rows`)."""
+        """Return the rows of each part of a table (see `models.learning.validation.split_rows`)."""
         phases = np.array([t.meta.phase_2_rad for t in self.trials])
         return split_rows(self.payload_kg, phases[self.run])
 

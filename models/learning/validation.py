@@ -1,4 +1,4 @@
-"""How predictors are judged: folds that do not leak, and the mean Euclidean distance."""
+"""Validation of predictors: folds without leakage, distances, R²."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ from numpy.typing import NDArray
 
 from models.learning.predictors import Array, Fold
 
+__all__ = [
+    "block_folds",
+    "euclidean_distance_m",
+    "payload_folds",
+    "payload_key",
+    "r_squared",
+    "split_rows",
+]
+
 BLOCKS: Final = 5
+"""Blocks of each run."""
 GAP_S: Final = 1.0
-"""Rows this close to a held-out block are dropped from training: neighbours 17 ms apart are
-nearly copies, so a block without a gap would be tested on its own training data."""
+"""Rows this close to a held-out block are not used in training; assumed. Rows 17 ms apart are
+nearly equal, so without a gap a block would be tested on its own training data."""
 
 
 def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
-    """Five contiguous blocks of each run, held out in turn, with 1 s gaps around them.
+    """Return folds of five contiguous blocks of each run, with 1 s gaps around the held-out block.
 
     Parameters
     ----------
@@ -42,7 +52,20 @@ def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
 
 
 def payload_folds(payload_kg: Array) -> list[Fold]:
-    """Each payload held out in turn: how far the predictor carries to a payload not seen."""
+    """Return one fold per payload, which that fold holds out.
+
+    Parameters
+    ----------
+    payload_kg : ndarray, shape (n,)
+        Payload of each row.
+
+    Examples
+    --------
+    >>> for train, test in payload_folds(np.array([0.0, 0.0, 1.0])):
+    ...     print(train, test)
+    [2] [0 1]
+    [0 1] [2]
+    """
     return [
         (np.flatnonzero(payload_kg != kg), np.flatnonzero(payload_kg == kg))
         for kg in np.unique(payload_kg)
@@ -50,12 +73,28 @@ def payload_folds(payload_kg: Array) -> list[Fold]:
 
 
 def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
-    """Distance between end effectors, row by row (paper, eq. 4 to 7), shape (n,)."""
+    """Return the distance between end effectors in m, row by row (paper, eq. 4 to 7), shape (n,).
+
+    Parameters
+    ----------
+    actual_m, predicted_m : ndarray, shape (n, 3)
+        Positions in one frame.
+
+    Examples
+    --------
+    >>> euclidean_distance_m(np.array([[0.0, 0.0, 1.0]]), np.array([[0.003, 0.004, 1.0]]))
+    array([0.005])
+    """
     return np.asarray(np.linalg.norm(actual_m - predicted_m, axis=1), dtype=np.float64)
 
 
 def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bool_]]:
-    """Rows of each part that a table reports.
+    """Return the rows of each part of a table.
+
+    Parameters
+    ----------
+    payload_kg, phase_2_rad : ndarray, shape (n,)
+        Conditions of each row.
 
     Returns
     -------
@@ -73,10 +112,16 @@ def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bo
 
 
 def payload_key(payload_kg: float) -> str:
-    """Write a payload in kg as `study.json` does: "0", "0.5", "1"."""
+    """Return the key of a payload in kg in `study.json`: "0", "0.5", "1"."""
     return f"{payload_kg:g}"
 
 
 def r_squared(actual: Array, estimate: Array) -> float:
-    """Share of the variance that the estimate explains; negative where worse than the mean."""
+    """Return the coefficient of determination R²; negative where worse than the mean.
+
+    Parameters
+    ----------
+    actual, estimate : ndarray, shape (n,)
+        Values and their estimates.
+    """
     return float(1.0 - np.sum((actual - estimate) ** 2) / np.sum((actual - actual.mean()) ** 2))

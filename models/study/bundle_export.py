@@ -24,6 +24,8 @@ from models.study.model_card import model_card
 from models.study.study import Study
 from models.study.study_document import StudyDocument, write_study
 
+__all__ = ["ParityError", "check_parity", "monomial", "write_bundle"]
+
 GATE_POINTS: Final = 10_000
 GATE_M: Final = 1e-9
 GOLDEN_TICKS: Final = 256

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.learning.predictors import DEGREES, Array, predict
-from models.learning.samples import Samples, Source
+from models.learning.samples import Samples
 from models.learning.validation import euclidean_distance_m, payload_key
 from models.shared.kinematics import base_rotation
 from models.study.study_document import (
@@ -20,6 +21,7 @@ from models.study.study_document import (
     StudyCurves,
     TipPath,
 )
+from models.study.tables import Fitted
 from models.trials.trial import Trial
 
 POINTS: Final = 256
@@ -31,7 +33,7 @@ POSES: Final = 9
 def figure_curves(
     training: Samples,
     tests: Mapping[str, Samples],
-    fitted: Mapping[tuple[Source, int], Any],
+    fitted: Fitted,
 ) -> StudyCurves:
     """Return the curves that the report draws and no table holds.
 
@@ -68,7 +70,8 @@ def _heaviest(samples: Samples) -> int:
     return max(range(len(samples.trials)), key=lambda i: samples.trials[i].meta.payload_kg)
 
 
-def _thin(count: int) -> Any:
+def _thin(count: int) -> NDArray[np.intp]:
+    """At most `POINTS` rows, equally spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
 
 
@@ -120,7 +123,7 @@ def _di_curve(samples: Samples, run: int) -> DiCurve:
     )
 
 
-def _error(samples: Samples, fitted: Mapping[tuple[Source, int], Any]) -> ErrorCurves:
+def _error(samples: Samples, fitted: Fitted) -> ErrorCurves:
     runs = [np.flatnonzero(samples.run == run) for run in np.unique(samples.run)]
     grid_s = np.linspace(
         max(samples.time_s[rows[0]] for rows in runs),

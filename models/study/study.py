@@ -127,13 +127,18 @@ def run_study(
         series=figure_curves(samples, {name: r.samples for name, r in results.items()}, fitted),
         findings=(),
     )
+    return Study(_with_findings(document, training, tests), predictor, lagged, samples)
+
+
+def _with_findings(
+    document: StudyDocument, training: TrialSet, tests: Mapping[str, TrialSet]
+) -> StudyDocument:
     findings = judge_findings(document, training, tests)
-    document = msgspec.structs.replace(document, findings=findings)
-    return Study(document, predictor, lagged, samples)
+    return msgspec.structs.replace(document, findings=findings)
 
 
 def by_payload(trials: TrialSet) -> TrialSet:
-    """Return the trials in the order of tables and figures: payload, phase of joint 2, name."""
+    """Return trials in the order of tables and figures: by payload, phase of joint 2 and name."""
     return TrialSet(
         tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from sklearn.pipeline import Pipeline
 
 from models.learning.predictors import DEGREES, Array, GuardedPredictor, predict
 from models.learning.samples import VARIANTS, Samples, Source
@@ -21,7 +22,7 @@ from models.study.study_document import (
 )
 
 ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
-Fitted = Mapping[tuple[Source, int], Any]
+Fitted = Mapping[tuple[Source, int], Pipeline]
 """Fitted pipelines by source of DI and degree."""
 Distances = Mapping[tuple[Source, int], Array]
 """Euclidean distance of every row in m, by source of DI and degree."""
@@ -81,7 +82,15 @@ def score_predictors(
 
 
 def distances_m(samples: Samples, fitted: Fitted) -> Distances:
-    """Return the Euclidean distance of every row in m, by source of DI and degree."""
+    """Return the Euclidean distance of every row in m, by source of DI and degree.
+
+    Parameters
+    ----------
+    samples : Samples
+        The rows.
+    fitted : mapping
+        Fitted pipelines by source of DI and degree.
+    """
     return {
         (source, degree): euclidean_distance_m(
             samples.tip_m, predict(pipeline, samples.features(source))
