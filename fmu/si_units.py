@@ -1,4 +1,4 @@
-"""Parser of SI units: exponents of the base units, as FMI requires, and display units.
+"""Parser of SI units: exponents of the base units, as FMI requires.
 
 A unit is written as a product and quotient of symbols, like "N.m.s/rad" or "rad/(N.m)"; "1" is
 dimensionless.
@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from typing import Final
 
-__all__ = ["DISPLAY_UNITS", "DisplayUnit", "base_exponents"]
+__all__ = ["base_exponents"]
 
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "1": {},
