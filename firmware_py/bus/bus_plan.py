@@ -4,42 +4,41 @@ A tick moves three packets: the instruction to read, the answers, the goals. Pro
 (ROBOTIS e-Manual), bytes for n servos and a block of b bytes of feedback:
 
 ========================= ============================ =====================================
-packet                    bytes                        why
+packet                    bytes                        composition
 ========================= ============================ =====================================
 sync read instruction     14 + n                       header 4, id 1, length 2, instruction
                                                        1, address 2, size 2, CRC 2; ids
-answers to a sync read    n (11 + b)                   every servo frames its own packet
+answers to a sync read    n (11 + b)                   a packet from every servo
 answer to a fast one      8 + n (4 + b)                one packet; each servo appends error,
                                                        id, data, CRC
-sync write of the goals   14 + n (1 + 4)               nobody answers
+sync write of the goals   14 + n (1 + 4)               no answer
 ========================= ============================ =====================================
 
-A byte takes ten bits. Every servo pauses for its return delay before it answers a sync read; a
-fast one costs a single pause, since the servos behind the first join its packet. The USB latency
-timer comes on top and is the adapter's affair (`dropstitch doctor`).
+A byte takes ten bits. Every servo waits for its return delay before it answers a sync read; a fast
+one costs a single delay, since the other servos append to the packet of the first. The latency
+timer of the USB adapter comes on top (`dropstitch doctor` checks it).
 
-What there is to choose:
+The options:
 
 sync read or fast sync read
     The fast one saves 7 n - 8 bytes and n - 1 return delays, hence nothing for a single servo.
-    It is all or nothing: one silent servo spoils the packet.
+    One silent servo makes the whole packet unusable.
 direct or indirect block
-    Position and current have the velocity between them (10 bytes, 12 on a legacy PRO). Indirect
-    addresses gather them into 6, and two more, torque enable and bus watchdog, tell in every tick
-    whether the servo still drives (7 in all on a legacy PRO, which has no watchdog). Only where
-    they lie in EEPROM: those of the X series are lost in a reboot, and from then on the block
-    would hold zeros that look like data.
+    The velocity lies between position and current (10 bytes, 12 on a legacy PRO). Indirect
+    addresses gather the two into 6 bytes. Two more bytes, torque enable and bus watchdog, tell in
+    every tick whether the servo drives (7 bytes in all on a legacy PRO, which has no watchdog).
+    Offered only where the indirect addresses lie in EEPROM: those of the X series are lost in a
+    reboot, and the block would then hold zeros that look like data.
 goals and the next read in one burst
     Not offered. Protocol 2.0 has no instruction that writes and reads, so the burst has as many
-    bytes as its two packets, and it would make every goal one period older.
+    bytes as its two packets, and every goal would be one period older.
 
 The fastest plan that the servos answer is used: `DynamixelBus.connect` tries them in order.
 
-A read that fails is repeated in the same tick (`firmware_py.bus.feedback`): with 2 % of the
-answers of
-two servos lost or damaged, three ticks in a row without data come every 15,000 ticks, and stop the
-robot; with a second read every 10^9. The first read waits until the second one, which usually
-takes as long as was measured at the start, would no longer fit; where two never fit, it has all of
+A read that fails is repeated in the same tick (`firmware_py.bus.feedback`). With 2 % of the answers
+of two servos lost or damaged, three ticks in a row without data, which stop the robot, occur every
+15,000 ticks without and every 10^9 ticks with a second read. The first read ends early enough to
+leave the second the time that an exchange took at the start; where both do not fit, it has all of
 the time.
 """
 
@@ -57,10 +56,10 @@ STATUS_OVERHEAD: Final = 11
 """Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
 FACTORY_RETURN_DELAY_S: Final = 500e-6
 RESERVE_NS: Final = 2_000_000
-"""Part of a slot that the wait for the servos leaves to the rest of the tick."""
+"""Part of a slot that is kept for the rest of the tick."""
 RETRY_MARGIN_NS: Final = 2_000_000
-"""What a second read is left beyond the time that one usually takes: a tick of the adapter's
-latency timer, 1 ms, and as much again for the host."""
+"""Time kept for a second read beyond its usual duration: one period of the adapter's latency timer,
+1 ms, and as much again for the host."""
 SERVO_BAUD_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 """Rates that the servos offer, from the PRO's factory setting on."""
 
@@ -77,13 +76,15 @@ class Plan(NamedTuple):
     fast : bool
         Fast sync read instead of sync read.
     indirect : bool
-        The block is gathered by indirect addresses.
+        Block gathered by indirect addresses.
     block : Block
-        What is read of every servo.
-    servos, baud : int
-        How many of them; bits per second.
+        Registers read from every servo.
+    servos : int
+        Number of servos.
+    baud : int
+        Bits per second.
     return_delay_s : float
-        Pause of a servo before it answers.
+        Delay of a servo before it answers.
     """
 
     fast: bool
@@ -95,35 +96,35 @@ class Plan(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name in messages and logs."""
         return ("fast " if self.fast else "") + "sync read" + (", indirect" * self.indirect)
 
     @property
     def answer_bytes(self) -> int:
-        """Of all servos together."""
+        """Bytes of the answers of all servos."""
         if self.fast:
             return _FAST_OVERHEAD + self.servos * (_FAST_BLOCK_OVERHEAD + self.block.size)
         return self.servos * (STATUS_OVERHEAD + self.block.size)
 
     @property
     def read_s(self) -> float:
-        """From the first bit of the instruction to the last one of the answers."""
+        """Time from the first bit of the instruction to the last bit of the answers."""
         sent = _INSTRUCTION_OVERHEAD + self.servos + self.answer_bytes
         return sent * BITS_PER_BYTE / self.baud + self.pause_s
 
     @property
     def read_twice_s(self) -> float:
-        """What a tick needs in order to ask again for an answer that was lost."""
+        """Time of a tick in which the read is repeated once."""
         return 2 * self.read_s + RETRY_MARGIN_NS * 1e-9
 
     @property
     def pause_s(self) -> float:
-        """Return delays within `read_s`."""
+        """Sum of the return delays within `read_s`."""
         return self.return_delay_s * (1 if self.fast else self.servos)
 
     @property
     def write_s(self) -> float:
-        """Of the goals."""
+        """Transmission time of the goals."""
         return (_INSTRUCTION_OVERHEAD + self.servos * _GOAL_BYTES) * BITS_PER_BYTE / self.baud
 
     @property
@@ -135,9 +136,20 @@ class Plan(NamedTuple):
 def plans(
     table: ControlTable, servos: int, baud: int, return_delay_s: float = FACTORY_RETURN_DELAY_S
 ) -> list[Plan]:
-    """Every plan for servos of one table, fastest first; of equals the plainest first.
+    """Return every plan for servos of one control table, fastest first.
 
     The plain sync read of the direct block, which every servo answers, is always among them.
+
+    Parameters
+    ----------
+    table : ControlTable
+        Control table of all servos.
+    servos : int
+        Number of servos.
+    baud : int
+        Bits per second.
+    return_delay_s : float
+        Delay of a servo before it answers.
     """
     blocks = {False: table.feedback}
     if table.indirect.address < table.ram_start:
@@ -151,28 +163,60 @@ def plans(
 
 
 def plain(candidates: list[Plan]) -> Plan:
-    """The plan among them that every servo answers."""
+    """Return the plan that every servo answers: plain sync read, direct block."""
     return next(plan for plan in candidates if not plan.fast and not plan.indirect)
 
 
 def available_s(period_s: float, reply_timeout_s: float) -> float:
-    """Time that a tick can spend on transmission."""
+    """Return the time that a tick can spend on transmission.
+
+    Parameters
+    ----------
+    period_s : float
+        Control period.
+    reply_timeout_s : float
+        Longest wait for the servos in a tick.
+    """
     return min(reply_timeout_s, period_s - RESERVE_NS * 1e-9)
 
 
 def require_any(candidates: list[Plan], budget_s: float, where: Path | str) -> None:
-    """Refuse where not even the fastest plan fits, with the numbers of the plain one."""
+    """Refuse candidates of which none fits into the budget.
+
+    Parameters
+    ----------
+    candidates : list of Plan
+        From `plans`.
+    budget_s : float
+        From `available_s`.
+    where : Path or str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        With the figures of the plain plan.
+    """
     if candidates[0].total_s > budget_s:
         require_time(plain(candidates), budget_s, where)
 
 
 def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
-    """Refuse a plan that takes longer to transmit than there is time.
+    """Refuse a plan whose transmission takes longer than the budget.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan in question.
+    budget_s : float
+        From `available_s`.
+    where : Path or str
+        Subject of the message.
 
     Raises
     ------
     InputError
-        With what is needed, what there is, and the baud rate from which on it fits.
+        With the time needed, the time available, and the lowest baud rate that suffices.
     """
     if plan.total_s <= budget_s:
         return

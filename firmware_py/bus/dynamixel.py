@@ -1,4 +1,4 @@
-"""Dynamixel servos on one bus, through the official SDK."""
+"""Bus of Dynamixel servos, driven through the official SDK."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ _WATCHDOG_PERIODS: Final = 3
 
 
 class ServoSetup(NamedTuple):
-    """What the configuration says about one servo.
+    """Configuration of one servo.
 
     Attributes
     ----------
     id : int
-        On the bus.
+        Id on the bus.
     model : Model
-        Expected there.
+        Expected model.
     min_angle_rad, max_angle_rad : float
-        Range that goals will use; the servo's own limits must contain it.
+        Range of the goals; the servo's own position limits must contain it.
     max_rate_rad_s : float
-        Speed that goals will use. A servo without a watchdog keeps it by itself, so that it cannot
-        run away from a loop that has died; infinity leaves the servo as it is.
+        Largest rate of the goals. It is written as profile velocity to a servo without a watchdog,
+        so that the servo moves no faster when the loop has died; infinity writes nothing.
     """
 
     id: int
@@ -59,33 +59,40 @@ class ServoSetup(NamedTuple):
 
 
 class DynamixelBus:
-    """Servos of one control table on one bus, spoken to with the official SDK.
+    """Servos of one control table on one bus; implements `firmware_py.bus.servo_bus.ServoBus`.
 
     Parameters
     ----------
     transport : Transport
-        See `firmware_py.bus.transport.open_transport`.
+        Byte stream to the servos, see `firmware_py.bus.transport.open_transport`.
     servos : sequence of ServoSetup
         One per joint, in joint order.
     clock : Clock
-        What deadlines are measured by.
+        Clock of the deadlines.
     period_s : float
-        Control period; the servo's own watchdog is set to at least three of it.
+        Control period; the servos' watchdog is set to at least three periods.
     return_delay_s : float, optional
-        Written to every servo that has another one. None leaves it alone.
+        Return delay to write to every servo that has a different one; None writes nothing.
     name : str
-        What messages call the port.
+        Name of the port in messages.
     baud : int
         Bits per second of the line.
     reply_timeout_s : float, optional
-        Longest wait for the servos in the loop: slower ones are refused at the start.
+        Longest wait for the servos in a tick; `connect` refuses servos that are slower.
     opener : callable, optional
         Opens the transport anew, or raises InputError; without it a port that has gone stays gone.
 
     Attributes
     ----------
     plan : Plan
-        How the servos are read, chosen by `connect`.
+        Plan by which the servos are read, chosen by `connect`.
+    firmware_versions : tuple of int
+        Of the servos in joint order, read by `connect`.
+
+    Raises
+    ------
+    InputError
+        If the servos do not share one control table.
     """
 
     def __init__(
@@ -120,7 +127,8 @@ class DynamixelBus:
         self._models = {servo.id: servo.model for servo in servos}
         self._table = servos[0].model.table
         self._goals = GoalWriter(self._port, self._packets, self._models)
-        self._driven = self._driving = False  # may be, and is beyond doubt
+        self._driven = False  # torque may be on
+        self._driving = False  # every servo has confirmed torque on
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
         delay_s = FACTORY_RETURN_DELAY_S if return_delay_s is None else return_delay_s
         self._plans = plans(self._table, self.dof, baud, delay_s)
@@ -134,7 +142,13 @@ class DynamixelBus:
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one synchronous read, or two; all are fresh or none is."""
+        """Measure all servos with one sync read, or two; all are fresh or none is.
+
+        Parameters
+        ----------
+        deadline_ns : int
+            End of the wait for the answers, on the bus's clock.
+        """
         feedback = self._feedback
         try:
             status = feedback.take(deadline_ns)
@@ -151,7 +165,7 @@ class DynamixelBus:
             return BusStatus.PORT_GONE
 
     def _note_alert(self) -> None:
-        """Find out once which hardware error it is, within the deadline of the read."""
+        """Read the cause of an alert once, within the deadline of the read."""
         if self._feedback.alert and self.alert == 0:
             cell = self._table[Register.HARDWARE_ERROR]
             for id_ in self._models:
@@ -160,12 +174,19 @@ class DynamixelBus:
             self.alert |= self._feedback.standing
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Send all goals with one synchronous write, which no servo answers.
+        """Send all goals with one sync write, which no servo answers.
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goal angles.
+        deadline_ns : int
+            End of the slot, on the bus's clock.
 
         Raises
         ------
         ValueError
-            If a goal is not finite or does not fit the register: a mistake of the caller, whose
+            If a goal is not finite or does not fit the register: an error of the caller, whose
             supervisor admits only goals within limits.
         """
         self._port.deadline_ns = deadline_ns
@@ -178,13 +199,13 @@ class DynamixelBus:
     # Around the loop ---------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Check and prepare every servo, torque off.
+        """Check and prepare every servo, torque off; choose the plan.
 
         Raises
         ------
         InputError
-            If a servo is silent, is another model, reports a hardware error, is not in position
-            mode, or has narrower limits than the configuration.
+            If a servo is silent, is a different model, reports a hardware error, is not in position
+            mode, has narrower limits than the configuration, or answers too slowly.
         """
         self.alert, self._driving = 0, False
         self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
@@ -193,12 +214,12 @@ class DynamixelBus:
         self._check_replies()
 
     def _follow(self, plan: Plan) -> None:
-        """Read by this plan from now on."""
+        """Read the servos by this plan from now on."""
         self.plan = plan
         self._feedback = FeedbackReader(self._port, self._packets, self._clock, self._models, plan)
 
     def _choose_plan(self) -> BusStatus:
-        """Follow the fastest plan that the servos answer; return what the last one tried gave."""
+        """Follow the fastest plan that the servos answer; return the status of the last attempt."""
         status = BusStatus.OK
         for plan in self._plans:
             if plan.indirect and not all(self._gather(servo) for servo in self._servos):
@@ -211,9 +232,9 @@ class DynamixelBus:
         return status
 
     def _gather(self, servo: ServoSetup) -> bool:
-        """Let the first indirect addresses of a servo stand for what a tick reads.
+        """Point the first indirect addresses of a servo to the registers that a tick reads.
 
-        They lie in EEPROM, so they are written only where they hold something else.
+        They lie in EEPROM, so they are written only where they differ.
         """
         entries = [a.to_bytes(2, "little") for a in self._table.gathered_addresses]
         cell, raw = RegisterField(self._table.indirect.address, 2 * len(entries)), b"".join(entries)
@@ -224,7 +245,7 @@ class DynamixelBus:
         )
 
     def _check_replies(self) -> None:
-        """Measure what an exchange takes; refuse servos, or an adapter, too slow for the loop."""
+        """Measure the duration of an exchange; refuse servos or adapters that are too slow."""
         taken_ns = []
         for _ in range(_TRIAL_READS):
             start_ns = self._clock.now_ns()
@@ -298,9 +319,14 @@ class DynamixelBus:
         )
 
     def torque(self, on: bool) -> BusStatus:
-        """Switch the torque of every servo and arm or disarm its watchdog.
+        """Switch the torque of every servo, and arm or disarm its watchdog.
 
         Every servo is tried, whatever the others answer.
+
+        Returns
+        -------
+        BusStatus
+            OK where every servo confirmed it, else TIMEOUT.
         """
         watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
@@ -315,7 +341,7 @@ class DynamixelBus:
         return BusStatus.OK if good else BusStatus.TIMEOUT
 
     def reopen(self) -> bool:
-        """Open the port anew after it was gone; nothing is sent to the servos yet."""
+        """Open the port again after it had gone; nothing is sent to the servos yet."""
         if self._opener is None:
             return False
         with contextlib.suppress(OSError):
@@ -327,7 +353,7 @@ class DynamixelBus:
         return True
 
     def close(self) -> None:
-        """Torque off if it is on, and let go of the port; never raises."""
+        """Switch the torque off if it may be on, and close the port; never raises."""
         with contextlib.suppress(OSError):
             if self._driven:
                 self.torque(False)
@@ -336,5 +362,5 @@ class DynamixelBus:
 
 
 def watchdog_steps(period_s: float) -> int:
-    """What the watchdog register is set to for a control period, in steps of 20 ms."""
+    """Return the value of the watchdog register for a control period, in steps of 20 ms."""
     return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)

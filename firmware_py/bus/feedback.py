@@ -1,10 +1,10 @@
-"""Angle and current of every servo by one synchronous read, plain or fast.
+"""Feedback of all servos, angle and current, by one sync read or fast sync read.
 
-Where the plan gathers them by indirect addresses, whether each servo still drives comes with them:
-one that has rebooted, or was stopped by its watchdog, says so in the very next tick.
+Where the plan uses indirect addresses, the answer also tells whether each servo drives: a servo
+that has rebooted or was stopped by its watchdog is known in the next tick.
 
-The zeros that the SDK's group reader returns for a missing reply never appear here: replies are
-taken one by one, which also keeps the alert bit that it drops (docs/sources.md, "Dynamixel SDK").
+The SDK's group reader returns zeros for a missing answer and drops the alert bit. This module takes
+the answers one by one and does neither (docs/sources.md, "Dynamixel SDK").
 """
 
 from __future__ import annotations
@@ -36,50 +36,49 @@ from firmware_py.bus.servo_models import Model
 from firmware_py.realtime.clock import Clock
 
 ID, ERROR, DATA = 4, 8, 9
-"""Where they stand in a status packet."""
+"""Offsets in a status packet."""
 ALERT_BIT, ERROR_NUMBER = 0x80, 0x7F
 
 _DISTINCT_LENGTHS: Final = 8
-"""A late answer is told apart for so many exchanges, four ticks; it is the adapter's, 16 ms at
-worst."""
+"""Exchanges in which a late answer is recognised: four ticks. An adapter delays by up to 16 ms."""
 _FAST_HEADER, _FAST_FRAME = 8, 4
-"""Bytes in front of the first servo's; of each servo's around its data: error, id, CRC."""
+"""Bytes in front of the first servo's part; bytes of each part around its data: error, id, CRC."""
 _SIGNS: Final = (
     (Register.TORQUE_ENABLE, 0, TORQUE_LOST),
     (Register.BUS_WATCHDOG, WATCHDOG_TRIPPED, STOPPED_BY_WATCHDOG),
 )
-"""Values of registers that tell of a servo that does not drive, and what they tell."""
+"""Register, value that shows a servo that does not drive, and the alert bit for it."""
 _CODES: Final = {1: "b", 2: "h", 4: "i"}
-"""Of `struct`, by size; signed."""
+"""Signed format codes of `struct` by size."""
 
 
 class FeedbackReader:
-    """Reads servos of one control table by one plan; all are fresh or none is.
+    """Reader of servos of one control table by one plan; all are fresh or none is.
 
     Parameters
     ----------
     port : DeadlinePort
-        Whose deadline bounds the read.
+        Port to the servos.
     packets : PacketHandler
         The SDK's Protocol 2.0.
     clock : Clock
-        What deadlines are measured by.
+        Clock of the deadlines.
     models : dict of int to Model
         Servos by id, in joint order.
     plan : Plan
-        How to read them.
+        Plan by which to read them.
 
     Attributes
     ----------
     angle_rad, current_a : ndarray, shape (dof,)
-        Of the latest read that went well; half overwritten after one that did not.
+        From the latest successful read; partly overwritten after a failed one.
     alert : bool
         Whether a servo reported a hardware error in the latest read.
     standing : int
         `TORQUE_LOST`, `STOPPED_BY_WATCHDOG`: why a servo did not drive in the latest read; 0 where
-        all drive, or the plan does not tell.
+        all drive or the plan does not tell.
     usual_ns : int
-        What one exchange takes: by the plan, until somebody has measured it.
+        Duration of one exchange: by the plan, until `DynamixelBus.connect` has measured it.
     """
 
     def __init__(
@@ -106,11 +105,11 @@ class FeedbackReader:
         ]
         self._answered, self._all_joints = 0, (1 << len(models)) - 1  # a bit for every joint
         self._extra_bytes = self._first_extra_bytes = 0
-        # Always the same bytes, so they are made once: it saves 20 µs in every tick.
+        # The bytes never change; making them once saves 20 µs in every tick.
         self._instructions = [packets.finished(self._ask(k)) for k in range(_DISTINCT_LENGTHS)]
 
     def _ask(self, extra_bytes: int) -> list[int]:
-        """Instruction of the plan; header and CRC are left to the packet handler."""
+        """Return the instruction of the plan; the packet handler fills in header and CRC."""
         block, size = self._plan.block, self._plan.block.size + extra_bytes
         instruction = INST_FAST_SYNC_READ if self._plan.fast else INST_SYNC_READ
         parameters = [block.address & 0xFF, block.address >> 8, size & 0xFF, size >> 8, *self._ids]
@@ -120,18 +119,18 @@ class FeedbackReader:
         ]  # fmt: skip
 
     def take(self, deadline_ns: int) -> BusStatus:
-        """Read; where that fails and time allows, read once more.
+        """Read; if that fails and time allows, read once more.
 
-        The first attempt leaves the second one its time, where there is enough for both. An answer
-        has no number, so one that comes too late would pass for the answer to the next read: after
-        an attempt that failed the next one therefore asks for another number of bytes. What the
-        first attempt brought, be it during the second, was measured in this very tick: it serves
-        for a servo whose second answer stays out.
+        The first attempt ends early enough for the second, where there is time for both. An answer
+        has no number, so a late one could pass for the answer to the next read: after a failed
+        attempt the next one requests a different number of bytes. An answer to the first attempt
+        that arrives during the second was measured in this tick, so it is used for a servo whose
+        second answer is missing.
 
         Parameters
         ----------
         deadline_ns : int
-            Until when the answers are waited for.
+            End of the wait for the answers.
 
         Raises
         ------
@@ -167,7 +166,7 @@ class FeedbackReader:
         bare = STATUS_OVERHEAD + self._plan.block.size
         length, first_length = bare + self._extra_bytes, bare + self._first_extra_bytes
         outcome, seen, replies = BusStatus.OK, 0, 0
-        while replies < len(self._ids):  # a damaged reply stands for one; a stranger's for none
+        while replies < len(self._ids):  # a damaged answer counts, one from elsewhere not
             packet, result = self._packets.rxPacket(self._port, False)
             if result == COMM_RX_TIMEOUT:
                 return max(outcome, BusStatus.TIMEOUT)
@@ -190,7 +189,7 @@ class FeedbackReader:
         return outcome
 
     def _take_together(self) -> BusStatus:
-        """One packet of all: error, id, data and a CRC each; the last CRC covers everything."""
+        """Take the common packet: error, id, data and CRC of each; the last CRC covers it all."""
         bare = self._plan.block.size + _FAST_FRAME
         strides = (bare + self._extra_bytes, bare + self._first_extra_bytes)
         while True:
@@ -228,7 +227,7 @@ class FeedbackReader:
 
 
 def _layout(table: ControlTable, block: Block, order: list[Register]) -> struct.Struct:
-    """How to unpack the registers that are looked at, in order, from the bytes of a block."""
+    """Return the layout of the registers that are evaluated, in order, in a block."""
     parts, end = "<", 0
     for register in order:
         cell, offset = table[register], block.offsets[register]

@@ -1,4 +1,4 @@
-"""The goals of every servo by one synchronous write, which no servo answers."""
+"""Goals of all servos, sent by one sync write, which no servo answers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import Model
 
 _FIRST: Final = 12
-"""Where the first servo's bytes stand: behind header, id, length, instruction, address, size."""
+"""Offset of the first servo's bytes, behind header, id, length, instruction, address and size."""
 _CRC: Final = 2
 
 
 class GoalWriter:
-    """Writes goals to servos of one control table.
+    """Writer of goals to servos of one control table.
 
     Parameters
     ----------
     port : DeadlinePort
-        Where they go.
+        Port to the servos.
     packets : PacketHandler
         The SDK's Protocol 2.0.
     models : dict of int to Model
@@ -39,7 +39,7 @@ class GoalWriter:
         self._cell = self._models[0].table[Register.GOAL_POSITION]
         address, size = self._cell[:2]
         length = _FIRST - 7 + len(models) * (1 + size) + _CRC
-        # Always the same but for the goals; header and CRC are left to the packet handler.
+        # Only the goals change; the packet handler fills in header and CRC.
         self._instruction = [
             *(0, 0, 0, 0), BROADCAST_ID, length & 0xFF, length >> 8, INST_SYNC_WRITE,
             address & 0xFF, address >> 8, size & 0xFF, size >> 8,
@@ -52,7 +52,12 @@ class GoalWriter:
         self._instruction += bytes(_CRC)
 
     def put(self, goal_rad: NDArray[float64]) -> BusStatus:
-        """Send the goals, shape (dof,).
+        """Send the goals.
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goal angles.
 
         Raises
         ------

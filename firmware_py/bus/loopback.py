@@ -1,7 +1,7 @@
-"""Servos in memory: they answer at once and stand where they were told to, without any physics.
+"""Servos in memory without physics: they answer at once and stand at their goal.
 
-What the tick costs by itself can be measured against them, the SDK's packets included, since
-their work is done while the port waits for an answer.
+They serve to measure the own cost of a tick, the SDK's packets included: their work is done while
+the port waits for an answer.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class LoopbackTransport:
     Attributes
     ----------
     memory : dict of int to bytearray
-        Registers of each servo, as they lie there.
+        Registers of each servo.
     """
 
     def __init__(self, models: Mapping[int, Model]) -> None:
@@ -65,12 +65,12 @@ class LoopbackTransport:
         return cell.decode(self.memory[id_], cell.address)
 
     def write(self, data: bytes) -> int:
-        """Take an instruction; it is carried out when somebody reads."""
+        """Accept an instruction; it is carried out by the next `read`."""
         self._pending += data
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Carry out what was written and return the answers."""
+        """Carry out the instructions written and return the answers."""
         while len(self._pending) > _LENGTH_END:
             end = _LENGTH_END + int.from_bytes(
                 self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
@@ -81,12 +81,12 @@ class LoopbackTransport:
         return data
 
     def discard_input(self) -> None:
-        """Drop the answers that nobody has read; instructions are carried out all the same."""
+        """Carry out the instructions written and drop the answers."""
         self.read(0, 0)
         self._answers = b""
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing."""
 
     def _execute(self, packet: list[int]) -> None:
         id_, instruction, parameters = packet[4], packet[7], packet[8:-2]
@@ -110,7 +110,7 @@ class LoopbackTransport:
                 self._store(parameters[start], address, parameters[start + 1 : start + 1 + size])
 
     def _load(self, id_: int, address: int, size: int) -> list[int]:
-        """Read bytes, through the indirect addresses where that is where they lie."""
+        """Read bytes, through the indirect addresses where the address is one of theirs."""
         memory, indirect = self.memory[id_], self._models[id_].table.indirect
         data = []
         for each in range(address, address + size):

@@ -1,17 +1,19 @@
-"""The SDK's port and packet handlers, made fit for a deadline.
+"""Port and packet handlers of the SDK, bounded by a deadline.
 
-What is changed and why (docs/sources.md, "Dynamixel SDK"; measured against dynamixel-sdk 4.1.0):
+Differences from dynamixel-sdk 4.1.0 as shipped (docs/sources.md, "Dynamixel SDK"):
 
-- Reading blocks in the kernel until bytes arrive. As shipped it spins, which burns 13–31 % of a
-  processor and under SCHED_FIFO starves the very worker that would deliver the bytes.
-- The deadline of the caller is the only timeout. As shipped one lost reply costs 34 ms.
+- A read blocks in the kernel until bytes arrive. As shipped it polls, which uses 13–31 % of a
+  processor and under SCHED_FIFO keeps the kernel's worker from delivering the bytes.
+- The deadline of the caller is the only timeout. As shipped one lost answer costs 34 ms.
 - Time is monotonic, or simulated. As shipped it is the wall clock.
-- A status packet is found with bytes, not byte by byte, which saves some 20 µs in every tick.
-- `txPacket` sends what stuffing returns. As shipped it is thrown away, so that a payload with
-  FF FF FD leaves as a false header. `removeStuffing` looks at the bytes as received. As shipped
-  it looks at its own output, so that after one stuffed header a second FF FD FD loses a byte.
+- A status packet is searched in whole byte strings, not byte by byte, which saves about 20 µs in
+  every tick.
+- `txPacket` sends the stuffed packet. As shipped the result of the stuffing is discarded, so that a
+  payload with FF FF FD is sent as a false header. `removeStuffing` examines the received bytes. As
+  shipped it examines its own output, so that after one stuffed header a second FF FD FD loses a
+  byte.
 
-The bytes themselves go through a `firmware_py.bus.transport.Transport`.
+The bytes go through a `firmware_py.bus.transport.Transport`.
 """
 
 from __future__ import annotations
@@ -46,23 +48,23 @@ _SHORTEST: Final = 11
 
 
 class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
-    """The SDK's port over a `Transport`, bounded by a deadline.
+    """Port of the SDK over a `Transport`, bounded by a deadline.
 
     Parameters
     ----------
     transport : Transport
-        Where the bytes go.
+        Byte stream to the servos.
     clock : Clock
-        What deadlines are measured by.
+        Clock of the deadlines.
     name : str
-        What messages call it.
+        Name in messages.
     baud : int
-        Bits per second, for information only: the transport is already set.
+        Bits per second, for information only: the transport is already open.
 
     Attributes
     ----------
     deadline_ns : int
-        Until when a reply is waited for; the caller sets it before each exchange. The SDK's own
+        End of the wait for an answer; the caller sets it before each exchange. The SDK's own
         timeouts have no effect.
     wait_ns : int
         Time spent waiting for bytes since the start.
@@ -89,21 +91,21 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         self.is_open = False
 
     def replace(self, transport: Transport) -> None:
-        """Go on with another transport, in place of one that is gone."""
+        """Continue with another transport, in place of one that has gone."""
         self._transport, self._received = transport, b""
         self.is_open, self.is_using = True, False
 
     def clearPort(self) -> None:
-        """Drop what was received before a new instruction."""
+        """Drop bytes received before a new instruction."""
         self._received = b""
         self._transport.discard_input()
 
     def setBaudRate(self, baudrate: int) -> bool:
-        """Refuse: a transport keeps the rate that it was opened with."""
+        """Return whether this is the rate that the transport was opened with; it is not changed."""
         return bool(baudrate == self.baudrate)
 
     def getBytesAvailable(self) -> int:
-        """Return how many bytes have been taken from the transport and not yet been read."""
+        """Return the number of bytes received and not yet read."""
         return len(self._received)
 
     def readPort(self, length: int) -> bytes:
@@ -120,13 +122,13 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         return self._transport.write(packet)
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Do nothing: `deadline_ns` rules."""
+        """Do nothing: only `deadline_ns` counts."""
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
-        """Do nothing: `deadline_ns` rules."""
+        """Do nothing: only `deadline_ns` counts."""
 
     def isPacketTimeout(self) -> bool:
-        """Return whether the deadline has passed, or the clock was set back in front of it."""
+        """Return whether the deadline has passed, or the clock was set back before it."""
         remaining_ns = self.deadline_ns - self._clock.now_ns()
         return not self._received and not 0 < remaining_ns <= _LONGEST_WAIT_NS
 
@@ -161,28 +163,35 @@ def _begins_status(packet: bytes, highest_id: int) -> bool:
 
 
 def _next_header(packet: bytes) -> int:
-    """Where, behind its first byte, the next header may begin."""
+    """Return the offset behind the first byte at which the next header may begin."""
     start = packet.find(_HEADER, 1)
     return start if start > 0 else max(1, len(packet) - len(_HEADER))
 
 
 class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is untyped
-    """The SDK's Protocol 2.0 with its stuffing put right, on bytes."""
+    """Protocol 2.0 of the SDK on byte strings, with correct stuffing."""
 
     def updateCRC(self, crc_accum: int, data_blk_ptr: Any, data_blk_size: int) -> int:
-        """Return the CRC over the first bytes; the SDK builds its table anew on every call."""
+        """Return the CRC over the first bytes; the SDK would build its table on every call."""
         for byte in data_blk_ptr[:data_blk_size]:
             crc_accum = (crc_accum << 8 & 0xFFFF) ^ _CRC_TABLE[crc_accum >> 8 ^ byte]
         return crc_accum
 
     def rxPacket(self, port: DeadlinePort, fast_option: bool) -> tuple[bytes, int]:
-        """Take the next status packet off the port; what stands in front of it is dropped.
+        """Receive the next status packet; bytes in front of it are dropped.
+
+        Parameters
+        ----------
+        port : DeadlinePort
+            Port to receive from.
+        fast_option : bool
+            Whether the packet answers a fast sync read.
 
         Returns
         -------
         bytes
-            The packet, as received for a fast sync read, else without its stuffing; litter where
-            the result is no success.
+            The packet, as received for a fast sync read, else without stuffing; meaningless where
+            the result is not COMM_SUCCESS.
         int
             COMM_SUCCESS, COMM_RX_TIMEOUT or COMM_RX_CORRUPT.
         """
@@ -211,23 +220,23 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return packet, result
 
     def addStuffing(self, packet: list[int]) -> list[int]:
-        """Return the packet with FD after every FF FF FD from the instruction on, length put right.
+        """Return the packet with FD after every FF FF FD from the instruction on, length corrected.
 
-        Header and CRC are left as they are: `txPacket` fills them in.
+        Header and CRC are not changed: `txPacket` fills them in.
         """
         body = bytes(packet[_INSTRUCTION:-2]).replace(_HEADER, _HEADER + b"\xfd")
         length = len(body) + 2
         return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, 0, 0]
 
     def removeStuffing(self, packet: bytes) -> bytes:
-        """Return a received packet without its stuffing, length put right."""
+        """Return a received packet without stuffing, length corrected."""
         if _STUFFED not in packet:
             return packet
         body = packet[_INSTRUCTION:-2].replace(_STUFFED, _HEADER)
         return packet[:_LENGTH] + (len(body) + 2).to_bytes(2, "little") + body + packet[-2:]
 
     def txPacket(self, port: DeadlinePort, txpacket: list[int]) -> int:
-        """Send an instruction; `txpacket` itself stays as it was."""
+        """Send an instruction; `txpacket` itself is not changed."""
         return self.send(port, self.finished(txpacket))
 
     def finished(self, txpacket: list[int]) -> bytes:
@@ -239,13 +248,13 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return bytes(packet)
 
     def send(self, port: DeadlinePort, packet: bytes) -> int:
-        """Send a finished instruction that is answered: what was received before is dropped."""
+        """Send a finished instruction that is answered; bytes received before are dropped."""
         if not port.is_using:
             port.clearPort()
         return self._write(port, packet)
 
     def tell(self, port: DeadlinePort, txpacket: list[int]) -> int:
-        """Send an instruction that nobody answers; `txpacket` itself stays as it was."""
+        """Send an instruction that is not answered; `txpacket` itself is not changed."""
         result = self._write(port, self.finished(txpacket))
         if result == COMM_SUCCESS:
             port.is_using = False

@@ -1,4 +1,4 @@
-"""Single registers of single servos, with patience: what happens around the loop, not in it."""
+"""Access to single registers outside the loop, with repeated attempts."""
 
 from __future__ import annotations
 
@@ -13,31 +13,43 @@ from firmware_py.bus.registers import RegisterField
 from firmware_py.realtime.clock import Clock
 
 SETUP_TIMEOUT_NS: Final = 50_000_000
-"""How long one reply may take outside the loop."""
+"""Longest wait for one answer outside the loop."""
 SETUP_ATTEMPTS: Final = 3
 
 
 class RegisterAccess:
-    """Reads and writes registers through the SDK.
+    """Reader and writer of registers through the SDK.
 
     Parameters
     ----------
     port : DeadlinePort
-        Whose deadline bounds every wait.
+        Port to the servos.
     packets : PacketHandler
         The SDK's Protocol 2.0.
     clock : Clock
-        What deadlines are measured by.
+        Clock of the deadlines.
     """
 
     def __init__(self, port: DeadlinePort, packets: PacketHandler, clock: Clock) -> None:
         self._port, self._packets, self._clock = port, packets, clock
 
     def ask(self, id_: int, cell: RegisterField) -> int | None:
-        """Read once; None where no good answer came before the port's deadline.
+        """Read a register once.
 
-        The SDK's own `readTxRx` takes a late answer to an earlier write for this one: its CRC
-        then passes for data. An answer of another length is therefore somebody else's.
+        The SDK's own `readTxRx` accepts a late answer to an earlier write: its CRC then passes for
+        data. Here an answer of a different length is dropped.
+
+        Parameters
+        ----------
+        id_ : int
+            Id of the servo.
+        cell : RegisterField
+            The register.
+
+        Returns
+        -------
+        int or None
+            Raw value; None where no valid answer came before the port's deadline.
 
         Raises
         ------
@@ -56,7 +68,7 @@ class RegisterAccess:
         return None
 
     def get(self, id_: int, cell: RegisterField) -> int | None:
-        """Read, several times if need be; None where it was all in vain or the port is gone."""
+        """Read a register, up to three times; None where all failed or the port has gone."""
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
@@ -68,7 +80,7 @@ class RegisterAccess:
         return None
 
     def put(self, id_: int, cell: RegisterField, raw: int) -> bool:
-        """Write, several times if need be; False where no servo confirmed it."""
+        """Write a register, up to three times; return whether the servo confirmed it."""
         data = list(cell.encode(raw))
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS

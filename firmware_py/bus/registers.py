@@ -1,9 +1,9 @@
-"""Control tables as data: which family of servos has which register where.
+"""Control tables of the servo families: registers, addresses and sizes as data.
 
 The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and P
-models. A servo is therefore told apart by its model number (`firmware_py.bus.servo_models`), never
-by its name. Addresses are those of the ROBOTIS e-Manual (docs/sources.md, "Control tables"), which
-the tables of ROBOTIS' own dynamixel-workbench repeat.
+models. A servo is therefore identified by its model number (`firmware_py.bus.servo_models`), never
+by its name. Addresses: docs/sources.md, "Control tables"; the tables of ROBOTIS'
+dynamixel-workbench agree.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 
 class Register(Enum):
-    """Registers that this project reads or writes; the value is the e-Manual's name."""
+    """Registers that this project uses; the value is the name in the e-Manual."""
 
     MODEL_NUMBER = "Model Number"
     FIRMWARE_VERSION = "Firmware Version"
@@ -52,7 +52,19 @@ class Register(Enum):
 
 
 class RegisterField(NamedTuple):
-    """Where a register lies and how its bytes are read (little endian, two's complement)."""
+    """Location and format of a register (little endian, two's complement).
+
+    Attributes
+    ----------
+    address : int
+        Address of the first byte.
+    size : int
+        Number of bytes.
+    signed : bool
+        Whether the value is signed.
+    writable : bool
+        Whether a program may write it.
+    """
 
     address: int
     size: int
@@ -60,7 +72,7 @@ class RegisterField(NamedTuple):
     writable: bool = True
 
     def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
-        """Return the raw value that starts at `offset` of `data`."""
+        """Return the raw value at `offset` of `data`."""
         return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
 
     def encode(self, raw: int) -> bytes:
@@ -79,14 +91,14 @@ class RegisterField(NamedTuple):
 
 @dataclass(frozen=True)
 class Block:
-    """One contiguous span of registers that a single read fetches.
+    """Contiguous span of registers, fetched by one read.
 
     Attributes
     ----------
     address, size : int
-        Where it begins, how many bytes it has.
+        Address of the first byte; number of bytes.
     offsets : mapping of Register to int
-        What of it is looked at, and where in it that stands.
+        Registers that are evaluated, and their offsets in the block.
     """
 
     address: int
@@ -95,16 +107,16 @@ class Block:
 
 
 class Indirect(NamedTuple):
-    """Where a table lets registers be gathered: byte k of the data stands for an address of choice.
+    """Indirect addressing: byte k of the indirect data mirrors the address in entry k.
 
     Attributes
     ----------
     address : int
-        Of the first entry, two bytes each.
+        Address of the first entry; an entry has two bytes.
     data : int
-        Address of the first byte that stands for another.
+        Address of the first byte of the indirect data.
     entries : int
-        How many there are.
+        Number of entries.
     """
 
     address: int
@@ -112,7 +124,7 @@ class Indirect(NamedTuple):
     entries: int
 
     def entry_of(self, address: int) -> int | None:
-        """Where the entry lies that an address of the data goes by; None outside the data."""
+        """Return the address of the entry for an address of the data; None outside the data."""
         k = address - self.data
         return self.address + 2 * k if 0 <= k < self.entries else None
 
@@ -126,14 +138,14 @@ class ControlTable:
     name : str
         Family, as the e-Manual groups it.
     cells : mapping of Register to RegisterField
-        What the family has; a register that is not in it does not exist there.
+        Registers of the family; a register that is missing does not exist there.
     ram_start : int
         First address of the RAM area; everything below is EEPROM, locked while torque is on.
     indirect : Indirect
         Its indirect addresses.
     fast_sync_read : bool
-        Whether there is firmware that answers a fast sync read. Which version began with it is
-        published for some models only, so the servos are asked (`firmware_py.bus.bus_plan`).
+        Whether some firmware answers a fast sync read. The first such version is published for
+        some models only, so `DynamixelBus.connect` tries it.
     """
 
     name: str
@@ -150,7 +162,7 @@ class ControlTable:
 
     @property
     def feedback(self) -> Block:
-        """The span that holds present position and present current."""
+        """Span of present position and present current."""
         cells = {register: self[register] for register in _MEASURED}
         start = min(cell.address for cell in cells.values())
         end = max(cell.address + cell.size for cell in cells.values())
@@ -159,10 +171,7 @@ class ControlTable:
 
     @property
     def gathered(self) -> Block:
-        """The same two, and what tells a servo that drives from one that does not.
-
-        Side by side, behind the first indirect addresses.
-        """
+        """Present position and current, torque enable and bus watchdog, by indirect addresses."""
         offsets, size = {}, 0
         for register in self._gathered:
             offsets[register] = size
@@ -171,7 +180,7 @@ class ControlTable:
 
     @property
     def gathered_addresses(self) -> tuple[int, ...]:
-        """What the indirect addresses have to hold for `gathered`, byte by byte."""
+        """Values of the indirect addresses for `gathered`, one per byte."""
         cells = [self[register] for register in self._gathered]
         return tuple(cell.address + k for cell in cells for k in range(cell.size))
 
@@ -199,7 +208,7 @@ def _table(
 def _with_ram_at(
     ram_start: int, table: ControlTable, name: str, indirect: Indirect
 ) -> ControlTable:
-    """A family with the registers of another, the RAM area shifted as one."""
+    """Return a table with the registers of another, the RAM area shifted as a whole."""
     shift = ram_start - table.ram_start
     cells = {
         register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
@@ -234,9 +243,8 @@ LEGACY_PRO: Final = _table(
         Register.GOAL_POSITION: RegisterField(596, 4, _SIGNED),
         Register.GOAL_VELOCITY: RegisterField(600, 4, _SIGNED),
         Register.GOAL_CURRENT: RegisterField(604, 2, _SIGNED),
-        Register.PROFILE_VELOCITY: RegisterField(
-            600, 4, _SIGNED
-        ),  # the goal velocity limits the profile
+        # The goal velocity limits the profile.
+        Register.PROFILE_VELOCITY: RegisterField(600, 4, _SIGNED),
         Register.PROFILE_ACCELERATION: (606, 4),  # called goal acceleration there
         Register.MOVING: RegisterField(610, 1, False, _READ_ONLY),
         Register.PRESENT_POSITION: RegisterField(611, 4, _SIGNED, _READ_ONLY),
@@ -247,7 +255,7 @@ LEGACY_PRO: Final = _table(
         Register.STATUS_RETURN_LEVEL: (891, 1),
         Register.HARDWARE_ERROR: RegisterField(892, 1, False, _READ_ONLY),
     },
-    fast_sync_read=False,  # no firmware of it is known to answer one [recalled]
+    fast_sync_read=False,  # docs/sources.md, "Control tables"
 )
 """H54 and H42 `-R`. It has no bus watchdog and only a proportional position gain."""
 
@@ -293,16 +301,17 @@ PRO_P: Final = _table(
 """H54 and H42 `-R(A)`, PH54 and PH42."""
 
 X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
-"""XM430 and its relatives: the table of the P with its RAM area 448 bytes further down."""
+"""X series (XM430): the table of the P with the RAM area at addresses 448 lower."""
 
 POSITION_MODE: Final = 3
 """Value of the operating mode register in which the goal is an angle."""
 
 WATCHDOG_STEP_S: Final = 0.020
 RETURN_DELAY_STEP_S: Final = 2e-6
+"""Steps of the two registers (docs/sources.md, "Control tables")."""
 
 WATCHDOG_TRIPPED: Final = -1
-"""What the bus watchdog register then holds."""
+"""Value of the bus watchdog register after it has tripped."""
 
 HARDWARE_ERRORS: Final = (
     "input voltage", "motor hall sensor", "overheating", "motor encoder", "electrical shock",
@@ -310,12 +319,20 @@ HARDWARE_ERRORS: Final = (
 )  # fmt: skip
 """Meaning of the bits of the hardware error register, from bit 0 on."""
 TORQUE_LOST, STOPPED_BY_WATCHDOG = 1 << 8, 1 << 9
-"""Alerts of ours beside those bits: a servo that should drive does not."""
-_OURS: Final = {TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it"}
+"""Alert bits of this project beside those: a servo that should drive does not."""
+_ADDED_ALERTS: Final = {
+    TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it",
+}  # fmt: skip
 
 
 def describe_alert(bits: int) -> str:
-    """Name the hardware errors and other alerts that are set, or "none"."""
+    """Return the names of the hardware errors and other alerts that are set, or "none".
+
+    Parameters
+    ----------
+    bits : int
+        Hardware error bits, `TORQUE_LOST` and `STOPPED_BY_WATCHDOG`, or-ed.
+    """
     names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
-    names += [name for bit, name in _OURS.items() if bits & bit]
+    names += [name for bit, name in _ADDED_ALERTS.items() if bits & bit]
     return ", ".join(names) or "none"

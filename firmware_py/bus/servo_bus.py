@@ -1,8 +1,8 @@
-"""The servos as the loop sees them: angles and currents in, goals out, faults as values.
+"""Interface between loop and servos: angles and currents in, goals out, faults as values.
 
 A fault never raises inside the loop. `read` and `write` return a `BusStatus`; the arrays keep the
-last good measurement, and the caller knows its age from the number of reads since.
-`firmware_py.bus.dynamixel` speaks to real servos, `firmware_py.bus.loopback` stands in for them.
+last valid measurement, and the caller knows its age from the number of reads since.
+`firmware_py.bus.dynamixel` implements the interface.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ class BusStatus(IntEnum):
 
     OK = 0
     RETRIED = 1
-    """Fresh data, but only after the servos were asked a second time."""
+    """Fresh data, from the second read of the tick."""
     ALERT = 2
-    """Fresh data, and at least one servo reports a hardware error, or does not drive though it
+    """Fresh data; at least one servo reports a hardware error, or does not drive although it
     should."""
     TIMEOUT = 3
-    """A reply did not come before the deadline."""
+    """An answer was missing at the deadline."""
     CORRUPT = 4
-    """A reply came damaged."""
+    """An answer was damaged."""
     REFUSED = 5
-    """A servo answered that it could not follow the instruction."""
+    """A servo refused the instruction."""
     PORT_GONE = 6
     """The device has disappeared."""
 
     @property
     def fresh(self) -> bool:
-        """Whether the arrays hold what the servos just said."""
+        """Whether the arrays hold a measurement of this read."""
         return self <= BusStatus.ALERT
 
 
 class ServoBus(Protocol):
-    """What the loop drives: a real bus, or one in memory.
+    """Bus as the loop uses it: real, or in memory.
 
     Attributes
     ----------
     dof : int
         Number of joints.
     angle_rad, current_a : ndarray, shape (dof,)
-        The last good measurement, overwritten in place.
+        The last valid measurement, overwritten in place.
     alert : int
-        What the servos complain of, or-ed; see `firmware_py.bus.registers.describe_alert`.
+        Alert bits of all servos, or-ed; see `firmware_py.bus.registers.describe_alert`.
     wait_ns : int
         Time spent waiting for the servos since the start.
     """
@@ -66,25 +66,31 @@ class ServoBus(Protocol):
         ...
 
     def connect(self) -> None:
-        """Check and prepare every servo, torque off; raise InputError where one is unfit."""
+        """Check and prepare every servo, torque off.
+
+        Raises
+        ------
+        InputError
+            If a servo is unfit for the run.
+        """
         ...
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure angles and currents."""
+        """Measure angles and currents; `deadline_ns` ends the wait for the answers."""
         ...
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Send the goals, shape (dof,)."""
+        """Send the goals, shape (dof,); `deadline_ns` is the end of the slot."""
         ...
 
     def torque(self, on: bool) -> BusStatus:
-        """Switch the torque of every servo."""
+        """Switch the torque of every servo; OK where every servo confirmed it."""
         ...
 
     def reopen(self) -> bool:
-        """Open a port anew that was gone; `connect` must follow before the servos are driven."""
+        """Open a port again that had gone; call `connect` before the servos are driven."""
         ...
 
     def close(self) -> None:
-        """Torque off if it is on, and let go of the port; never raises."""
+        """Switch the torque off if it may be on, and close the port; never raises."""
         ...

@@ -1,4 +1,4 @@
-"""The servo models, and the one place where raw register values become SI units."""
+"""Servo models, and the conversion between raw register values and SI units."""
 
 from __future__ import annotations
 
@@ -20,10 +20,15 @@ from firmware_py.errors import InputError
 
 
 def round_half_away(value: float) -> int:
-    """Round to the nearest integer, halves away from zero.
+    """Return the nearest integer, halves away from zero.
 
-    Symmetric about zero, which Python's own rounding (half to even) is not over pulses: goals of
-    +x and −x give opposite pulses.
+    The rounding is symmetric about zero, so goals of +x and −x give opposite pulses. Python's own
+    rounds halves to even.
+
+    Parameters
+    ----------
+    value : float
+        Value to round.
 
     Raises
     ------
@@ -40,22 +45,22 @@ def round_half_away(value: float) -> int:
 
 @dataclass(frozen=True)
 class Model:
-    """One servo model: its table and its resolutions.
+    """Servo model: control table and resolutions.
 
     Attributes
     ----------
     number : int
-        What the model number register holds.
+        Value of the model number register.
     name : str
         Name on the type plate.
     table : ControlTable
-        Its registers.
+        Registers.
     pulses_per_turn : int
-        Of the output shaft.
+        Pulses per turn of the output shaft.
     zero_pulse : int
-        Raw position at zero angle (PRO and P count from −, X from 0 to 4095).
+        Raw position at zero angle: 0 for PRO and P, which count both ways; 2048 for X.
     current_a_per_lsb, velocity_rad_s_per_lsb : float
-        Resolutions of current and velocity.
+        Resolution of current and velocity (docs/sources.md, "Control tables").
     """
 
     number: int
@@ -68,15 +73,15 @@ class Model:
 
     @cached_property
     def rad_per_pulse(self) -> float:
-        """Resolution of the position."""
+        """Resolution of the position, in rad per pulse."""
         return 2.0 * math.pi / self.pulses_per_turn
 
     def angle_rad(self, raw: int) -> float:
-        """Angle of a raw position."""
+        """Return the angle of a raw position, in rad."""
         return (raw - self.zero_pulse) * self.rad_per_pulse
 
     def position_raw(self, angle_rad: float) -> int:
-        """Raw position nearest to an angle.
+        """Return the raw position nearest to an angle.
 
         Raises
         ------
@@ -87,20 +92,20 @@ class Model:
         return _checked(raw, self.table[Register.GOAL_POSITION], "angle", angle_rad, "rad")
 
     def current_a(self, raw: int) -> float:
-        """Current of a raw value."""
+        """Return the current of a raw value, in A."""
         return raw * self.current_a_per_lsb
 
     def current_raw(self, current_a: float) -> int:
-        """Raw value nearest to a current; errors as `position_raw`."""
+        """Return the raw value nearest to a current; raises as `position_raw`."""
         raw = round_half_away(current_a / self.current_a_per_lsb)
         return _checked(raw, self.table[Register.PRESENT_CURRENT], "current", current_a, "A")
 
     def velocity_rad_s(self, raw: int) -> float:
-        """Angular velocity of a raw value."""
+        """Return the angular velocity of a raw value, in rad/s."""
         return raw * self.velocity_rad_s_per_lsb
 
     def velocity_raw(self, velocity_rad_s: float) -> int:
-        """Raw value nearest to an angular velocity; errors as `position_raw`."""
+        """Return the raw value nearest to an angular velocity; raises as `position_raw`."""
         raw = round_half_away(velocity_rad_s / self.velocity_rad_s_per_lsb)
         cell = self.table[Register.PRESENT_VELOCITY]
         return _checked(raw, cell, "velocity", velocity_rad_s, "rad/s")
@@ -131,16 +136,31 @@ MODELS: Final[Mapping[int, Model]] = {
         Model(1020, "XM430-W350", X_SERIES, 4096, 2048, 2.69e-3, _rpm(0.229)),
     )
 }
-"""Every servo model that this project knows, by model number."""
+"""Supported servo models, by model number."""
 
 
 def model_named(name: str) -> Model:
-    """Return the model of that name.
+    """Return the servo model of a name.
+
+    Parameters
+    ----------
+    name : str
+        Name on the type plate.
 
     Raises
     ------
     InputError
-        If there is none; the remedy lists those that there are.
+        If the model is not supported; the remedy lists the supported ones.
+
+    Examples
+    --------
+    >>> model = model_named("H54-200-S500-R")
+    >>> model.number, model.table.name, model.pulses_per_turn
+    (54024, 'legacy PRO', 501923)
+    >>> model.position_raw(0.5)
+    39942
+    >>> round(model.angle_rad(39942), 6)
+    0.500003
     """
     for model in MODELS.values():
         if model.name == name:

@@ -1,4 +1,4 @@
-"""A stream of bytes to the servos: a serial device, a UNIX socket, or what a test passes in."""
+"""Byte streams to the servos: serial device or UNIX socket."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ BAUD_RATES: Final = (
     9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
     2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
 )  # fmt: skip
-"""Rates that the SDK offers."""
+"""Baud rates that the SDK offers."""
 
 _READ_SIZE: Final = 4096
 _LONGEST_WAIT_NS: Final = 1_000_000_000
-"""A clock that was set back must not make anybody wait for an hour."""
-_HUNG_UP: Final = "the other side has closed the line"
+"""Bound on a wait where the clock was set back."""
+_HUNG_UP: Final = "the other end has closed the connection"
 _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
 
 class Transport(Protocol):
-    """A stream of bytes to and from the servos. A transport that is gone raises OSError."""
+    """Byte stream to and from the servos; raises OSError when the device has gone."""
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return up to `size` bytes as soon as there are any, or none once the deadline passed."""
+        """Return up to `size` bytes as soon as any arrive, or none after the deadline."""
         ...
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return how many were accepted."""
+        """Send bytes; return the number accepted."""
         ...
 
     def discard_input(self) -> None:
-        """Drop whatever has been received and not yet read."""
+        """Drop all bytes received and not yet read."""
         ...
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         ...
 
 
 class SerialTransport:
-    """A serial device or pseudo-terminal.
+    """Serial device or pseudo-terminal.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class SerialTransport:
     baud : int
         Bits per second, one of `BAUD_RATES`.
     clock : Clock
-        What deadlines are measured by.
+        Clock of the deadlines.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class SerialTransport:
         self.low_latency = self._request_low_latency()
 
     def _request_low_latency(self) -> bool:
-        """Ask the USB adapter to hand over bytes at once; a pseudo-terminal has no such flag."""
+        """Ask the USB adapter to pass bytes on at once; a pseudo-terminal has no such flag."""
         settings = array.array("i", [0] * 32)
         try:
             fcntl.ioctl(self._fd, _TIOCGSERIAL, settings)
@@ -94,7 +94,7 @@ class SerialTransport:
             return b""
         if data := os.read(self._fd, size):
             return data
-        raise ConnectionResetError(_HUNG_UP)  # readable, and yet nothing to read
+        raise ConnectionResetError(_HUNG_UP)  # readable without data: closed
 
     def write(self, data: bytes) -> int:
         """See `Transport.write`."""
@@ -107,7 +107,7 @@ class SerialTransport:
         """See `Transport.discard_input`."""
         try:
             termios.tcflush(self._fd, termios.TCIFLUSH)
-        except termios.error as error:  # which is no OSError
+        except termios.error as error:  # not a subclass of OSError
             raise ConnectionResetError(_HUNG_UP) from error
 
     def close(self) -> None:
@@ -116,7 +116,20 @@ class SerialTransport:
 
 
 class SocketTransport:
-    """A UNIX stream socket, as the emulator offers one: less jitter than a pseudo-terminal."""
+    """UNIX stream socket of an emulator; less jitter than a pseudo-terminal.
+
+    Parameters
+    ----------
+    path : str
+        Path of the socket.
+    clock : Clock
+        Clock of the deadlines.
+
+    Raises
+    ------
+    InputError
+        If the socket cannot be connected to.
+    """
 
     def __init__(self, path: str, clock: Clock) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -160,35 +173,41 @@ class SocketTransport:
 
 
 def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
-    """Wait until there is something to read; what is there already counts after the deadline too.
+    """Wait until bytes are readable; bytes that are there already count after the deadline too.
 
-    Asking first is cheaper than reading in vain, for in the loop the first answer is never there.
+    Polling first is cheaper than a failed read: in the loop the first answer is never there yet.
     """
     remaining_ns = max(0, min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS))
     return bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
 
 
 def open_transport(name: str, baud: int, clock: Clock) -> Transport:
-    """Open the transport that a port name stands for: `unix:/path` a socket, else a serial device.
+    """Open the transport of a port.
 
-    A name with wildcards stands for the first that can be opened, in the order of the alphabet: an
-    adapter that was unplugged may come back as another one.
+    Parameters
+    ----------
+    name : str
+        `unix:PATH` for a socket, else the path of a serial device. With wildcards, the first in
+        alphabetical order that can be opened: an adapter may come back under another name.
+    baud : int
+        Bits per second.
+    clock : Clock
+        Clock of the deadlines.
 
     Raises
     ------
     InputError
-        If none can be opened.
+        If the port cannot be opened; where several match, the refusal of the first.
     """
     scheme = "unix:" if name.startswith("unix:") else ""
     pattern = name.removeprefix(scheme)
-    refusal: InputError | None = None
+    refusals: list[InputError] = []
     for path in sorted(glob.glob(pattern)) or [pattern]:
         try:
             return SocketTransport(path, clock) if scheme else SerialTransport(path, baud, clock)
         except InputError as error:
-            refusal = refusal or error
-    assert refusal is not None
-    raise refusal
+            refusals.append(error)
+    raise refusals[0]
 
 
 def _port_remedy(path: str) -> str:
@@ -196,4 +215,4 @@ def _port_remedy(path: str) -> str:
         return "plug in the adapter and name its device (ls /dev/serial/by-id)"
     if not os.access(path, os.R_OK | os.W_OK):
         return "add yourself to the group dialout, or run 'dropstitch install-service'"
-    return "close the program that holds it, and use a baud rate that the adapter offers"
+    return "close the program that uses it, and choose a baud rate that the adapter offers"
