@@ -28,7 +28,7 @@ import numpy as np
 from bench.real_page import write_real_page
 from firmware_py.console import DONE, NEGATIVE, Progress
 from models.__main__ import main as models
-from models.plant.identification.evaluation import compare
+from models.plant.identification.evaluation import compare_with_trials
 from models.plant.identification.identification import identify
 from models.plant.plant import Plant, read_plant
 from models.trials.trial import TrialSet
@@ -140,7 +140,7 @@ def identified_plant(
 def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
     """Mean absolute and root mean square error of a signal, by trial."""
     result = {}
-    for c in compare(plant, trials):
+    for c in compare_with_trials(plant, trials):
         error = c.error(signal)
         result[c.trial.name] = {
             "mae": float(np.mean(np.abs(error))), "rms": float(np.sqrt(np.mean(error**2)))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from firmware_py.display_units import ANGLE_ERROR, LENGTH, TIME, signal_unit, signal_words
-from models.plant.identification.evaluation import Comparison, compare
+from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import read_plant
 from models.shared.html_page import Section, page_of, table_of
 from models.shared.palette import MUTED, SIMULATED
@@ -61,7 +61,7 @@ def _rig(name: str, rig: dict[str, Any], out: Path) -> Section:
         "identified",
     )
     plant = read_plant(out / "plant.json")
-    picture = _picture(compare(plant, read_trials(out / "trials", plant.signals)))
+    picture = _picture(compare_with_trials(plant, read_trials(out / "trials", plant.signals)))
     body = f"<p>Named, round by round: {html.escape(rounds)}.</p>{fits}{values}{picture}"
     return Section(name, plant.name, body)
 

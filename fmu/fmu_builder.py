@@ -21,7 +21,7 @@ import fmpy
 from fmu.interface import Interface, interface_of
 from fmu.model_description import FmiVersion, documentation_page, model_description_xml
 from fmu.variables_c import write_variables
-from models.plant.simulation.model_c import write_model
+from models.plant.simulation.model_c import write_model_c
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
 
@@ -86,7 +86,7 @@ def build_fmu(
     interface = interface_of(model)
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
-        model_c = write_model(model, directory)
+        model_c = write_model_c(model, directory)
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "fmu_core.c", model_c, variables_c]

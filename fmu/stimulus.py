@@ -12,7 +12,7 @@ from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, PERIOD_S
 from fmu.fmu_models import FmuParts
-from models.plant.simulation.compiled_model import CompiledModel, trial_inputs
+from models.plant.simulation.compiled_model import CompiledModel, model_inputs
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
@@ -89,7 +89,7 @@ def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
         )  # fmt: skip
     if parts.kind == "predictor":
         trial = replace(trial, columns={**trial.columns, DI.name: deformation_index(trial)})
-    return trial_inputs(model, trial)
+    return model_inputs(model, trial)
 
 
 def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:

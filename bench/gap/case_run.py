@@ -17,7 +17,7 @@ from firmware_py.motion import Motion
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.search.look_alikes import look_alikes_of
-from models.plant.identification.evaluation import compare
+from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import RigParameters, read_parameters
 from models.rig.study_protocol import run_case
@@ -125,7 +125,7 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     """Error on a trial: root mean square over signals, each in its own noise floor."""
     floor = noise_floor_of(plant, 1)
     assert floor is not None, "identify the plant on repeated trials first"
-    comparison = compare(plant, [trial])[0]
+    comparison = compare_with_trials(plant, [trial])[0]
     squares = [
         np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
         for s in comparison.simulated if s in floor.noise

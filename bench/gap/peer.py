@@ -46,7 +46,7 @@ from models.gap.residuals.fit_parameters import (
 )
 from models.gap.residuals.residuals import SUBSTEP_S, Residuals
 from models.gap.residuals.spectrum import Array, inverse_cosine_transform
-from models.plant.identification.simulation_fit import weights
+from models.plant.identification.simulation_fit import row_weights
 from models.plant.plant import Plant, Unit, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
 from models.plant.step_model import names
@@ -86,7 +86,7 @@ def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, 
         twin = {}
         for b, s in enumerate(group.signals):
             known = inverse_cosine_transform(means[k, b], len(trial)) / np.maximum(
-                weights(trial, s), 0.05
+                row_weights(trial, s), 0.05
             )
             twin[s] = trial.columns[s] - loop[s] - known if s in trial.columns else known
         # Against the driven link on the loop's own motion: what its filter does drops out.

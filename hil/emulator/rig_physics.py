@@ -19,7 +19,7 @@ from hil.emulator.physics import RigSource
 from models.rig.rig import Rig
 from models.rig.rig_parameters import read_parameters
 from models.rig.sensors import read_current
-from models.rig.study_protocol import vary
+from models.rig.study_protocol import draw_variation
 from models.rig.trial_case import TrialCase
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class RigPhysics:
         # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
         case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=rig.seed)
         self._rng = case.rng()
-        variation = vary(read_parameters().hide(rig.hidden), case, self._rng)
+        variation = draw_variation(read_parameters().hide(rig.hidden), case, self._rng)
         self.dof, self._parameters = dof, variation.parameters
         self._rig = Rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
         self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)

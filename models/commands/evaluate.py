@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.console import DONE, emit
-from models.plant.identification.evaluation import evaluation
+from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.plant.provenance import Evaluation
 from models.trials.trial_files import read_trials
@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     plant = read_plant(args.plant)
-    result = evaluation(plant, read_trials(args.trials, plant.signals))
+    result = evaluate_plant(plant, read_trials(args.trials, plant.signals))
     emit(args, msgspec.to_builtins(result), as_text(result))
     return DONE
 

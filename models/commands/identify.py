@@ -14,7 +14,7 @@ import msgspec
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import as_text
 from models.gap.estimation.noise_floor_fit import with_noise_floor
-from models.plant.identification.fit_picture import draw
+from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
 from models.plant.plant import read_plant
 from models.trials.trial_files import read_trials
@@ -40,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     progress.step("done")
     plant.write(args.out)
     fit, held_out = trials.split()
-    picture = draw(found.plant, held_out if len(held_out) else fit, args.out.with_suffix(".svg"))
+    picture = draw_fit(
+        found.plant, held_out if len(held_out) else fit, args.out.with_suffix(".svg")
+    )
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
     for q in found.fitted:
         bound = "  at its bound" if q.value in (q.low, q.high) else ""

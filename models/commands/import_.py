@@ -1,4 +1,4 @@
-"""Turn a recording into a trial: map names and units, merge, synchronise, resample."""
+"""Import of a recording as a trial: names and units mapped, files merged, clocks synchronised."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from firmware_py.console import DONE, emit
 from firmware_py.log.recording import read_recording
 from models.trials.importers import KINDS, read_series
-from models.trials.importers.assembly import align, assemble
+from models.trials.importers.assembly import align_rest_pose, assemble_trial
 from models.trials.importers.mapping import read_mapping
-from models.trials.importers.robot_log import with_conditions
-from models.trials.importers.synchronisation import shift, synchronise
-from models.trials.importers.table_file import read_facts
+from models.trials.importers.robot_log import with_log_conditions
+from models.trials.importers.synchronisation import shift_clock, synchronise
+from models.trials.importers.table_file import read_scalars
 from models.trials.trial_files import read_trial, write_trial
 
 EXAMPLE = (
@@ -46,17 +46,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one recording; what is written has passed the same checks as any trial."""
+    """Import one recording and check the written trial as any other."""
     mapping = read_mapping(args.map)
     cut_off = []
     for path in filter(_is_recording, (args.file, args.servo)):
         log = read_recording(path)
-        mapping = with_conditions(mapping, log)
+        mapping = with_log_conditions(mapping, log)
         if not log.complete:
             cut_off.append(str(path))
     if args.kind == "table":
-        mapping = mapping.with_facts(read_facts(args.file), args.file)
-    series = align(read_series(args.file, args.kind, mapping), mapping)
+        mapping = mapping.with_scalars(read_scalars(args.file), args.file)
+    series = align_rest_pose(read_series(args.file, args.kind, mapping), mapping)
     result: dict[str, Any] = {}
     if args.servo is not None:
         servo = read_series(args.servo, None, mapping.for_servo())
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
             result = {"offset_s": found.offset_s, "correlation": found.correlation}
         else:
             result = {"offset_s": args.offset}
-        series = [*series, *shift(servo, result["offset_s"])]
-    trial = assemble(series, mapping, args.name or args.file.stem)
+        series = [*series, *shift_clock(servo, result["offset_s"])]
+    trial = assemble_trial(series, mapping, args.name or args.file.stem)
     path = write_trial(trial, args.out)
     trial = read_trial(path, mapping.signals)
     result |= {

@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         "hidden": hidden,
         "laboratory_sha256": parameters.sha256(),
     }
-    trial_runner.check_names(cases, conditions, args.out)
+    trial_runner.refuse_other_conditions(cases, conditions, args.out)
     trial_runner.record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
     paths = trial_runner.run_cases(cases, parameters, args.out, args.workers, progress.step)

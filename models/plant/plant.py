@@ -35,6 +35,7 @@ from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from models.plant.components.drives import DRIVES
 from models.plant.components.link import Link
+from models.plant.components.load_protocol import PlantLoad
 from models.plant.components.rigid_loads import Mass, Pendulum
 from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
 from models.plant.composition.observer import compose_observer, observer_parameters
@@ -48,7 +49,7 @@ from models.plant.step_model import StepModel
 from models.trials.trial import SignalRole
 
 Unit = Literal["twin", "observer", "driven"]
-LOADS: Final[dict[str, type[Any]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
+LOADS: Final[dict[str, type[PlantLoad]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
 """Loads by the name that a plant document gives them."""
 COMPOSERS: Final = {
     "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,

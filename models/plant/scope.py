@@ -1,7 +1,8 @@
-"""What the parts of a plant see while they are put together: parameters, states and wires.
+"""Symbols of a plant during composition: parameters, states, inputs and physical quantities.
 
-Drive, load and effects know nothing of each other. Each reads and writes wires, symbolic
-expressions by joint or by hinge, in the order of the ports (`models.plant.composition.twin`)::
+Drive, load and effects do not know each other. Each reads and changes quantities of the scope,
+symbolic expressions by joint or by hinge, in the order of the ports
+(`models.plant.effects.order.PORTS`)::
 
     sensor → command → stiffness → mass → bend_torque → joint_torque → servo_torque → motion
 """
@@ -25,12 +26,26 @@ Hinge = tuple[str, int]
 
 ROTARY = {"angle": "rad", "torque": "nm"}
 LINEAR = {"angle": "m", "torque": "n"}
-"""Unit suffixes of a joint's coordinate and of the torque (or force) on it."""
+"""Suffixes of a joint's coordinate and of the torque (or force) on it, by kind of motion."""
 
 
 @dataclass
 class StateVariable:
-    """A state while it is composed: its symbol, how it starts, flows and jumps."""
+    """State during composition.
+
+    Attributes
+    ----------
+    variable : Variable
+        Name, unit and bounds.
+    symbol : SX
+        Its symbol.
+    initial : SX
+        Value at the start.
+    rate : SX
+        Time derivative.
+    begin, finish : SX or None
+        Discrete update at the begin and the end of a step; None for none.
+    """
 
     variable: Variable
     symbol: Expr
@@ -52,29 +67,38 @@ class Scope:
         `ROTARY` or `LINEAR`.
     step_s : SX
         Length of the whole step, for discrete updates.
-    goal, start, angle, rate, acceleration, holding : dict by joint
-        Goal after the command port; where the joint starts; its coordinate and rate, and its
-        acceleration where it is driven; torque that holds the load still at the start.
-    direction : dict by joint
-        Smooth sign of the rate, where the drive knows a better one than that of the rate alone.
-    current, motor_torque, friction, joint_torque, transmitted, pressing : dict by joint
-        Drive's current and torque; friction that opposes `rate`; other torque on the joint;
-        torque that the load puts on the joint apart from its inertia; torque that the drive puts
-        on the teeth from the other side, where the friction of its gear depends on that.
-    torque_scale, current_limit_cut : dict by joint
-        Factor on the drive's torque; reduction of its limit.
+    states, inputs, parameters : dict by name
+        Declared so far.
+    goal, start : dict by joint
+        Goal after the command port; coordinate of the joint at the start.
+    angle, rate, acceleration : dict by joint
+        Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
+    holding_torque : dict by joint
+        Drive torque that holds the load still at the start.
+    friction_direction : dict by joint
+        Smooth sign of the rate with presliding, from drives that have it.
+    current, motor_torque : dict by joint
+        Current and torque of the drive.
+    friction, joint_torque : dict by joint
+        Friction that opposes `rate`; any other torque on the joint.
+    transmitted_torque : dict by joint
+        Torque that the load puts on the gear apart from its inertia.
+    gear_drive_torque : dict by joint
+        Torque that the drive puts on the gear, where friction depends on it.
+    torque_scale, current_limit_reduction : dict by joint
+        Factor on the drive's torque; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
-        Lost motion between the drive's side of the gear and the load's: the load stands at
-        angle - windup.
-    bend, bend_rate, stiffness, bend_torque, rest_bend : dict by hinge
-        Bend of the load's hinges, their rates, stiffness, the torque acting on the bend, and the
-        bend at rest upright.
+        Lost motion in the gear: the load stands at angle - windup.
+    bend, bend_rate, stiffness, bend_torque : dict by hinge
+        Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
+    rest_bend : dict by hinge
+        Bend at rest upright, the reference of the Deformation Index.
     payload_kg, payload_offset_m : SX
-        Mass at the tip and where it sits, towards +x.
-    angle_error, current_bias, current_scale : dict by joint
-        Sensor errors: added to the angle, added to and relative of the current.
+        Mass at the tip and its offset towards +x.
+    encoder_error, current_bias, current_scale : dict by joint
+        Sensor errors: added to the angle; added to the current; relative to the current.
     frame_tilt_rad, frame_delay_s : SX
-        Errors of the mocap frame and clock.
+        Errors of the motion capture's frame and clock.
     """
 
     joints: tuple[int, ...]
@@ -88,16 +112,16 @@ class Scope:
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)
-    holding: dict[int, Expr] = field(default_factory=dict)
-    direction: dict[int, Expr] = field(default_factory=dict)
+    holding_torque: dict[int, Expr] = field(default_factory=dict)
+    friction_direction: dict[int, Expr] = field(default_factory=dict)
     current: dict[int, Expr] = field(default_factory=dict)
     motor_torque: dict[int, Expr] = field(default_factory=dict)
     friction: dict[int, Expr] = field(default_factory=dict)
     joint_torque: dict[int, Expr] = field(default_factory=dict)
-    transmitted: dict[int, Expr] = field(default_factory=dict)
-    pressing: dict[int, Expr] = field(default_factory=dict)
+    transmitted_torque: dict[int, Expr] = field(default_factory=dict)
+    gear_drive_torque: dict[int, Expr] = field(default_factory=dict)
     torque_scale: dict[int, Expr] = field(default_factory=dict)
-    current_limit_cut: dict[int, Expr] = field(default_factory=dict)
+    current_limit_reduction: dict[int, Expr] = field(default_factory=dict)
     windup: dict[int, Expr] = field(default_factory=dict)
     windup_rate: dict[int, Expr] = field(default_factory=dict)
     windup_acceleration: dict[int, Expr] = field(default_factory=dict)
@@ -108,7 +132,7 @@ class Scope:
     rest_bend: dict[Hinge, Expr] = field(default_factory=dict)
     payload_kg: Expr = 0
     payload_offset_m: Expr = 0
-    angle_error: dict[int, Expr] = field(default_factory=dict)
+    encoder_error: dict[int, Expr] = field(default_factory=dict)
     current_bias: dict[int, Expr] = field(default_factory=dict)
     current_scale: dict[int, Expr] = field(default_factory=dict)
     frame_tilt_rad: Expr = 0
@@ -117,17 +141,17 @@ class Scope:
     def __post_init__(self) -> None:
         for j in self.joints:
             self.start[j] = 0
-            self.holding[j] = ca.SX.sym(f"holding_{j}")
-            for wire in (
-                self.friction, self.joint_torque, self.current_limit_cut, self.windup,
+            self.holding_torque[j] = ca.SX.sym(f"holding_{j}")
+            for quantity in (
+                self.friction, self.joint_torque, self.current_limit_reduction, self.windup,
                 self.windup_rate, self.windup_acceleration,
-                self.angle_error, self.current_bias, self.current_scale,
+                self.encoder_error, self.current_bias, self.current_scale,
             ):  # fmt: skip
-                wire[j] = 0
+                quantity[j] = 0
             self.torque_scale[j] = 1
 
     def declare(self, parameters: Sequence[Parameter]) -> None:
-        """Make a symbol of each parameter."""
+        """Add parameters, each with its symbol."""
         for q in parameters:
             variable = Variable(
                 q.name, q.unit, q.value, q.description, q.low, q.high,
@@ -136,38 +160,38 @@ class Scope:
             self.parameters[q.name] = (variable, ca.SX.sym(q.name))
 
     def name(self, pattern: str, joint: int | None = None) -> str:
-        """Fill `{j}`, `{angle}` and `{torque}` of a pattern."""
+        """Name with `{j}`, `{angle}` and `{torque}` of the pattern filled in."""
         return pattern.format(j=joint, **self.suffix)
 
     def p(self, pattern: str, joint: int | None = None) -> Expr:
-        """Symbol of a parameter."""
+        """Symbol of the parameter whose name is the pattern filled in."""
         return self.parameters[self.name(pattern, joint)][1]
 
-    def seen_angle(self, joint: int) -> Expr:
-        """Joint coordinate as the encoder shows it."""
-        return self.angle[joint] + self.angle_error[joint]
+    def measured_angle(self, joint: int) -> Expr:
+        """Joint coordinate as the encoder measures it."""
+        return self.angle[joint] + self.encoder_error[joint]
 
-    def at_start(self, expression: Expr) -> Expr:
-        """Expression before anything moves, in terms of the bends, whose start is found last."""
+    def initial_value(self, expression: Expr) -> Expr:
+        """Value of an expression at the start as a function of the bends, solved last."""
         bends = {b.name() for b in self.bend.values()}
         still = [(s.symbol, s.initial) for n, s in self.states.items() if n not in bends]
         return substitute(expression, still)
 
     def input(self, variable: Variable) -> Expr:
-        """Add an input."""
+        """Add an input; returns its symbol."""
         symbol = ca.SX.sym(variable.name)
         self.inputs[variable.name] = (variable, symbol)
         return symbol
 
     def state(self, variable: Variable, initial: Expr = 0.0) -> Expr:
-        """Add a state that holds its value until a rate or an update is given."""
+        """Add a state, constant until it is given a rate or an update; returns its symbol."""
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
-    """Expression with the first of each pair replaced by the second, all at once."""
+    """Expression in which the first of each pair is replaced by the second, simultaneously."""
     if not pairs:
         return expression
     old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))

@@ -33,7 +33,9 @@ class Variation:
     frame_shift_m: Array
 
 
-def vary(parameters: RigParameters, case: TrialCase, rng: np.random.Generator) -> Variation:
+def draw_variation(
+    parameters: RigParameters, case: TrialCase, rng: np.random.Generator
+) -> Variation:
     """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
     p = parameters
     pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
@@ -70,7 +72,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
         If the link folds under what is asked of it, or the step does not fit the period.
     """
     rng = case.rng()
-    variation = vary(parameters, case, rng)
+    variation = draw_variation(parameters, case, rng)
     p = variation.parameters
     lab = Rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
     substeps = round(PERIOD_S / lab.step_s)

@@ -18,9 +18,9 @@ from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import write_trial
 
-RECORD: Final = "laboratory.json"
-"""What was run, by trial: kept beside the trials and read by nobody but `check_names`, so that
-what is hidden stays out of the trials themselves."""
+CONDITIONS_FILE: Final = "laboratory.json"
+"""What was run, by trial: kept beside the trials and read by `refuse_other_conditions` only, so
+that what is hidden stays out of the trials themselves."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -76,7 +76,9 @@ def run_cases(
     return [paths[case.name] for case in cases]
 
 
-def check_names(cases: Sequence[TrialCase], conditions: Mapping[str, Any], directory: Path) -> None:
+def refuse_other_conditions(
+    cases: Sequence[TrialCase], conditions: Mapping[str, Any], directory: Path
+) -> None:
     """Refuse to overwrite a trial that was run under other conditions, or measured.
 
     Raises
@@ -101,7 +103,7 @@ def record_conditions(
     directory.mkdir(parents=True, exist_ok=True)
     record = _read_record(directory) | {case.name: dict(conditions) for case in cases}
     text = msgspec.json.format(msgspec.json.encode(dict(sorted(record.items()))), indent=1)
-    (directory / RECORD).write_bytes(text + b"\n")
+    (directory / CONDITIONS_FILE).write_bytes(text + b"\n")
 
 
 def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
@@ -109,7 +111,7 @@ def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) 
 
 
 def _read_record(directory: Path) -> dict[str, Any]:
-    path = directory / RECORD
+    path = directory / CONDITIONS_FILE
     if not path.exists():
         return {}
     try:

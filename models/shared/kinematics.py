@@ -49,7 +49,7 @@ def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Arra
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
 
 
-def pointing_rad(position_m: Array) -> Array:
+def pointing_angles_rad(position_m: Array) -> Array:
     """Joint angles of a straight link through a point: the inverse of `rigid_tip_m`.
 
     Parameters

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.learning.predictors import Array
-from models.plant.simulation.compiled_model import CompiledModel, trial_inputs
+from models.plant.simulation.compiled_model import CompiledModel, model_inputs
 from models.plant.step_model import names
 from models.trials.trial import Trial
 
@@ -43,7 +43,7 @@ def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
     trial : Trial
         Recorded angles and currents.
     """
-    y = observer.simulate(trial_inputs(observer.model, trial), trial.step_s)[1:]
+    y = observer.simulate(model_inputs(observer.model, trial), trial.step_s)[1:]
     rows = dict(zip(names(observer.model.outputs), y.T, strict=True))
     tip_m = np.column_stack([rows[f"tip_{axis}_m"] for axis in "xyz"])
     return ObserverRun(rows["di"], tip_m, rows["payload_kg"])

@@ -23,7 +23,7 @@ OCCLUSION_WARNING_SHARE: Final = 0.2
 """Above this share of unseen lengths the index of a trial deserves a warning."""
 
 
-def lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
+def edge_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
     """Lengths that the index compares.
 
     Parameters
@@ -72,7 +72,7 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
             trial.path, "rest_samples is 0, so the index has no reference",
             "record the link at rest before it moves and set rest_samples",
         )  # fmt: skip
-    lengths = lengths_m(trial, definition)
+    lengths = edge_lengths_m(trial, definition)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
         reference = np.nanmean(lengths[:rest], axis=0)

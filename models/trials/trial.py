@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 SCHEMA: Final = 1
 
 
-OF_THE_LINK: Final = (
+LINK_CONDITIONS: Final = (
     "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
 )  # fmt: skip
 """Conditions that only a trial of the link has (and must have)."""
@@ -38,8 +38,8 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Conditions of a trial (the TOML file); every dimensional key carries its unit.
 
-    Those of `OF_THE_LINK` are zero where the trial is of another plant; `conditions` are zero or
-    more numbers by the name of the plant's parameter that they stand for.
+    Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
+    numbers that replace the plant's parameters of the same name in this trial.
     """
 
     schema: int = SCHEMA
@@ -65,7 +65,7 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         if not self.conditions:
             del entries["conditions"]
         if not self.link_length_m:
-            entries = {k: v for k, v in entries.items() if k not in OF_THE_LINK}
+            entries = {k: v for k, v in entries.items() if k not in LINK_CONDITIONS}
         return entries
 
 

@@ -20,7 +20,15 @@ import tomli_w
 
 from firmware_py.errors import InputError
 from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
-from models.trials.trial import OF_THE_LINK, SCHEMA, Array, SignalRole, Trial, TrialMeta, TrialSet
+from models.trials.trial import (
+    LINK_CONDITIONS,
+    SCHEMA,
+    Array,
+    SignalRole,
+    Trial,
+    TrialMeta,
+    TrialSet,
+)
 
 __all__ = [
     "Trial",
@@ -45,11 +53,11 @@ _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0
 """By suffix: the largest magnitude that is plausible, and the unit that a larger one betrays."""
 
 
-Signals = Mapping[str, SignalRole]
+PlantSignals = Mapping[str, SignalRole]
 """Signals of a plant by name; empty for the link, whose columns are the contract's own."""
 
 
-def read_trials(directory: Path | str, signals: Signals | None = None) -> TrialSet:
+def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
     """Read every trial of a directory.
 
     Parameters
@@ -75,7 +83,7 @@ def read_trials(directory: Path | str, signals: Signals | None = None) -> TrialS
     return TrialSet(tuple(read_trial(path, signals) for path in paths))
 
 
-def read_trial(path: Path | str, signals: Signals | None = None) -> Trial:
+def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     """Read one trial.
 
     Parameters
@@ -125,7 +133,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     return path
 
 
-def columns_of(dof: int, signals: Signals | None) -> tuple[Signal, ...]:
+def columns_of(dof: int, signals: PlantSignals | None) -> tuple[Signal, ...]:
     """Columns that a trial must have: the contract's, or those that a plant's file declares."""
     if not signals:
         return trial_signals(dof)
@@ -134,7 +142,7 @@ def columns_of(dof: int, signals: Signals | None) -> tuple[Signal, ...]:
 
 
 def check_meta(
-    document: Mapping[str, object], where: Path, signals: Signals | None = None
+    document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
 ) -> TrialMeta:
     """Conditions from a decoded TOML table.
 
@@ -143,7 +151,7 @@ def check_meta(
     InputError
         If a key is unknown, missing or of the wrong type, or a value is out of range.
     """
-    needed = () if signals else OF_THE_LINK
+    needed = () if signals else LINK_CONDITIONS
     conditions: Any = document.get("conditions", {})
     for key in needed:
         if key not in document:
@@ -157,7 +165,7 @@ def check_meta(
         meta = msgspec.convert(document, TrialMeta)
     except msgspec.ValidationError as error:
         raise InputError(where, str(error), "see docs/trials.md for its form") from None
-    for key in (k for k in _META_RANGE if k in needed or k not in OF_THE_LINK):
+    for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
         low, high = _META_RANGE[key]
         value = getattr(meta, key)
         if not low <= value <= high:
@@ -167,7 +175,7 @@ def check_meta(
     return meta
 
 
-def _read_meta(path: Path, signals: Signals | None) -> TrialMeta:
+def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

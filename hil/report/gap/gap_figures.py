@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.report.build_inputs import Json, LoopRun
 from hil.report.gap.gap_inputs import GapInputs
-from models.plant.identification.evaluation import TIP, compare
+from models.plant.identification.evaluation import TIP, compare_with_trials
 from models.plant.plant import Plant
 
 PART: Final = "motion"
@@ -135,7 +135,7 @@ def _difference(inputs: GapInputs, variant: str) -> float:
     """
     plant: Plant = getattr(inputs, variant)
     worst = 0.0
-    for row in compare(plant, inputs.sealed):
+    for row in compare_with_trials(plant, inputs.sealed):
         run = inputs.outputs[variant].get(row.trial.meta.payload_kg)
         for signal, values in row.simulated.items():
             if run is not None and signal in (run.dtype.names or ()):

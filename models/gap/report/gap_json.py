@@ -12,7 +12,7 @@ from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.localisation import as_row, location_sentence, plain
 from models.gap.residuals.spectrum import Array
 from models.gap.search.look_alikes import as_document, look_alikes_of, separating_motion
-from models.plant.identification.evaluation import compare, signal_errors
+from models.plant.identification.evaluation import compare_with_trials, signal_errors
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
@@ -79,7 +79,7 @@ def errors_in_floors(
     Rows after a joint has lost its goal (`Problem.lost`) do not count.
     """
     compared = []
-    for c in compare(plant, trials):
+    for c in compare_with_trials(plant, trials):
         end = lost.get(c.trial.name, len(c.trial))
         unused = np.where(np.arange(len(c.trial)) < end, 0.0, np.nan)
         compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))

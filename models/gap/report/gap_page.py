@@ -18,7 +18,7 @@ from firmware_py.display_units import error_unit
 from models.gap.report.gap_json import goal_not_followed_in_words, nuisance_bias_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
-from models.plant.identification.evaluation import TIP, Comparison, compare
+from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
 from models.plant.plant import Plant
 from models.shared import svg_charts
 from models.shared.catalogue import CATALOGUE
@@ -259,7 +259,7 @@ def _compared(data: Mapping[str, Any], before: Plant, after: Plant, trials: Tria
         for signal, row in data["before"][part].items()
     ]  # fmt: skip
     trial = max(trials.split()[1] or trials, key=lambda t: t.meta.payload_kg)
-    both = [compare(plant, [trial])[0] for plant in (before, after)]
+    both = [compare_with_trials(plant, [trial])[0] for plant in (before, after)]
     return Section(
         "residual", "Before and after",
         table_of(["root mean square error", "before", "after", "noise floor"], rows)

@@ -21,12 +21,12 @@ from models.gap.residuals.spectrum import (
     cosine_transform,
     inverse_cosine_transform,
 )
-from models.plant.identification.simulation_fit import measured_signals, weights
+from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import (
     CompiledModel,
     run_trial,
-    sensitivity,
+    sensitivity_model,
     trial_parameters,
 )
 from models.plant.step_model import names
@@ -108,7 +108,7 @@ class Residuals:
         self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(knobs) if n in names(model.parameters)]
         self._plain = CompiledModel(self.model)
-        self._sensitive = CompiledModel(sensitivity(model, moved, substep_s))
+        self._sensitive = CompiledModel(sensitivity_model(model, moved, substep_s))
         self._outputs = names(model.outputs)
         known = names(model.parameters)
         self._base = [trial_parameters(model, t) for t in trials]
@@ -228,7 +228,7 @@ class Residuals:
 
     def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
         trial = self.trials[k]
-        weight = self._counted[k] * weights(trial, signal)
+        weight = self._counted[k] * row_weights(trial, signal)
         return cosine_transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
 
 

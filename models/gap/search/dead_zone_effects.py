@@ -1,8 +1,8 @@
 """Effects that show nothing where they are absent: a limit that is never met, play never crossed.
 
 Derivatives there say nothing, so strengths are tried one by one: shares of the bound, and where the
-effect itself reads a first strength from the trials (`Effect.met_at`), that one too. Then between
-the best and its neighbours.
+effect itself reads a first strength from the trials (`Effect.dead_zone_strength`), that one
+too. Then between the best and its neighbours.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def strength_ladder(
         rungs.append(estimator.at(values))
 
     known = {n: q.value for n, q in problem.plant.parameters.items()}
-    met = EFFECTS[effect].met_at(known, problem.trials)
+    met = EFFECTS[effect].dead_zone_strength(known, problem.trials)
     met -= known.get(next(iter(knob.parameters)), 0.0)
     for value in (*(share * knob.high for share in LADDER), met):
         climb(float(np.clip(value, 0.0, knob.high)))

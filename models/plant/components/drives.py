@@ -14,15 +14,15 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
-UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
+SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
 
 
 class Drive(Protocol):
     """What turns commands into torque."""
 
     kind: ClassVar[str]
-    has: ClassVar[tuple[str, ...]]
-    meshes: ClassVar[bool]
+    features: ClassVar[tuple[str, ...]]
+    has_presliding: ClassVar[bool]
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Parameters for the joints of `scope`."""
@@ -32,15 +32,15 @@ class Drive(Protocol):
         """Add inputs and states; wire `goal`."""
         ...
 
-    def drive(self, scope: Scope) -> None:
+    def apply_control(self, scope: Scope) -> None:
         """Wire `current` and `motor_torque`."""
         ...
 
-    def inertia(self, scope: Scope, joint: int) -> Expr:
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Inertia of the drive seen from the joint."""
         ...
 
-    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Torque at the joint per ampere."""
         ...
 
@@ -49,33 +49,34 @@ class Drive(Protocol):
         ...
 
 
-def take_goal(scope: Scope, joint: int) -> None:
+def declare_goal(scope: Scope, joint: int) -> None:
     """Make the goal of a joint an input, and where the joint starts."""
     angle = scope.suffix["angle"]
     goal = scope.input(
         Variable(
-            f"goal_{joint}_{angle}", UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
+            f"goal_{joint}_{angle}", SI_UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
         )
     )
     scope.goal[joint] = goal
-    scope.start[joint] = goal - scope.angle_error[joint]
+    scope.start[joint] = goal - scope.encoder_error[joint]
 
 
-def start_offset(scope: Scope, joint: int) -> Parameter:
+def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
     """Return where a joint without a stiff loop stands at first, from its goal or from zero."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"start_offset_{joint}_{angle}", unit=UNIT_OF[angle], value=0.0, low=-10.0, high=10.0,
+        name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
+        value=0.0, low=-10.0, high=10.0,
         description="first position, from the first goal or from zero; of a trial, as measured",
         source="at the goal",
     )  # fmt: skip
 
 
-def friction_speed(scope: Scope, joint: int) -> Parameter:
+def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
     """Return the speed that regularises dry friction of a drive."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"friction_speed_{joint}_{angle}_s", unit=f"{UNIT_OF[angle]}/s",
+        name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
         value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
         description="speed below which dry friction is linear in the rate",
         source="numerical: 3 % of the study's peak rate",
@@ -95,8 +96,8 @@ class Cascade:
     """
 
     kind: ClassVar[str] = "cascade"
-    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
-    meshes: ClassVar[bool] = False
+    features: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Gains, torque constant, inertia and limit of each joint."""
@@ -120,39 +121,39 @@ class Cascade:
                           source='docs/sources.md, "The servo": recalled'),
                 Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
                           description="rated current limit", source='docs/sources.md, "The servo"'),
-                friction_speed(scope, j),
+                friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
         """Goals as inputs, the integral of the velocity error as a state."""
         for j in scope.joints:
-            take_goal(scope, j)
+            declare_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
-    def drive(self, scope: Scope) -> None:
+    def apply_control(self, scope: Scope) -> None:
         """Run both loops."""
         for j in scope.joints:
             integral = scope.states[f"velocity_integral_{j}_rad"]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
-            held = scope.holding[j] / self.torque_per_current(scope, j)
+            held = scope.holding_torque[j] / self.torque_constant(scope, j)
             integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
-            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
             error = (
-                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.seen_angle(j))
+                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.measured_angle(j))
                 - scope.rate[j]
             )
             wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain
             scope.current[j] = current
-            scope.motor_torque[j] = self.torque_per_current(scope, j) * current
+            scope.motor_torque[j] = self.torque_constant(scope, j) * current
 
-    def inertia(self, scope: Scope, joint: int) -> Expr:
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
-    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
@@ -165,20 +166,20 @@ class Cascade:
         which looks like negative viscous friction.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
-        decay_s = self.inertia(scope, joint) / (self.torque_per_current(scope, joint) * gain)
+        decay_s = self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)
         left = ca.exp(-step_s / decay_s)
         jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
         return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)
 
 
-BRISTLE_S: Final = 5e-3
+BRISTLE_DAMPING_S: Final = 5e-3
 """Time by which a joint that sticks is damped: it rings no longer than some periods."""
 
-FASTEST_S: Final = 5e-4
+BRISTLE_REVERSAL_S: Final = 5e-4
 """Shortest time in which bristles turn over; half an internal step."""
 
 
-def mesh(scope: Scope, joint: int) -> None:
+def declare_presliding(scope: Scope, joint: int) -> None:
     """Wire what the friction of a small gear depends on beside the load and the rate.
 
     The drive presses the teeth as the load does (BAM), so its torque is made known; and dry
@@ -189,12 +190,12 @@ def mesh(scope: Scope, joint: int) -> None:
     z goes to sign(q̇) within the distance δ and stays what it is at rest, where a smooth sign of
     the rate alone lets the joint creep. T bounds the rate of change for the sake of the integrator.
     """
-    scope.pressing[joint] = ca.SX.sym(f"drive_torque_{joint}")
+    scope.gear_drive_torque[joint] = ca.SX.sym(f"drive_torque_{joint}")
     z = scope.state(Variable(f"bristle_{joint}", "1"))
     speed = ca.fabs(scope.rate[joint])
-    reach = scope.p("presliding_{j}_{angle}", joint) + speed * FASTEST_S
+    reach = scope.p("presliding_{j}_{angle}", joint) + speed * BRISTLE_REVERSAL_S
     scope.states[z.name()].rate = (scope.rate[joint] - speed * z) / reach
-    scope.direction[joint] = z + BRISTLE_S * scope.states[z.name()].rate
+    scope.friction_direction[joint] = z + BRISTLE_DAMPING_S * scope.states[z.name()].rate
 
 
 class Duty:
@@ -207,8 +208,8 @@ class Duty:
     """
 
     kind: ClassVar[str] = "duty"
-    has: ClassVar[tuple[str, ...]] = ("current", "current limit")
-    meshes: ClassVar[bool] = True
+    features: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    has_presliding: ClassVar[bool] = True
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Duty per error, winding and inertia of each joint."""
@@ -218,7 +219,7 @@ class Duty:
                 Parameter(name=f"duty_gain_{j}", unit="1/rad", value=1.15, low=0.01, high=50.0,
                           description="duty per radian of error",
                           source="kp · 651.9 / (256 · 885) for kp = 400 (data README)"),
-                start_offset(scope, j),
+                start_offset_parameter(scope, j),
                 Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
                           high=50.0, role="nuisance", description="resistance of the winding",
                           source="assumed: 1.5 A stall at 5 V"),
@@ -240,30 +241,30 @@ class Duty:
     def declare(self, scope: Scope) -> None:
         """Goal, supply voltage and whether there is torque as inputs."""
         for j in scope.joints:
-            take_goal(scope, j)
+            declare_goal(scope, j)
             scope.start[j] += scope.p("start_offset_{j}_{angle}", j)
             scope.input(Variable(f"supply_{j}_v", "V", 5.0, "measured supply", 0.0, nominal=5.0))
             scope.input(Variable(f"enabled_{j}", "1", 1.0, "1 where torque is enabled", 0.0, 1.0))
 
-    def drive(self, scope: Scope) -> None:
+    def apply_control(self, scope: Scope) -> None:
         """Current through the winding."""
         for j in scope.joints:
-            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.seen_angle(j))
+            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.measured_angle(j))
             duty = ca.fmin(ca.fmax(duty, -1), 1)
-            constant = self.torque_per_current(scope, j)
+            constant = self.torque_constant(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
             wanted = voltage / scope.p("winding_resistance_{j}_ohm", j)
-            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_cut[j]
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
             limit = ca.fmax(limit, 0)
             closed = scope.inputs[f"enabled_{j}"][1]
             scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
             scope.motor_torque[j] = constant * scope.current[j]
 
-    def inertia(self, scope: Scope, joint: int) -> Expr:
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
-    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
@@ -276,8 +277,8 @@ class Force:
     """A commanded voltage that is a force (EMPS): F = k u, nothing else in between."""
 
     kind: ClassVar[str] = "force"
-    has: ClassVar[tuple[str, ...]] = ()
-    meshes: ClassVar[bool] = False
+    features: ClassVar[tuple[str, ...]] = ()
+    has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Force (or torque) per volt of each joint."""
@@ -285,11 +286,11 @@ class Force:
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
-                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{UNIT_OF[torque]}/V",
+                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
                           value=35.1507, low=0.01, high=1e3,
                           description="force per volt of command", source="EMPS, data README"),
-                start_offset(scope, j),
-                friction_speed(scope, j),
+                start_offset_parameter(scope, j),
+                friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)
 
@@ -301,16 +302,16 @@ class Force:
             )
             scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
-    def drive(self, scope: Scope) -> None:
+    def apply_control(self, scope: Scope) -> None:
         """Force in proportion to the command; there is no current to report."""
         for j in scope.joints:
-            scope.motor_torque[j] = self.torque_per_current(scope, j) * scope.goal[j]
+            scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
-    def inertia(self, scope: Scope, joint: int) -> Expr:
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """None: the moving mass is the load's."""
         return ca.SX(0)
 
-    def torque_per_current(self, scope: Scope, joint: int) -> Expr:
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Force per volt: the command stands for the current."""
         return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
 

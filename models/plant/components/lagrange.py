@@ -15,7 +15,7 @@ PointMass = tuple[Expr, Expr]
 """Mass and position (3,) of a point."""
 
 
-def rod(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
+def rod_points(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
     """Points with the mass, centre and inertia of a uniform slender rod (Simpson's rule)."""
     return [
         (mass_kg / 6, start_m),
@@ -24,7 +24,7 @@ def rod(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
     ]
 
 
-def equations(
+def lagrange_equations(
     points: Sequence[PointMass], coordinates: Expr, rates: Expr, gravity_m_s2: Expr
 ) -> tuple[Expr, Expr]:
     """Mass matrix M (n, n) and force h (n,) of velocity and gravity terms."""
@@ -39,13 +39,13 @@ def equations(
     return mass_matrix, force
 
 
-def solve(matrix: Expr, right: Expr) -> Expr:
+def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
     """Solution of a symmetric positive definite system."""
     diagonal, upper, order = ca.ldl(matrix)
     return ca.ldl_solve(right, diagonal, upper, order)
 
 
-def rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
+def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
     """R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)

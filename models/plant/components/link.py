@@ -23,7 +23,12 @@ from typing import ClassVar, Final
 
 import casadi as ca
 
-from models.plant.components.lagrange import PointMass, equations, rod, rotation
+from models.plant.components.lagrange import (
+    PointMass,
+    lagrange_equations,
+    rod_points,
+    symbolic_base_rotation,
+)
 from models.plant.parameter import Parameter
 from models.plant.scope import ROTARY, Expr, Hinge, Scope
 from models.plant.step_model import Variable
@@ -32,7 +37,7 @@ SEGMENTS: Final = 4
 """Segments of a long edge between base plate, marker rows and tip."""
 
 
-def turned_share(position: float) -> float:
+def slope_fraction(position: float) -> float:
     """Share of the span's bend reached at `position` (0 base, 1 tip) under a tip force."""
     return 2 * position - position**2
 
@@ -43,7 +48,7 @@ class Link:
     kind: ClassVar[str] = "link"
     suffix: ClassVar[dict[str, str]] = ROTARY
     max_dof: ClassVar[int] = 2
-    has: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
+    features: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
     hinges: ClassVar[tuple[str, ...]] = ("root", "span")
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -112,7 +117,7 @@ class Link:
                 scope.states[f"{hinge}_bend_{j}_rad"].rate = scope.bend_rate[key]
                 scope.stiffness[key] = scope.p(hinge + "_stiffness_{j}_nm_rad", j)
 
-    def load(self, scope: Scope) -> None:
+    def apply_elastic_torques(self, scope: Scope) -> None:
         """Elastic and viscous torque on each bend."""
         moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
         limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
@@ -129,18 +134,18 @@ class Link:
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
 
-    def transmit(self, scope: Scope) -> None:
+    def apply_transmitted_torque(self, scope: Scope) -> None:
         """Wire the torque that the gear transmits: what bends the root, and what acts on the joint.
 
         A torque on the joint that also bends the root counts in both, and cancels here.
         """
         for j in scope.joints:
-            scope.transmitted[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
+            scope.transmitted_torque[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
 
-    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+    def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Mass matrix and force over the joints' coordinates and the bends."""
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
-        return equations(
+        return lagrange_equations(
             self._points(scope),
             ca.vertcat(*scope.angle.values(), *scope.bend.values()),
             ca.vertcat(*rates, *scope.bend_rate.values()),
@@ -149,8 +154,10 @@ class Link:
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
         """Deformation Index, and end effector in the mocap's world frame."""
-        joint, bend = self._seen_late(scope)
-        tip_m = rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
+        joint, bend = self._delayed(scope)
+        tip_m = (
+            symbolic_base_rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
+        )
         result = {
             "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
                             nominal=0.01), self._deformation_index(scope, joint, bend)),
@@ -160,18 +167,18 @@ class Link:
             result[name] = (Variable(name, "m", 0.0, f"end effector, world frame, {axis}"), value)
         return result
 
-    def _standing(self, scope: Scope) -> dict[int, Expr]:
+    def _load_angles(self, scope: Scope) -> dict[int, Expr]:
         """Joint angles on the load's side of the gear."""
         return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
 
-    def _seen_late(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
+    def _delayed(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
         """Joint angles and bends as the mocap's clock shows them, to second order in its delay."""
         delay_s = scope.frame_delay_s
 
         def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
             return value - delay_s * rate + delay_s**2 / 2 * acceleration
 
-        standing = self._standing(scope)
+        standing = self._load_angles(scope)
         joint = {
             j: late(
                 standing[j],
@@ -195,7 +202,9 @@ class Link:
             [bend["root", j] for j in scope.joints],
             [bend["span", j] for j in scope.joints],
         )
-        base, first, second = (rotation(*pair, *[0] * (2 - len(pair))) for pair in turns)
+        base, first, second = (
+            symbolic_base_rotation(*pair, *[0] * (2 - len(pair))) for pair in turns
+        )
         length_m, position = scope.p("link_length_m"), scope.p("span_position")
         plate_m = base @ ca.vertcat(0, 0, scope.p("base_offset_m"))
         section = base @ first
@@ -205,12 +214,12 @@ class Link:
         return plate_m, hinge_m, tip_m, section
 
     def _points(self, scope: Scope) -> list[PointMass]:
-        plate_m, hinge_m, tip_m, section = self._frames(scope, self._standing(scope), scope.bend)
+        plate_m, hinge_m, tip_m, section = self._frames(scope, self._load_angles(scope), scope.bend)
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         payload_m = tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0)
         return [
-            *rod(mass_kg * position, plate_m, hinge_m),
-            *rod(mass_kg * (1 - position), hinge_m, tip_m),
+            *rod_points(mass_kg * position, plate_m, hinge_m),
+            *rod_points(mass_kg * (1 - position), hinge_m, tip_m),
             (scope.p("tip_mass_kg"), tip_m),
             (scope.payload_kg, payload_m),
         ]
@@ -226,7 +235,7 @@ class Link:
         lever = scope.p("edge_gain") * scope.p("link_width_m") / 2 / segment_m
         total: Expr = 0
         for k in range(SEGMENTS):
-            share = turned_share((k + 1) / SEGMENTS) - turned_share(k / SEGMENTS)
+            share = slope_fraction((k + 1) / SEGMENTS) - slope_fraction(k / SEGMENTS)
             strain = [
                 lever
                 * (
@@ -239,11 +248,13 @@ class Link:
             noisy_ends = 1 if k == 0 else 2  # the base corner follows from the angle
             noise = scope.p("marker_noise_m") * noisy_ends**0.5 / segment_m
             other = strain[1] if len(strain) > 1 else 0
-            total += folded(strain[0] + other, noise) + folded(strain[0] - other, noise)
+            total += mean_magnitude(strain[0] + other, noise) + mean_magnitude(
+                strain[0] - other, noise
+            )
         return total / (2 * SEGMENTS)
 
 
-def folded(mean: Expr, deviation: Expr) -> Expr:
+def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
     """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation

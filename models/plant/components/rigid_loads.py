@@ -11,7 +11,7 @@ from models.plant.scope import LINEAR, ROTARY, Expr, Scope
 from models.plant.step_model import Variable
 
 
-class _Rigid:
+class _RigidLoad:
     """A load without bend: its coordinate is the joint's."""
 
     max_dof: ClassVar[int] = 1
@@ -19,7 +19,7 @@ class _Rigid:
     def declare(self, scope: Scope) -> None:
         """Nothing beyond the joint."""
 
-    def load(self, scope: Scope) -> None:
+    def apply_elastic_torques(self, scope: Scope) -> None:
         """Nothing bends."""
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
@@ -27,7 +27,7 @@ class _Rigid:
         return {}
 
 
-class Pendulum(_Rigid):
+class Pendulum(_RigidLoad):
     """A rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
 
     A point mass m (and the payload m_p) at the end of a uniform arm m_a of length l:
@@ -35,7 +35,7 @@ class Pendulum(_Rigid):
     """
 
     kind: ClassVar[str] = "pendulum"
-    has: ClassVar[tuple[str, ...]] = ("gear load",)
+    features: ClassVar[tuple[str, ...]] = ("gear load",)
     suffix: ClassVar[dict[str, str]] = ROTARY
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -51,11 +51,11 @@ class Pendulum(_Rigid):
                       description="gravity", source="standard gravity"),
         )  # fmt: skip
 
-    def transmit(self, scope: Scope) -> None:
+    def apply_transmitted_torque(self, scope: Scope) -> None:
         """Wire the torque of gravity, and what acts on the joint."""
-        scope.transmitted[1] = scope.joint_torque[1] - self._gravity(scope)
+        scope.transmitted_torque[1] = scope.joint_torque[1] - self._gravity(scope)
 
-    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+    def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Inertia and gravity torque."""
         mass_kg = scope.p("mass_kg") + scope.payload_kg + scope.p("arm_mass_kg") / 3
         return ca.SX(mass_kg * scope.p("arm_length_m") ** 2), ca.SX(self._gravity(scope))
@@ -66,11 +66,11 @@ class Pendulum(_Rigid):
         return mass_kg * scope.p("gravity_m_s2") * lever
 
 
-class Mass(_Rigid):
+class Mass(_RigidLoad):
     """A mass on a straight guide: m q̈ = F."""
 
     kind: ClassVar[str] = "mass"
-    has: ClassVar[tuple[str, ...]] = ()
+    features: ClassVar[tuple[str, ...]] = ()
     suffix: ClassVar[dict[str, str]] = LINEAR
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -80,10 +80,10 @@ class Mass(_Rigid):
                       description="moving mass", source="EMPS, data README"),
         )  # fmt: skip
 
-    def transmit(self, scope: Scope) -> None:
+    def apply_transmitted_torque(self, scope: Scope) -> None:
         """Wire the transmitted force: what acts on the joint, beside inertia."""
-        scope.transmitted[1] = ca.SX(scope.joint_torque[1])
+        scope.transmitted_torque[1] = ca.SX(scope.joint_torque[1])
 
-    def equations(self, scope: Scope) -> tuple[Expr, Expr]:
+    def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Mass, and no force of its own."""
         return ca.SX(scope.p("mass_kg") + scope.payload_kg), ca.SX(0)

@@ -1,1 +1,1 @@
-"""Composition of drive, load and effects into a model: the twin and the observer."""
+"""Composition of drive, load and effects into a step model: twin, observer and driven link."""

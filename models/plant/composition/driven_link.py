@@ -1,9 +1,9 @@
-"""The link driven by the measured angles: no servo loop stands between the data and the load.
+"""Link driven by the measured angles, without a servo loop between the data and the load.
 
-The angle is measured at the end of each step. Between two samples it is taken as a ramp, and a
-critically damped second-order filter follows it, so that the link's base has a smooth
-acceleration whatever the quantisation and the step (ω = `follow_rate_per_s`; it lags behind an
-acceleration a by a/ω², 0.1 mrad in the study). The current is that which the motion costs::
+The angle is measured at the end of each step. Between two samples it is taken as a ramp, which a
+critically damped second-order filter follows, so that the link's base has a smooth acceleration
+for any quantisation and step (ω = `follow_rate_per_s`; the filter lags behind an acceleration a by
+a/ω², 0.1 mrad in the study). The current is the one that the motion needs::
 
     k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
 
@@ -13,20 +13,20 @@ with friction F of the plant's effects and the bends' acceleration b̈ from thei
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 
-from models.plant.components.drives import UNIT_OF, Drive
-from models.plant.components.lagrange import solve
-from models.plant.composition.twin import (
-    build,
+from models.plant.components.drives import SI_UNIT_OF, Drive
+from models.plant.components.lagrange import solve_symmetric
+from models.plant.components.load_protocol import PlantLoad
+from models.plant.composition.equilibrium import set_initial_equilibrium
+from models.plant.composition.port_effects import apply_effects, apply_load_torques
+from models.plant.composition.step_functions import (
+    build_step_model,
     current_variable,
     measured_current,
     payload_variable,
-    serve,
-    settle,
-    strain,
 )
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
@@ -41,16 +41,20 @@ FOLLOW_RATE: Final = Parameter(
 
 
 def compose_driven(
-    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
+    name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Link driven by the measured angles, payload given, current as an output.
+    """Compose the link driven by the measured angles, payload given, current as an output.
 
-    What `identify` fits the link with: no loop hides an error of the load from the load's own
-    parameters.
+    `identify` fits the link with it: without a loop a wrong gain cannot hide a wrong stiffness.
+
+    Parameters
+    ----------
+    name, scope, drive, load, effects
+        As for `models.plant.composition.twin.compose_twin`.
     """
-    follow(scope, effects)
+    declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable())
-    move(scope, drive, load, effects)
+    apply_measured_motion(scope, drive, load, effects)
     step_s = scope.state(Variable("step_s", "s", nominal=0.017), 1.0)
     scope.states[step_s.name()].begin = scope.step_s
     outputs: dict[str, tuple[Variable, Expr]] = {}
@@ -58,17 +62,17 @@ def compose_driven(
         sampled = drive.sampled_current(scope, j, step_s)
         variable = current_variable(j)
         outputs[variable.name] = (variable, measured_current(scope, j, sampled))
-    return build(name, scope, outputs | load.outputs(scope))
+    return build_step_model(name, scope, outputs | load.outputs(scope))
 
 
-def follow(scope: Scope, effects: Sequence[Effect]) -> None:
-    """Wire angle, rate and acceleration of each joint to the filtered measurement."""
-    serve(scope, ("sensor",), effects)
+def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
+    """Add the measured angles as inputs; set angle, rate and acceleration as filtered."""
+    apply_effects(scope, ("sensor",), effects)
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
-    unit = UNIT_OF[angle]
+    unit = SI_UNIT_OF[angle]
     for j in scope.joints:
         sample = scope.input(Variable(f"angle_{j}_{angle}", unit, 0.0, f"measured, joint {j}"))
-        true = sample - scope.angle_error[j]
+        true = sample - scope.encoder_error[j]
         ramp = scope.state(Variable(f"ramp_{j}_{angle}", unit, nominal=0.5), true)
         slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))
         joint = scope.state(Variable(f"joint_{j}_{angle}", unit, nominal=0.5), true)
@@ -83,20 +87,24 @@ def follow(scope: Scope, effects: Sequence[Effect]) -> None:
         states[rate.name()].rate = scope.acceleration[j]
 
 
-def move(scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]) -> None:
-    """Let the load bend on joints that move as measured; wire the current that it costs."""
+def apply_measured_motion(
+    scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
+) -> None:
+    """Set the rates of the bends on joints that move as measured, and the current needed."""
     load.declare(scope)
-    strain(scope, load, effects)
-    mass, force = load.equations(scope)
+    apply_load_torques(scope, load, effects)
+    mass, force = load.motion_equations(scope)
     count = len(scope.joints)
     base = ca.vertcat(*(scope.acceleration[j] - scope.windup_acceleration[j] for j in scope.joints))
-    own = ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
-    bending = solve(mass[count:, count:], own)
+    bend_force = (
+        ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
+    )
+    bending = solve_symmetric(mass[count:, count:], bend_force)
     for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(bending), strict=True):
         scope.states[rate.name()].rate = value
-    settle(scope, load, force)
+    set_initial_equilibrium(scope, force)
     needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
     for index, j in enumerate(scope.joints):
-        torque = needed[index] + drive.inertia(scope, j) * scope.acceleration[j]
+        torque = needed[index] + drive.reflected_inertia(scope, j) * scope.acceleration[j]
         torque += scope.friction[j] - scope.joint_torque[j]
-        scope.current[j] = torque / drive.torque_per_current(scope, j)
+        scope.current[j] = torque / drive.torque_constant(scope, j)

@@ -1,29 +1,29 @@
-"""The observer: the link driven by the measured angle, the payload estimated from the current.
+"""Observer: the link driven by the measured angle, its payload estimated from the current.
 
-The current is predicted from the motion (`models.plant.composition.driven_link`) for the payload m
-believed so far
-and for friction that differs from the plant's by a share s_j. What the measurement differs by
-corrects m and s (an extended Kalman filter of constants). The bends depend on m through their
-whole past, so their sensitivity S = ∂x/∂m runs along, Ṡ = f_x S + f_m, and a correction Δm moves
-the bends by S Δm: the link is always where it would be had m been known from the start, to first
-order. It is the recursive prediction error method [Ljung and Söderström 1983].
+The current is predicted from the motion (`models.plant.composition.driven_link`) for the estimated
+payload m and for friction that deviates from the plant's by a fraction s_j. The innovation corrects
+m and s (an extended Kalman filter of constants). The bends depend on m through their whole past, so
+their sensitivity S = ∂x/∂m is integrated beside them, Ṡ = f_x S + f_m, and a correction Δm moves
+the bends by S Δm: to first order the link is where it would be had m been known from the start.
+This is the recursive prediction error method [Ljung and Söderström 1983].
 
-A sample counts by q̇²/(q̇² + v²): at rest dry friction can take any value and nothing is learnt. A
-surprise beyond three of its standard deviations counts as three.
+A sample has the weight q̇²/(q̇² + v²): at rest dry friction can take any value, so nothing is
+learnt. An innovation beyond three of its standard deviations counts as three.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
 from models.plant.components.drives import Drive
-from models.plant.composition.driven_link import follow, move
-from models.plant.composition.twin import (
-    build,
+from models.plant.components.load_protocol import PlantLoad
+from models.plant.composition.driven_link import apply_measured_motion, declare_measured_motion
+from models.plant.composition.step_functions import (
+    build_step_model,
     current_variable,
     measured_current,
     payload_variable,
@@ -34,12 +34,12 @@ from models.plant.scope import Expr, Scope, StateVariable, substitute
 from models.plant.step_model import StepModel, Variable
 
 MAX_SUBSTEP_S: Final = 2.2e-3
-"""Longest Runge–Kutta step, eight a period: the angle is measured, so no friction is integrated.
-Tips are within 10 µm of those of a step of 0.25 ms."""
+"""Longest Runge–Kutta step, eight a period. The angle is measured, so dry friction is not
+integrated; the tips are within 10 µm of those of a step of 0.25 ms."""
 
 
 def observer_parameters() -> tuple[Parameter, ...]:
-    """Parameters of the payload estimate."""
+    """Declare the parameters of the payload estimate."""
     return (
         Parameter(name="payload_known_kg", unit="kg", value=-1.0, low=-1.0, high=3.0,
                   description="payload where it is known, negative to estimate it",
@@ -66,17 +66,23 @@ def observer_parameters() -> tuple[Parameter, ...]:
 
 
 def compose_observer(
-    name: str, scope: Scope, drive: Drive, load: Any, effects: Sequence[Effect]
+    name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Link driven by measurement, payload estimated; see the module's text."""
-    follow(scope, effects)
+    """Compose the link driven by measurement, payload estimated.
+
+    Parameters
+    ----------
+    name, scope, drive, load, effects
+        As for `models.plant.composition.twin.compose_twin`.
+    """
+    declare_measured_motion(scope, effects)
     measured = [scope.input(current_variable(j)) for j in scope.joints]
     payload = scope.state(payload_variable(), scope.p("payload_prior_kg"))
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a symbol of its own: to derive by it
     before = set(scope.states)
-    move(scope, drive, load, effects)
+    apply_measured_motion(scope, drive, load, effects)
     moved = {n: s for n, s in scope.states.items() if n not in before}
-    _estimate(scope, drive, payload, measured, _Sensitivity(scope, moved, mass_kg))
+    _update_estimates(scope, drive, payload, measured, _Sensitivity(scope, moved, mass_kg))
     outputs = load.outputs(scope)
     outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
 
@@ -88,11 +94,11 @@ def compose_observer(
         state.rate = substitute(state.rate, now)
         state.finish = None if state.finish is None else substitute(state.finish, now)
     shown = {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()}
-    return build(name, scope, shown, MAX_SUBSTEP_S)
+    return build_step_model(name, scope, shown, MAX_SUBSTEP_S)
 
 
-STEEPEST_PER_KG: Final = 20.0
-"""Largest change of a bend (rad) or bend rate (rad/s) per kg of payload that is believed."""
+MAX_SENSITIVITY_PER_KG: Final = 20.0
+"""Limit of a bend's sensitivity (rad/kg) and of a bend rate's (rad/(s·kg))."""
 
 
 class _Sensitivity:
@@ -125,13 +131,13 @@ class _Sensitivity:
         return ca.jtimes(expression, self._x, self._slopes) + direct
 
     def correct(self, change_kg: Expr) -> None:
-        """Move the load to where it would be, had m been another.
+        """Move the load to where it would be with m larger by `change_kg`.
 
-        A link that buckles has no finite sensitivity: it is held within `STEEPEST_PER_KG`.
+        A link that buckles has no finite sensitivity, hence the limit `MAX_SENSITIVITY_PER_KG`.
         """
         slopes: list[Expr] = ca.vertsplit(self._slopes)
         for slope, s in zip(slopes, self._states, strict=True):
-            limited = ca.fmin(ca.fmax(slope, -STEEPEST_PER_KG), STEEPEST_PER_KG)
+            limited = ca.fmin(ca.fmax(slope, -MAX_SENSITIVITY_PER_KG), MAX_SENSITIVITY_PER_KG)
             self._scope.states[slope.name()].finish = limited
             moved, v = s.symbol + limited * change_kg, s.variable
             s.finish = (
@@ -139,17 +145,17 @@ class _Sensitivity:
             )
 
 
-def _estimate(
+def _update_estimates(
     scope: Scope,
     drive: Drive,
     payload: Expr,
     measured: Sequence[Expr],
     sensitivity: _Sensitivity,
 ) -> None:
-    """Update payload and friction shares at the end of a step, one joint after the other."""
-    shares = [scope.state(Variable(f"friction_share_{j}", "1")) for j in scope.joints]
-    spread = [scope.p("payload_spread_kg")] + [scope.p("friction_spread")] * len(shares)
-    count = len(spread)
+    """Update payload and friction deviations at the end of a step, one joint after the other."""
+    deviations = [scope.state(Variable(f"friction_deviation_{j}", "1")) for j in scope.joints]
+    prior = [scope.p("payload_spread_kg")] + [scope.p("friction_spread")] * len(deviations)
+    count = len(prior)
     covariance = ca.SX.zeros(count, count)
     entries: dict[tuple[int, int], Expr] = {}
     for row in range(count):
@@ -157,33 +163,33 @@ def _estimate(
             unit = "1" if column else "kg" if row else "kg2"
             entry = scope.state(
                 Variable(f"covariance_{row + 1}_{column + 1}", unit),
-                spread[row] ** 2 if row == column else 0.0,
+                prior[row] ** 2 if row == column else 0.0,
             )
             entries[row, column] = covariance[row, column] = covariance[column, row] = entry
     covariance[0, 0] += scope.p("payload_drift_kg") ** 2 * scope.step_s
     change = ca.SX.zeros(count)
     noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):
-        of_friction = scope.friction[j] / drive.torque_per_current(scope, j)
+        of_friction = scope.friction[j] / drive.torque_constant(scope, j)
         predicted = measured_current(
             scope,
             j,
-            drive.sampled_current(scope, j, scope.step_s) + shares[index] * of_friction,
+            drive.sampled_current(scope, j, scope.step_s) + deviations[index] * of_friction,
         )
         regressor = ca.SX.zeros(count)
         regressor[0], regressor[1 + index] = sensitivity.along(predicted), of_friction
         weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)
         gain = covariance @ regressor
         variance = noise + weight * ca.dot(regressor, gain)
-        surprise = measured[index] - predicted - ca.dot(regressor, change)
+        innovation = measured[index] - predicted - ca.dot(regressor, change)
         limit = 3 * ca.sqrt(variance)
-        change += gain * (weight / variance * ca.fmin(ca.fmax(surprise, -limit), limit))
+        change += gain * (weight / variance * ca.fmin(ca.fmax(innovation, -limit), limit))
         covariance -= weight / variance * (gain @ gain.T)
     largest = scope.parameters["payload_known_kg"][0].maximum
     estimate = ca.fmin(ca.fmax(payload + change[0], 0), largest)
     scope.states[payload.name()].finish = estimate
     sensitivity.correct(ca.if_else(scope.p("payload_known_kg") >= 0, 0, estimate - payload))
-    for index, share in enumerate(shares):
-        scope.states[share.name()].finish = share + change[1 + index]
+    for index, deviation in enumerate(deviations):
+        scope.states[deviation.name()].finish = deviation + change[1 + index]
     for (row, column), entry in entries.items():
         scope.states[entry.name()].finish = covariance[row, column]

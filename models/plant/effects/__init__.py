@@ -75,7 +75,7 @@ class Effect:
         return (scope.name(cls.shared[0].name),)
 
     @classmethod
-    def met_at(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
+    def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
         """Strength to try first in trials of an effect that shows nothing up to a threshold.
 
         Parameters
@@ -123,7 +123,7 @@ def _fitted_to(q: Parameter, name: str, scope: Scope) -> Parameter:
 
 def applicable(drive: Any, load: Any) -> list[str]:
     """Names of the effects that a plant of this drive and this load can hold."""
-    has = {*drive.has, *load.has}
+    has = {*drive.features, *load.features}
     return [name for name in in_order(EFFECTS) if has.issuperset(EFFECTS[name].needs)]
 
 

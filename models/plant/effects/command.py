@@ -70,7 +70,7 @@ class CurrentSaturation(Effect):
     )  # fmt: skip
 
     @classmethod
-    def met_at(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
+    def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
         """Rated limit less the largest current that was held; 0 where no current was measured."""
         held = np.ones(HELD) / HELD
         measured = [t for t in trials if "current_1_a" in t.columns]
@@ -83,7 +83,7 @@ class CurrentSaturation(Effect):
     def apply(self, scope: Scope) -> None:
         """Lower the limit."""
         for j in scope.joints:
-            scope.current_limit_cut[j] += scope.p("current_saturation_{j}_a", j)
+            scope.current_limit_reduction[j] += scope.p("current_saturation_{j}_a", j)
 
 
 class TorqueConstantDrift(Effect):

@@ -9,10 +9,10 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 
 
-def direction(scope: Scope, joint: int) -> Expr:
+def friction_direction(scope: Scope, joint: int) -> Expr:
     """Smooth sign of a joint's rate, for dry friction; the drive's own where it has one."""
-    if joint in scope.direction:
-        return scope.direction[joint]
+    if joint in scope.friction_direction:
+        return scope.friction_direction[joint]
     return ca.tanh(scope.rate[joint] / scope.p("friction_speed_{j}_{angle}_s", joint))
 
 
@@ -21,7 +21,7 @@ def gear_load(scope: Scope, joint: int) -> Expr:
 
     A drive that lifts a load presses them from both sides (BAM, eq. of the gearbox torque).
     """
-    return ca.fabs(scope.transmitted[joint] - scope.pressing.get(joint, 0))
+    return ca.fabs(scope.transmitted_torque[joint] - scope.gear_drive_torque.get(joint, 0))
 
 
 class CoulombFriction(Effect):
@@ -37,7 +37,9 @@ class CoulombFriction(Effect):
     def apply(self, scope: Scope) -> None:
         """Oppose the rate with a constant."""
         for j in scope.joints:
-            scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * direction(scope, j)
+            scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * friction_direction(
+                scope, j
+            )
 
 
 class ViscousFriction(Effect):
@@ -84,7 +86,7 @@ class StribeckFriction(Effect):
             fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
             extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
-            scope.friction[j] += extra * fade * direction(scope, j)
+            scope.friction[j] += extra * fade * friction_direction(scope, j)
 
 
 class LoadDependentFriction(Effect):
@@ -102,4 +104,4 @@ class LoadDependentFriction(Effect):
         """Oppose the rate in proportion to the load."""
         for j in scope.joints:
             share = scope.p("load_dependent_friction_{j}", j)
-            scope.friction[j] += share * gear_load(scope, j) * direction(scope, j)
+            scope.friction[j] += share * gear_load(scope, j) * friction_direction(scope, j)

@@ -11,7 +11,7 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
-SETTLING_S: Final = 2e-3
+RIGID_GEAR_TIME_S: Final = 2e-3
 """Time in which a gear without play or give follows; two integration steps."""
 
 PLATE_INERTIA = Parameter(
@@ -25,7 +25,7 @@ GEAR_DAMPING = Parameter(
 )  # fmt: skip
 
 
-def lose(scope: Scope, joint: int, label: str, lost: Expr, compliance: Expr) -> None:
+def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Expr) -> None:
     """Let the load lag behind the drive by `lost`, as fast as a plate on the gear can move.
 
     With a gear of compliance c and damping d, and the plate's inertia J::
@@ -37,11 +37,11 @@ def lose(scope: Scope, joint: int, label: str, lost: Expr, compliance: Expr) -> 
     """
     angle = scope.suffix["angle"]
     windup = scope.state(
-        Variable(f"{label}_{joint}_{angle}", angle, nominal=1e-3), scope.at_start(lost)
+        Variable(f"{label}_{joint}_{angle}", angle, nominal=1e-3), scope.initial_value(lost)
     )
     rate = scope.state(Variable(f"{label}_rate_{joint}_{angle}_s", f"{angle}/s", nominal=0.1))
-    mass = SETTLING_S**2 + compliance * scope.p(PLATE_INERTIA.name, joint)
-    damping = 2 * SETTLING_S + compliance * scope.p(GEAR_DAMPING.name, joint)
+    mass = RIGID_GEAR_TIME_S**2 + compliance * scope.p(PLATE_INERTIA.name, joint)
+    damping = 2 * RIGID_GEAR_TIME_S + compliance * scope.p(GEAR_DAMPING.name, joint)
     acceleration = (lost - windup - damping * rate) / mass
     scope.states[windup.name()].rate = rate
     scope.states[rate.name()].rate = acceleration
@@ -70,7 +70,9 @@ class JointElasticity(Effect):
         """Wind up by the torque that the load puts on the joint."""
         for j in scope.joints:
             compliance = scope.p("joint_elasticity_{j}_{angle}_{torque}", j)
-            lose(scope, j, "elastic_windup", -compliance * scope.transmitted[j], compliance)
+            add_windup(
+                scope, j, "elastic_windup", -compliance * scope.transmitted_torque[j], compliance
+            )
 
 
 class Backlash(Effect):
@@ -98,5 +100,5 @@ class Backlash(Effect):
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2
             torque = scope.p("backlash_torque_{j}_{torque}", j)
-            lost = -half * ca.tanh(scope.transmitted[j] / torque)
-            lose(scope, j, "play", lost, half / torque)
+            lost = -half * ca.tanh(scope.transmitted_torque[j] / torque)
+            add_windup(scope, j, "play", lost, half / torque)

@@ -76,12 +76,12 @@ class AerodynamicDrag(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Oppose the motion of joint and bends."""
-        shares = _shares(scope) if scope.bend else {}
+        shares = _drag_fractions(scope) if scope.bend else {}
         rate = {
             j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in shares.items())
             for j in scope.joints
         }
-        speed = ca.sqrt(sum(r**2 for r in rate.values()) + STILL_RAD_S**2)
+        speed = ca.sqrt(sum(r**2 for r in rate.values()) + DRAG_ROUNDING_RAD_S**2)
         for j in scope.joints:
             torque = scope.p("aerodynamic_drag_{torque}") * speed * rate[j]
             scope.joint_torque[j] -= torque
@@ -89,11 +89,11 @@ class AerodynamicDrag(Effect):
                 scope.bend_torque[hinge, j] -= share * torque
 
 
-STILL_RAD_S: Final = 1e-6
+DRAG_ROUNDING_RAD_S: Final = 1e-6
 """Rate below which drag is linear, so that it has a derivative at rest."""
 
 
-def _shares(scope: Scope) -> dict[str, Expr]:
+def _drag_fractions(scope: Scope) -> dict[str, Expr]:
     """Share of the drag's torque about the joint that bends each hinge of the link."""
     offset_m, length_m = scope.p("base_offset_m"), scope.p("link_length_m")
     place_m = {"root": offset_m, "span": offset_m + scope.p("span_position") * length_m}

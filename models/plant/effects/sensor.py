@@ -20,7 +20,7 @@ class EncoderOffset(Effect):
     def apply(self, scope: Scope) -> None:
         """Add it to what is seen."""
         for j in scope.joints:
-            scope.angle_error[j] += scope.p("encoder_offset_{j}_{angle}", j)
+            scope.encoder_error[j] += scope.p("encoder_offset_{j}_{angle}", j)
 
 
 class CurrentBias(Effect):

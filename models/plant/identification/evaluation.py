@@ -39,7 +39,7 @@ class Comparison(NamedTuple):
         return self.simulated[signal] - self.measured[signal]
 
 
-def compare(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
+def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
     """Run the twin over trials: goals as they were sent, the payload as declared."""
     compiled: dict[int, CompiledModel] = {}
     result = []
@@ -92,7 +92,7 @@ def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
 
 
-def evaluation(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
+def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
     """Errors of a plant on trials: what `evaluate --json` prints.
 
     Parameters
@@ -112,7 +112,7 @@ def evaluation(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
     InputError
         If a trial lacks an input of the plant, or the simulation does not stay finite on it.
     """
-    comparisons = compare(plant, trials)
+    comparisons = compare_with_trials(plant, trials)
     dofs = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
         own = [c for c in comparisons if c.trial.meta.dof == dof]

@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from firmware_py.display_units import PAYLOAD, TIME, signal_unit, signal_words
-from models.plant.identification.evaluation import Comparison, compare
+from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant
 from models.shared.palette import MUTED, SIMULATED
 from models.trials.trial import Trial
 
 
-def draw(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
+def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
     """Draw least and largest payload of each number of joints; returns the path (SVG)."""
     from matplotlib import pyplot
 
     from models.shared.svg_drawing import FILE_STYLE  # loads matplotlib
 
-    columns = compare(plant, _extremes(trials))
+    columns = compare_with_trials(plant, _extremes(trials))
     signals = list(dict.fromkeys(s for c in columns for s in c.simulated))
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(

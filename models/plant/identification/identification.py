@@ -26,8 +26,8 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.plant.components.drives import DRIVES
 from models.plant.effects import EFFECTS
-from models.plant.identification.evaluation import evaluation
-from models.plant.identification.simulation_fit import Objective, Solution, solve
+from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.simulation_fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, Plant, Unit
 from models.plant.provenance import Evaluation, Provenance
@@ -98,19 +98,19 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
             f"has one joint, a trial has {planes}",
             "use a plant of the link",
         )
-    link, drive = _free(plant, planes)
+    link, drive = _free_parameters(plant, planes)
     first = [t for t in fit if t.meta.dof == min(t.meta.dof for t in fit)]
     if plant.load == "link":
-        found, rms = _round(_scan(plant, first, report), first, None, report)
-        found, rms = _round(_mirrored(found, first), fit.trials, rms, report)
+        found, rms = _fit_link_and_drive(_scan_stiffness(plant, first, report), first, None, report)
+        found, rms = _fit_link_and_drive(_with_second_plane(found, first), fit.trials, rms, report)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
         solution = _best_of_several(
             Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS), report
         )
         found, rms = solution.plant, solution.rms
-    found = _mirrored(found, fit.trials)
-    errors = evaluation(found, held_out if len(held_out) else fit)
+    found = _with_second_plane(found, fit.trials)
+    errors = evaluate_plant(found, held_out if len(held_out) else fit)
     fitted = tuple(dict.fromkeys((*link, *drive)))
     provenance = Provenance(
         parent_sha256=plant.sha256(),
@@ -121,7 +121,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         residual_rms=rms,
         held_out=errors,
     )
-    found = replace(found, name=f"{_stem(plant.name)}, identified", provenance=provenance)
+    found = replace(found, name=f"{_base_name(plant.name)}, identified", provenance=provenance)
     return Identification(found, tuple(found.parameters[n] for n in fitted), errors)
 
 
@@ -137,7 +137,7 @@ def _best_of_several(objective: Objective, report: Report) -> Solution:
     report(f"{DRAWS} starts drawn")
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))[:FITTED_STARTS]
     fits = [
-        solve(
+        fit_objective(
             objective, starts[k], evaluations=60, tolerance=1e-5,
             report=lambda cost: report(f"cost {cost:.4g}"),
         )
@@ -146,17 +146,19 @@ def _best_of_several(objective: Objective, report: Report) -> Solution:
     return min(fits, key=lambda s: s.cost)
 
 
-def _round(
+def _fit_link_and_drive(
     plant: Plant, trials: Sequence[Trial], rms: dict[str, float] | None, report: Report
 ) -> tuple[Plant, dict[str, float]]:
     """Link, then drive; the errors of an earlier round are the scales of the link's."""
-    link, drive = _free(plant, max(t.meta.dof for t in trials))
-    first = _stage(plant, "driven", trials, link, LINK_SIGNALS, rms, report)
-    second = _stage(first.plant, "twin", _spread(trials), drive, DRIVE_SIGNALS, None, report)
+    link, drive = _free_parameters(plant, max(t.meta.dof for t in trials))
+    first = _fit_stage(plant, "driven", trials, link, LINK_SIGNALS, rms, report)
+    second = _fit_stage(
+        first.plant, "twin", _payload_extremes(trials), drive, DRIVE_SIGNALS, None, report
+    )
     return second.plant, first.rms
 
 
-def _spread(trials: Sequence[Trial]) -> list[Trial]:
+def _payload_extremes(trials: Sequence[Trial]) -> list[Trial]:
     """Least, middle and largest payload of each number of joints: enough for the drive."""
     chosen: list[Trial] = []
     for dof in sorted({t.meta.dof for t in trials}):
@@ -165,11 +167,11 @@ def _spread(trials: Sequence[Trial]) -> list[Trial]:
     return chosen
 
 
-def _stem(name: str) -> str:
+def _base_name(name: str) -> str:
     return name.removesuffix(", identified").removesuffix(", nominal")
 
 
-def _free(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names to fit in the link's stage and in the drive's; friction is in both."""
     scope = Scope(tuple(range(1, planes + 1)), suffix=dict(LOADS[plant.load].suffix))
 
@@ -187,9 +189,9 @@ def _free(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(load), tuple(drive)
 
 
-def _scan(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
+def _scan_stiffness(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
     """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
-    link, _ = _free(plant, max(t.meta.dof for t in trials))
+    link, _ = _free_parameters(plant, max(t.meta.dof for t in trials))
     stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
     objective = Objective(
         plant, "driven", trials, stiffness, LINK_SIGNALS, max_substep_s=DRIVEN_SUBSTEP_S
@@ -208,7 +210,7 @@ def _scan(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
     return plant.with_values(dict(zip(stiffness, scaled(best), strict=True)))
 
 
-def _stage(
+def _fit_stage(
     plant: Plant,
     unit: Unit,
     trials: Sequence[Trial],
@@ -220,14 +222,14 @@ def _stage(
     """One fit."""
     substep_s = DRIVEN_SUBSTEP_S if unit == "driven" else None
     what = f"{'link' if unit == 'driven' else 'drive'}, {len(trials)} trials"
-    return solve(
+    return fit_objective(
         Objective(plant, unit, trials, free, signals, scale, substep_s),
         evaluations=25, tolerance=1e-3,
         report=lambda cost: report(f"{what}: cost {cost:.4g}"),
     )  # fmt: skip
 
 
-def _mirrored(plant: Plant, trials: Sequence[Trial]) -> Plant:
+def _with_second_plane(plant: Plant, trials: Sequence[Trial]) -> Plant:
     """Plant whose second plane, where no trial moves it, is the first one, prebend apart."""
     if LOADS[plant.load].max_dof == 1 or any(t.meta.dof == 2 for t in trials):
         return plant

@@ -22,11 +22,11 @@ from models.plant.simulation.compiled_model import (
     Array,
     CompiledModel,
     run_trial,
-    sensitivity,
+    sensitivity_model,
     trial_parameters,
 )
 from models.plant.step_model import names
-from models.trials.deformation import deformation_index, lengths_m
+from models.trials.deformation import deformation_index, edge_lengths_m
 from models.trials.trial import Trial
 
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
@@ -57,7 +57,7 @@ def _balanced_index(trial: Trial) -> Array:
     lengths that are seen would rise with occlusion. Here each of the four segments counts alike;
     without occlusion it is `deformation_index`.
     """
-    lengths = lengths_m(trial)
+    lengths = edge_lengths_m(trial)
     if np.isfinite(lengths).all():
         return deformation_index(trial)
     with warnings.catch_warnings():
@@ -67,7 +67,7 @@ def _balanced_index(trial: Trial) -> Array:
         return np.asarray(np.nanmean(strain.reshape(len(trial), 4, 4), axis=2).mean(axis=1))
 
 
-def weights(trial: Trial, signal: str) -> Array:
+def row_weights(trial: Trial, signal: str) -> Array:
     """Square root of how much each row of a signal counts: a current by its joint's rate."""
     if not signal.startswith("current_"):
         return np.ones(len(trial))
@@ -136,7 +136,7 @@ class Objective:
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, unit)
             own = [name for name in self.free if name in names(model.parameters)]
-            compiled = CompiledModel(sensitivity(model, own, max_substep_s))
+            compiled = CompiledModel(sensitivity_model(model, own, max_substep_s))
             self._models[dof] = (compiled, own)
         chosen = [plant.parameters[name] for name in self.free]
         self.start = np.array([q.value for q in chosen])
@@ -195,7 +195,7 @@ class Objective:
         for k, signal in enumerate(names(model.outputs[:count])):
             if signal not in measured or not signal.startswith(self._signals):
                 continue
-            factor = weights(trial, signal) / self.scale(signal) / CORRELATED_SAMPLES**0.5
+            factor = row_weights(trial, signal) / self.scale(signal) / CORRELATED_SAMPLES**0.5
             residual = (y[:, k] - measured[signal]) * factor
             jacobian = np.zeros((len(y), len(self.free)))
             jacobian[:, columns] = y[:, count + k :: count] * factor[:, None]
@@ -204,7 +204,7 @@ class Objective:
         return result
 
 
-def solve(
+def fit_objective(
     objective: Objective,
     start: Array | None = None,
     evaluations: int = 40,

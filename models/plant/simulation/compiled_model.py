@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
-from models.plant.simulation.model_c import write_model
+from models.plant.simulation.model_c import write_model_c
 from models.plant.step_model import StepModel, names, runge_kutta
 from models.shared.c_compiler import compile_library
 from models.trials.trial import Trial
@@ -47,7 +47,7 @@ class CompiledModel:
         with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
             directory = Path(scratch)
             path = compile_library(
-                [write_model(model, directory), _DRIVER],
+                [write_model_c(model, directory), _DRIVER],
                 directory / "model.so",
                 include=[directory],
                 flags=[f"-D{name}={size}" for name, size in sizes.items()],
@@ -78,7 +78,9 @@ class CompiledModel:
             raise MemoryError(f"{self.model.name}: {function}")
 
 
-def sensitivity(model: StepModel, wrt: list[str], max_substep_s: float | None = None) -> StepModel:
+def sensitivity_model(
+    model: StepModel, wrt: list[str], max_substep_s: float | None = None
+) -> StepModel:
     """Model that also carries the exact derivatives of its run by some parameters.
 
     The states are x and S = dx/dp (column by column), the outputs y and dy/dp; S follows the
@@ -161,7 +163,7 @@ def trial_parameters(model: StepModel, trial: Trial) -> Array:
     return model.parameter_values({n: v for n, v in own.items() if n in known})
 
 
-def trial_inputs(model: StepModel, trial: Trial) -> Array:
+def model_inputs(model: StepModel, trial: Trial) -> Array:
     """Inputs of a model from a trial's columns; the payload is the declared one.
 
     A drive is enabled where no column says otherwise.
@@ -185,7 +187,7 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     A twin is driven by the goal that was sent after a row until the next; a model driven by
     measurement takes the sample at the end of each step.
     """
-    u = trial_inputs(compiled.model, trial)
+    u = model_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p
     at_end = any(name.startswith("angle_") for name in names(compiled.model.inputs))
     return compiled.simulate(u[1:] if at_end else u[:-1], trial.step_s, p, compiled.start(u[0], p))

@@ -12,7 +12,7 @@ from models.plant.step_model import StepModel
 FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 
 
-def write_model(model: StepModel, directory: Path) -> Path:
+def write_model_c(model: StepModel, directory: Path) -> Path:
     """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the former.
 
     The functions take and give dense vectors, whatever sparsity CasADi found.

@@ -1,33 +1,45 @@
-"""Turn what laboratories record into trials.
+"""Importers: readers of the files that other systems record, and their assembly into trials.
 
-Every reader is a module with one function, ``read(path, mapping) -> list[Series]``: the channels
-of the file under the contract's names, in SI units, each series on its own sample times, all on
-the clock of that file. `synchronise` finds the offset between two files, `assemble` resamples
-everything to one uniform step and makes a trial of it.
+Every reader takes a file and a `RecordingMap` and returns a list of `Series`: the channels of the
+file by the names of the trial contract, in SI units, each series with its own sample times, all on
+the clock of that file. `synchronise` finds the offset between two files; `assemble_trial` resamples
+everything to one uniform step. A new importer is a module with such a reader and a row of
+`READERS`.
 """
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import Mapping
+from models.trials.importers.c3d_file import read_c3d
+from models.trials.importers.mapping import RecordingMap
+from models.trials.importers.motive_csv import read_motive_csv
+from models.trials.importers.robot_log import read_robot_log
+from models.trials.importers.ros2_bag import read_ros2_bag
 from models.trials.importers.series import Series
+from models.trials.importers.table_file import read_table
 
-_MODULES: Final = {
-    "motive": "motive_csv",
-    "c3d": "c3d_file",
-    "rosbag": "ros2_bag",
-    "recording": "robot_log",
-    "table": "table_file",
+__all__ = ["KINDS", "READERS", "read_series"]
+
+Reader = Callable[[Path, RecordingMap], list[Series]]
+
+READERS: Final[dict[str, Reader]] = {
+    "motive": read_motive_csv,
+    "c3d": read_c3d,
+    "rosbag": read_ros2_bag,
+    "recording": read_robot_log,
+    "table": read_table,
 }
-KINDS: Final = tuple(_MODULES)
+"""Readers by the name that `python -m models import --as` takes."""
+
+KINDS: Final = tuple(READERS)
 _KIND_OF_SUFFIX: Final = {".mcap": "recording", ".c3d": "c3d"}
 
 
-def read_series(path: Path, kind: str | None, mapping: Mapping) -> list[Series]:
+def read_series(path: Path, kind: str | None, mapping: RecordingMap) -> list[Series]:
     """Read the channels of a file.
 
     Parameters
@@ -35,10 +47,15 @@ def read_series(path: Path, kind: str | None, mapping: Mapping) -> list[Series]:
     path : Path
         The file (for a rosbag also its directory).
     kind : str or None
-        One of `KINDS`; None goes by the suffix: `.mcap` is our own recording, `.c3d` is C3D, a
-        directory is a rosbag, anything else a table.
-    mapping : Mapping
-        What the file cannot say about itself.
+        One of `KINDS`. None selects by the suffix: `.mcap` is a log of `dropstitch run`, `.c3d` is
+        C3D, a directory is a rosbag, anything else a table.
+    mapping : RecordingMap
+        Names, units, frame and conditions that the file does not hold.
+
+    Returns
+    -------
+    list of Series
+        In SI units, on the clock of the file.
 
     Raises
     ------
@@ -48,6 +65,4 @@ def read_series(path: Path, kind: str | None, mapping: Mapping) -> list[Series]:
     if not path.exists():
         raise InputError(path, "is missing", "name an existing file")
     kind = kind or ("rosbag" if path.is_dir() else _KIND_OF_SUFFIX.get(path.suffix, "table"))
-    module = importlib.import_module(f"{__name__}.{_MODULES[kind]}")
-    series: list[Series] = module.read(path, mapping)
-    return series
+    return READERS[kind](path, mapping)

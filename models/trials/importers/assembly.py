@@ -1,4 +1,4 @@
-"""From series on their own sample times to a trial with one uniform step."""
+"""Assembly of series, each on its own sample times, into a trial with one uniform step."""
 
 from __future__ import annotations
 
@@ -10,29 +10,43 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.signals import TIME, joint_signals, tip_names
-from models.trials.importers.mapping import MARKERS, Mapping
-from models.trials.importers.mocap_frame import align_to_rest, nominal_markers_m
+from models.trials.importers.mapping import MARKERS, RecordingMap
+from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.importers.series import Series, marker_columns, row_centre_m
 from models.trials.trial import Array, Trial
 from models.trials.trial_files import STEP_TOLERANCE, columns_of
 
 LONGEST_TIP_GAP_S: Final = 0.1
-"""An unseen tip is interpolated over at most this time; the motion is below 4 Hz."""
+"""Longest gap over which an unseen tip is interpolated; the motion is below 4 Hz."""
+
 REST_RANGE_RAD: Final = 1e-3
+"""Largest change of a goal that counts as rest."""
+
 REST_RANGE_M: Final = 3e-3
+"""Largest displacement of a marker that counts as rest."""
 
 
-def assemble(series: list[Series], mapping: Mapping, name: str) -> Trial:
-    """Resample all series over the time that they share and make a trial of them.
+def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Trial:
+    """Resample all series over the time that they have in common, and make a trial of them.
 
     Angles, currents and positions are interpolated linearly, goals are held. A single series
-    that already has the step keeps its samples as they are. Without any motion capture the tip
-    and the markers stay empty.
+    that already has the step keeps its samples. Without motion capture the tip and the markers
+    stay empty.
+
+    Parameters
+    ----------
+    series : list of Series
+        On one clock.
+    mapping : RecordingMap
+        With conditions and step of the trial.
+    name : str
+        Of the trial.
 
     Raises
     ------
     InputError
-        If a column of the contract is missing, or the series share no time.
+        If a column of the contract is missing, the series do not overlap in time, or the tip is
+        unseen for longer than `LONGEST_TIP_GAP_S`.
     """
     where = series[0].path
     source = {column: s for s in map(_with_tip, series) for column in s.columns}
@@ -54,43 +68,58 @@ def assemble(series: list[Series], mapping: Mapping, name: str) -> Trial:
         owner, hold = source[column], column in goals
         columns[column] = resample(owner.time_s, owner.columns[column], grid_s, hold=hold)
     for tip in (n for n in tip_names() if n in columns):
-        columns[tip] = _bridge(where, columns[tip], mapping.step_s)
+        columns[tip] = _fill_short_gaps(where, columns[tip], mapping.step_s)
     for signal in needed:
         if np.isnan(columns[signal.name]).any():
             at_s = columns[TIME.name][np.isnan(columns[signal.name])][0]
             raise InputError(
                 where, f"{signal.name} was not measured at {at_s:.3f} s", "cut the gap out"
             )
-    still = _rest_rows(np.column_stack([columns[n] for n in goals]), REST_RANGE_RAD) if goals else 0
+    rest = _rest_rows(np.column_stack([columns[n] for n in goals]), REST_RANGE_RAD) if goals else 0
     duration_s = float(grid_s[-1] - grid_s[0])
-    return Trial(name, mapping.meta(min(still, len(grid_s) - 1), duration_s), columns)
+    return Trial(name, mapping.meta(min(rest, len(grid_s) - 1), duration_s), columns)
 
 
-def _is_goal(column: str, mapping: Mapping) -> bool:
+def _is_goal(column: str, mapping: RecordingMap) -> bool:
     """Whether a column is held from one sample to the next."""
     if column in mapping.signals:
         return mapping.signals[column].role == "goal"
     return column.startswith("goal")
 
 
-def align(series: list[Series], mapping: Mapping) -> list[Series]:
-    """Lay the markers' rest pose on the upright link, where the map asks for it."""
+def align_rest_pose(series: list[Series], mapping: RecordingMap) -> list[Series]:
+    """Move the markers to the upright link by their rest pose, where the map asks for it.
+
+    Raises
+    ------
+    InputError
+        If fewer than four markers are seen at rest.
+    """
     if mapping.frame.align == "none":
         return series
-    return [_aligned(s, mapping) if "m01_x_m" in s.columns else s for s in series]
+    return [_align_series(s, mapping) if "m01_x_m" in s.columns else s for s in series]
 
 
 def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:
     """Values at the times of a grid, linearly interpolated or held; NaN next to NaN.
 
-    A grid time that meets a sample gets that sample exactly, whatever stands beside it.
+    A grid time that coincides with a sample takes that sample exactly.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        Samples.
+    grid_s : ndarray, shape (m,)
+        Times within those of the samples.
+    hold : bool
+        Whether a sample holds until the next one.
     """
     before = np.clip(np.searchsorted(time_s, grid_s, side="right") - 1, 0, len(time_s) - 2)
-    share = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])
+    fraction = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])
     if hold:
-        return np.asarray(np.where(share < 1, values[before], values[before + 1]))
-    mixed = values[before] + share * (values[before + 1] - values[before])
-    return np.select([share == 0, share == 1], [values[before], values[before + 1]], mixed)
+        return np.asarray(np.where(fraction < 1, values[before], values[before + 1]))
+    mixed = values[before] + fraction * (values[before + 1] - values[before])
+    return np.select([fraction == 0, fraction == 1], [values[before], values[before + 1]], mixed)
 
 
 def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
@@ -105,7 +134,7 @@ def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
 
 
 def _with_tip(series: Series) -> Series:
-    """The series with the centre of the last row as tip, if it does not hold the tip itself."""
+    """Series with the centre of the last marker row as tip, where it has no tip of its own."""
     names = MARKERS[12:]
     if "tip_x_m" in series.columns or not all(f"{n}_x_m" in series.columns for n in names):
         return series
@@ -132,7 +161,7 @@ def _grid_s(series: list[Series], step_s: float) -> Array:
     return np.asarray(np.minimum(start_s + step_s * np.arange(count), end_s))
 
 
-def _bridge(where: Path, values: Array, step_s: float) -> Array:
+def _fill_short_gaps(where: Path, values: Array, step_s: float) -> Array:
     """Fill short gaps linearly; refuse long ones; an entirely empty column stays empty."""
     seen = np.isfinite(values)
     if seen.all() or not seen.any():
@@ -156,7 +185,7 @@ def _rest_rows(values: Array, limit: float) -> int:
     return int(moved[0]) if len(moved) else len(values)
 
 
-def _aligned(series: Series, mapping: Mapping) -> Series:
+def _align_series(series: Series, mapping: RecordingMap) -> Series:
     names = [n for n in (*MARKERS, "tip") if f"{n}_x_m" in series.columns]
     markers_m = {n: series.position_m(n) for n in names}
     stacked = np.nan_to_num(np.concatenate([markers_m[n] for n in names], axis=1))
@@ -171,6 +200,6 @@ def _aligned(series: Series, mapping: Mapping) -> Series:
         raise InputError(
             series.path, f"shows {len(pairs)} markers at rest", "align needs at least four"
         )
-    rotation, shift_m = align_to_rest(*(np.array(side) for side in zip(*pairs, strict=True)))
+    rotation, shift_m = fit_rigid_motion(*(np.array(side) for side in zip(*pairs, strict=True)))
     moved = {n: position @ rotation.T + shift_m for n, position in markers_m.items()}
     return replace(series, columns=series.columns | marker_columns(moved))

@@ -1,4 +1,4 @@
-"""C3D through ezc3d: points (markers) and, where the map names them, analog channels."""
+"""C3D reader (through ezc3d): points as markers and, where the map names them, analog channels."""
 
 from __future__ import annotations
 
@@ -8,16 +8,34 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import Mapping
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, factor_to_si, marker_columns
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
-def read(path: Path, mapping: Mapping) -> list[Series]:
-    """Markers of a C3D file in the world frame (z up unless the map says else), and analogs."""
-    import ezc3d  # only who imports a C3D pays for it
+def read_c3d(path: Path, mapping: RecordingMap) -> list[Series]:
+    """Markers and mapped analog channels of a C3D file.
+
+    Parameters
+    ----------
+    path : Path
+        C3D file.
+    mapping : RecordingMap
+        With `[markers]`, `[columns]` and `[frame]`; z points up unless it says otherwise.
+
+    Returns
+    -------
+    list of Series
+        Markers in the world frame first; analog channels, if any, second.
+
+    Raises
+    ------
+    InputError
+        If the file is not C3D, its length unit is unknown, or no mapped marker is in it.
+    """
+    import ezc3d  # only needed for C3D
 
     try:
         file = ezc3d.c3d(str(path))
@@ -30,7 +48,7 @@ def _value(file: Any, group: str, name: str) -> list[Any]:
     return list(file["parameters"].get(group, {}).get(name, {"value": []})["value"])
 
 
-def _points(path: Path, file: Any, mapping: Mapping) -> Series:
+def _points(path: Path, file: Any, mapping: RecordingMap) -> Series:
     unit = (_value(file, "POINT", "UNITS") or ["mm"])[0].strip().lower()
     if unit not in _METRES:
         raise InputError(path, f"POINT:UNITS is {unit!r}", "export in m or mm")
@@ -53,7 +71,7 @@ def _points(path: Path, file: Any, mapping: Mapping) -> Series:
     return Series(time_s, marker_columns(to_world(markers_m, mapping.frame, "z")), path)
 
 
-def _analogs(path: Path, file: Any, mapping: Mapping) -> list[Series]:
+def _analogs(path: Path, file: Any, mapping: RecordingMap) -> list[Series]:
     labels = [str(label).strip() for label in _value(file, "ANALOG", "LABELS")]
     units = [str(unit).strip() for unit in _value(file, "ANALOG", "UNITS")]
     channels = np.asarray(file["data"]["analogs"])[0]  # (channels, n)

@@ -1,4 +1,4 @@
-"""MAP.toml: what a recording cannot say about itself.
+"""Map of a recording (MAP.toml): names, units, frame and conditions that the file does not hold.
 
 ::
 
@@ -8,11 +8,11 @@
     [trial]                            # the trial's conditions (docs/architecture.md)
     dof = 1                            # schema, source, rest_samples and period_s may be left out
     payload_kg = 1.0
-    motion = { from = "trajectory" }   # what stands once in the file, by its name there
+    motion = { from = "trajectory" }   # single value of the file, by its name there
     …
 
-    [conditions]                       # what the plant's file calls a condition: a number, or
-    duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # as a column's
+    [conditions]                       # conditions of the plant's file: a number, or
+    duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # a single value
 
     [columns]                          # table, C3D analog: contract name = where it comes from
     time_s      = { from = "stamp", unit = "ms" }
@@ -38,8 +38,9 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
@@ -49,10 +50,13 @@ from models.trials.importers.series import factor_to_si
 from models.trials.trial import SignalRole, TrialMeta
 from models.trials.trial_files import check_meta
 
+Scalar = str | int | float
+"""Single value of a file, or of a condition."""
+
 MARKERS = tuple(f"m{i:02d}" for i in range(1, 17))
 
 
-class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ColumnSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One `[columns]` entry: SI value = raw value x scale x (unit to SI) + offset."""
 
     source: str = msgspec.field(name="from")
@@ -61,8 +65,14 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset: float = 0.0
 
 
-class Frame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the frame of the motion capture lies in the world; see the module's text."""
+class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A `[trial]` entry that is taken from a single value of the file."""
+
+    source: str = msgspec.field(name="from")
+
+
+class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Orientation and origin of the motion capture's frame in the world; see the module's text."""
 
     up: Literal["x", "y", "z"] | None = None
     align: Literal["rest", "none"] = "none"
@@ -70,50 +80,102 @@ class Frame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     yaw_deg: float = 0.0
 
 
-class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A decoded MAP.toml; see the module's text."""
+class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Decoded MAP.toml.
 
-    trial: dict[str, Any] = {}
-    conditions: dict[str, float | Column] = {}
+    Attributes
+    ----------
+    trial : dict
+        Conditions of the trial, by key of its TOML file.
+    conditions : dict
+        Conditions that the plant's file declares, by name.
+    plant : str
+        Plant document beside the map, for a plant that is not the link; empty for the link.
+    signals : dict of str to SignalRole
+        Signals that the plant document declares.
+    step_s : float
+        Uniform step of the trial.
+    columns, servo_columns : dict of str to ColumnSource
+        Sources of the contract's columns in the file and in the file of `--servo`.
+    markers : dict of str to str
+        Name in the file by marker of the contract; empty where the names are the same.
+    topics : dict of str to str
+        Role by topic of a ROS 2 bag.
+    joints : list of str
+        Names of joint 1 and joint 2 in a ROS 2 bag; empty for the order of the message.
+    effort_unit : str
+        Unit of `JointState.effort`.
+    frame : MocapFrame
+        Frame of the motion capture.
+    path : str
+        File of the map, for messages.
+    """
+
+    trial: dict[str, Scalar | ScalarSource] = {}
+    conditions: dict[str, float | ColumnSource] = {}
     plant: str = ""
     signals: dict[str, SignalRole] = {}
     step_s: float = PERIOD_S
-    columns: dict[str, Column] = {}
-    servo_columns: dict[str, Column] = {}
+    columns: dict[str, ColumnSource] = {}
+    servo_columns: dict[str, ColumnSource] = {}
     markers: dict[str, str] = {}
     topics: dict[str, str] = {}
     joints: list[str] = []
     effort_unit: str = "A"
-    frame: Frame = Frame()
+    frame: MocapFrame = MocapFrame()
     path: str = "--map"
 
     def meta(self, rest_samples: int, duration_s: float | None = None) -> TrialMeta:
-        """Conditions of the trial; `rest_samples` and the period where the map leaves them out."""
-        document = {"source": "measured", "rest_samples": rest_samples} | self.trial
+        """Conditions of the trial.
+
+        Parameters
+        ----------
+        rest_samples : int
+            Where the map leaves it out.
+        duration_s : float, optional
+            Period where the map of another plant leaves it out.
+
+        Raises
+        ------
+        InputError
+            If a condition is missing or out of range.
+        """
+        document: dict[str, object] = {
+            "source": "measured",
+            "rest_samples": rest_samples,
+            **self.trial,
+        }
         if self.signals and duration_s is not None:
             document = {"period_s": duration_s} | document
         if self.conditions:
             document["conditions"] = self.conditions
         return check_meta(document, Path(self.path), self.signals)
 
-    def with_facts(self, facts: dict[str, Any], where: Path) -> Mapping:
-        """The mapping with what it takes `from` the file once, put in place.
+    def with_scalars(self, scalars: Mapping[str, Scalar], where: Path) -> RecordingMap:
+        """Map in which every `{ from = … }` of a single value is replaced by that value.
 
         Parameters
         ----------
-        facts : dict
-            What stands once in the file, by name.
+        scalars : mapping of str to str, int or float
+            Single values of the file, by name.
         where : Path
             The file.
+
+        Raises
+        ------
+        InputError
+            If the file lacks a value, or a condition is not a number.
         """
-        trial = {
-            key: self._fact(facts, where, key, entry["from"]) if isinstance(entry, dict) else entry
+        trial: dict[str, Scalar | ScalarSource] = {
+            key: self._scalar(scalars, where, key, entry.source)
+            if isinstance(entry, ScalarSource)
+            else entry
             for key, entry in self.trial.items()
         }
-        conditions: dict[str, float | Column] = {}
+        conditions: dict[str, float | ColumnSource] = {}
         for key, entry in self.conditions.items():
-            if isinstance(entry, Column):
-                raw = self._fact(facts, where, key, entry.source)
+            if isinstance(entry, ColumnSource):
+                raw = self._scalar(scalars, where, key, entry.source)
                 if not isinstance(raw, int | float):
                     raise InputError(where, f"{entry.source} is {raw!r}, no number", "correct it")
                 factor = entry.scale * factor_to_si(Path(self.path), key, entry.unit or "1")
@@ -122,16 +184,16 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 conditions[key] = entry
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
 
-    def _fact(self, facts: dict[str, Any], where: Path, key: str, name: Any) -> Any:
-        if name not in facts:
+    def _scalar(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
+        if name not in scalars:
             raise InputError(
-                where, f"{name!r}, which {self.path} takes {key} from, does not stand in it",
+                where, f"lacks {name!r}, from which {self.path} takes {key}",
                 "write the value itself into the map",
             )  # fmt: skip
-        return facts[name]
+        return scalars[name]
 
-    def for_servo(self) -> Mapping:
-        """The mapping under which the file of `--servo` is read."""
+    def for_servo(self) -> RecordingMap:
+        """Map with which the file of `--servo` is read."""
         return msgspec.structs.replace(self, columns=self.servo_columns or self.columns)
 
     @property
@@ -140,7 +202,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         dof = self.trial.get("dof")
         if dof not in (1, 2):
             raise InputError(self.path, f"[trial] dof is {dof!r}", "set dof = 1 or dof = 2")
-        return int(dof)
+        return 1 if dof == 1 else 2
 
     def marker_of(self, name: str) -> str | None:
         """Contract name (`m01` …, `tip`) of a marker that the file calls `name`, else None."""
@@ -151,8 +213,13 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return bare if not self.markers and bare in (*MARKERS, "tip") else None
 
 
-def read_mapping(path: Path | None) -> Mapping:
-    """Read MAP.toml; without one the file must carry the contract's names and units.
+def read_mapping(path: Path | None) -> RecordingMap:
+    """Read MAP.toml; without one the file must have the contract's names and units.
+
+    Parameters
+    ----------
+    path : Path or None
+        None gives the empty map.
 
     Raises
     ------
@@ -160,10 +227,10 @@ def read_mapping(path: Path | None) -> Mapping:
         If the file is missing or is not TOML, or a key or value is wrong.
     """
     if path is None:
-        return Mapping()
+        return RecordingMap()
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
-        mapping = msgspec.convert(document, Mapping)
+        mapping = msgspec.convert(document, RecordingMap)
     except FileNotFoundError:
         raise InputError(path, "is missing", "name an existing MAP.toml") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -182,7 +249,7 @@ def read_mapping(path: Path | None) -> Mapping:
 
 
 def _signals(path: Path) -> dict[str, SignalRole]:
-    """Signals that a plant's file declares, without composing the plant."""
+    """Signals that a plant document declares; the plant itself is not read."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         return msgspec.convert(document.get("signals", {}), dict[str, SignalRole])

@@ -1,4 +1,4 @@
-"""From the frame of the motion capture to the world frame: z up, origin at the joint axes."""
+"""Transformation from the motion capture's frame to the world frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from models.trials.importers.mapping import Frame
+from models.trials.importers.mapping import MocapFrame
 from models.trials.trial import Array, TrialMeta
 
 _TO_Z_UP: Final = {
@@ -14,18 +14,28 @@ _TO_Z_UP: Final = {
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "z": np.eye(3),
 }
-"""By the file's upward axis: a right-handed turn that makes it the z axis."""
+"""Rotation that makes the file's upward axis the z axis, by that axis."""
 
 
-def to_world(positions_m: dict[str, Array], frame: Frame, default_up: str) -> dict[str, Array]:
-    """Turn and shift positions, each (n, 3), as the map's `[frame]` says."""
+def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
+    """Positions in the world frame.
+
+    Parameters
+    ----------
+    positions_m : dict of str to ndarray, shape (n, 3)
+        In the file's frame.
+    frame : MocapFrame
+        The map's `[frame]`.
+    default_up : {"x", "y", "z"}
+        Upward axis of the file where the map does not give it.
+    """
     yaw = np.radians(frame.yaw_deg)
     about_z = np.array(
         [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
     )
-    turn = about_z @ _TO_Z_UP[frame.up or default_up]
+    rotation = about_z @ _TO_Z_UP[frame.up or default_up]
     origin_m = about_z @ np.array(frame.origin_m)
-    return {name: position @ turn.T - origin_m for name, position in positions_m.items()}
+    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
 
 
 def nominal_markers_m(meta: TrialMeta) -> Array:
@@ -44,11 +54,22 @@ def nominal_markers_m(meta: TrialMeta) -> Array:
     )
 
 
-def align_to_rest(measured_m: Array, nominal_m: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and shift (3,) that best lay measured points on nominal ones.
+def fit_rigid_motion(measured_m: Array, nominal_m: Array) -> tuple[Array, Array]:
+    """Rigid motion that best maps measured points to nominal ones.
 
-    Least squares over rigid motions by the singular value decomposition (Kabsch 1976). It sees a
-    pre-bent link as a tilted frame, so it is an option, not the default.
+    Least squares by the singular value decomposition (Kabsch 1976). It takes a pre-bent link for a
+    tilted frame, so it is an option, not the default.
+
+    Parameters
+    ----------
+    measured_m, nominal_m : ndarray, shape (k, 3)
+        The same points, k of at least 3.
+
+    Returns
+    -------
+    rotation : ndarray, shape (3, 3)
+    shift_m : ndarray, shape (3,)
+        nominal ≈ rotation @ measured + shift.
     """
     centre, target = measured_m.mean(axis=0), nominal_m.mean(axis=0)
     u, _, vt = np.linalg.svd((measured_m - centre).T @ (nominal_m - target))

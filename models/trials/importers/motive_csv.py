@@ -1,11 +1,10 @@
-"""OptiTrack Motive CSV, versions 1.2 to 1.25.
+"""Reader of OptiTrack Motive CSV, versions 1.2 to 1.25.
 
-The header's first line holds key, value pairs; below it stand label rows whose second cell says
-what they are (Type, Name, ID, Parent, or nothing for Rotation / Position), then the row that
-begins with Frame, then the samples. Which rows there are depends on the version and on what was
-exported, so everything is found by its label and nothing by its line number. A blank cell is an
-occluded marker. Only positions are used; rotations of rigid bodies are skipped, whatever the
-header's Rotation Type is.
+The header's first line holds key, value pairs. Label rows follow, whose second cell is their label
+(Type, Name, ID, Parent, or empty for Rotation / Position), then the row that begins with Frame,
+then the samples. The set of rows depends on the version and on the export options, so every row is
+found by its label, not by its line number. A blank cell is an occluded marker. Only positions are
+used; rotations of rigid bodies are skipped.
 """
 
 from __future__ import annotations
@@ -17,18 +16,32 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import Mapping
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, marker_columns
 from models.trials.trial import Array
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
 _RANK: Final = {"marker": 0, "rigid body marker": 1, "bone marker": 1}
-"""Kinds that carry a position: a measured marker is preferred to the solver's expectation."""
+"""Preference by kind, lowest first: a measured marker before the solver's expected one."""
 
 
-def read(path: Path, mapping: Mapping) -> list[Series]:
-    """Markers of a Motive export, in the world frame; y points up unless the map says else."""
+def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
+    """Markers of a Motive export in the world frame.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file.
+    mapping : RecordingMap
+        With `[markers]` and `[frame]`; y points up unless it says otherwise.
+
+    Raises
+    ------
+    InputError
+        If the file is no Motive export in a known length unit and global coordinates, is
+        truncated, or holds no mapped marker.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
@@ -36,8 +49,8 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
         raise InputError(
             path, f"is not CSV text ({error})", "export it from Motive again"
         ) from None
-    facts = _facts(path, rows)
-    metres = _METRES[facts["Length Units"].lower()]
+    header = _header(path, rows)
+    metres = _METRES[header["Length Units"].lower()]
     labels, start = _label_rows(path, rows)
     positions = _position_columns(labels, mapping)
     if not positions:
@@ -55,26 +68,26 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
     return [Series(samples[:, time], marker_columns(world_m), path)]
 
 
-def _facts(path: Path, rows: list[list[str]]) -> dict[str, str]:
+def _header(path: Path, rows: list[list[str]]) -> dict[str, str]:
     """Key, value pairs of the header's first line, checked."""
     first = rows[0] if rows else []
-    facts = dict(zip(first[::2], first[1::2], strict=False))
-    if "Format Version" not in facts:
+    header = dict(zip(first[::2], first[1::2], strict=False))
+    if "Format Version" not in header:
         raise InputError(
             path, "is no Motive export with header", "export CSV with 'Header Information' on"
         )
-    units = facts.get("Length Units", "")
+    units = header.get("Length Units", "")
     if units.lower() not in _METRES:
         raise InputError(path, f"Length Units is {units!r}", "export in Meters or Millimeters")
-    if facts.get("Coordinate Space", "Global") != "Global":
+    if header.get("Coordinate Space", "Global") != "Global":
         raise InputError(
-            path, f"Coordinate Space is {facts['Coordinate Space']}", "export it as Global"
+            path, f"Coordinate Space is {header['Coordinate Space']}", "export it as Global"
         )
-    return facts
+    return header
 
 
 def _label_rows(path: Path, rows: list[list[str]]) -> tuple[dict[str, list[str]], int]:
-    """Label rows by label ("" is the Rotation / Position row), and where the samples start."""
+    """Label rows by label ("" is the Rotation / Position row), and the first row of samples."""
     labels: dict[str, list[str]] = {}
     for number, row in enumerate(rows[1:], start=1):
         if row and row[0] == "Frame":
@@ -92,7 +105,7 @@ def _label_rows(path: Path, rows: list[list[str]]) -> tuple[dict[str, list[str]]
     raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
 
 
-def _position_columns(labels: dict[str, list[str]], mapping: Mapping) -> dict[str, list[int]]:
+def _position_columns(labels: dict[str, list[str]], mapping: RecordingMap) -> dict[str, list[int]]:
     """Columns of X, Y and Z by the contract's marker name."""
     best: dict[str, tuple[int, dict[str, int]]] = {}
     for k, (kind, name, measure, axis) in enumerate(

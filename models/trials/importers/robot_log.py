@@ -1,8 +1,9 @@
-"""Our own logs: what `dropstitch run` recorded, as a trial's servo side.
+"""Reader of the logs of `dropstitch run`: goals, angles and currents of a trial.
 
-The robot has no motion capture. Its prediction stays a prediction (`predicted_tip_x_m` …); the
-tip and the markers come from a second file, or stay empty. Ticks without fresh data are left out
-of what was measured, so that held values never pass for samples; goals are known in every tick.
+The robot has no motion capture. Its predicted tip is kept under its own name (`predicted_tip_x_m`
+…); the tip and the markers come from a second file or stay empty. Ticks without fresh data are
+left out of the measured series, so that held values are not taken for samples; goals are known in
+every tick.
 """
 
 from __future__ import annotations
@@ -16,14 +17,32 @@ import numpy as np
 
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
-from models.trials.importers.mapping import Mapping
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 
 _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
 
 
-def read(path: Path, mapping: Mapping) -> list[Series]:
-    """Joint signals, predictions and the estimated payload of a log, on the log's own clock."""
+def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
+    """Joint signals, predictions and the estimated payload of a log, on the log's clock.
+
+    Parameters
+    ----------
+    path : Path
+        MCAP file.
+    mapping : RecordingMap
+        Not used: the log holds the contract's names and units.
+
+    Returns
+    -------
+    list of Series
+        One series, or goals and measured signals apart where some ticks have no fresh data.
+
+    Raises
+    ------
+    InputError
+        If the file is no log of `dropstitch run`.
+    """
     log = read_recording(path)
     columns = log.columns
     names = [signal.name for signal in joint_signals(log.dof)]
@@ -39,9 +58,9 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
     return [Series(time_s, goals, path), Series(time_s[fresh], held, path)]
 
 
-def with_conditions(mapping: Mapping, log: Recording) -> Mapping:
-    """Complete `[trial]` and `step_s` of a map by what the log knows; the map's own word holds."""
-    known = conditions(log)
+def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
+    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them."""
+    known = log_conditions(log)
     step_s = known.pop("step_s")
     return msgspec.structs.replace(
         mapping,
@@ -50,8 +69,8 @@ def with_conditions(mapping: Mapping, log: Recording) -> Mapping:
     )
 
 
-def conditions(log: Recording) -> dict[str, Any]:
-    """Conditions of a trial as far as a log knows them, and its `step_s`."""
+def log_conditions(log: Recording) -> dict[str, Any]:
+    """Conditions of a trial that a log holds, and its `step_s`."""
     config = json.loads(log.metadata.get("config", "{}"))
     motion = config.get("motion", {})
     known = {

@@ -1,10 +1,10 @@
-"""ROS 2 bags through rosbags, without ROS.
+"""Reader of ROS 2 bags (through rosbags, without ROS).
 
-The map's `[topics]` says what each topic is: `joints` (sensor_msgs/JointState: position and
+The map's `[topics]` gives the role of each topic: `joints` (sensor_msgs/JointState: position and
 effort become angle and current), `goals` (JointState), `markers` (MarkerArray or PoseArray), or
 the name of one marker (`tip`, `m01` …; PointStamped, PoseStamped or TransformStamped). Joints
-keep the order of the message unless the map lists their names under `joints`. A message is dated
-by its header's stamp, or by the time it was recorded where it has none.
+keep the order of the message unless the map lists their names under `joints`. The time of
+a message is its header's stamp, or the time of recording where it has none.
 """
 
 from __future__ import annotations
@@ -16,15 +16,28 @@ from typing import Any
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import MARKERS, Mapping
+from models.trials.importers.mapping import MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, factor_to_si, marker_columns
 
 Samples = list[tuple[float, dict[str, Any]]]
 
 
-def read(path: Path, mapping: Mapping) -> list[Series]:
-    """Joint states, goals and markers of a bag; z points up unless the map says else."""
+def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
+    """Joint states, goals and markers of a bag, one series per topic.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the bag.
+    mapping : RecordingMap
+        With `[topics]`, `joints`, `[markers]` and `[frame]`; z points up unless it says otherwise.
+
+    Raises
+    ------
+    InputError
+        If the bag cannot be read, a topic is missing, or its messages do not fit its role.
+    """
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import Stores, get_typestore
 
@@ -63,7 +76,7 @@ def _stamp_s(message: Any, recorded_ns: int) -> float:
     return (stamp_ns or recorded_ns) * 1e-9
 
 
-def _values(path: Path, message: Any, topic: str, mapping: Mapping) -> dict[str, Any]:
+def _values(path: Path, message: Any, topic: str, mapping: RecordingMap) -> dict[str, Any]:
     """Scalars (joints) or positions (markers) of one message, by contract name."""
     role = mapping.topics[topic]
     if role in ("joints", "goals"):
@@ -84,7 +97,9 @@ def _values(path: Path, message: Any, topic: str, mapping: Mapping) -> dict[str,
     )
 
 
-def _joints(path: Path, message: Any, role: str, topic: str, mapping: Mapping) -> dict[str, Any]:
+def _joints(
+    path: Path, message: Any, role: str, topic: str, mapping: RecordingMap
+) -> dict[str, Any]:
     order = list(mapping.joints) or list(message.name)
     values: dict[str, Any] = {}
     for j, name in enumerate(order[: mapping.dof], start=1):
@@ -109,7 +124,7 @@ def _xyz(position: Any) -> tuple[float, float, float]:
     return (position.x, position.y, position.z)
 
 
-def _series(path: Path, topic: str, rows: Samples, mapping: Mapping) -> Series:
+def _series(path: Path, topic: str, rows: Samples, mapping: RecordingMap) -> Series:
     rows.sort(key=lambda row: row[0])
     time_s = np.array([time for time, _ in rows])
     names = sorted({name for _, values in rows for name in values})

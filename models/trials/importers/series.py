@@ -1,4 +1,4 @@
-"""What every importer returns: channels that were sampled together, by contract name, in SI."""
+"""Series: channels sampled together, by the names of the trial contract, in SI units."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
     "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757), "degC": ("degC", 1.0),
     "Hz": ("Hz", 1.0), "W": ("W", 1.0), "1": ("1", 1.0),
 }  # fmt: skip
-"""Unit as a map may write it -> SI unit of the contract, factor."""
+"""SI unit of the contract and factor to it, by a unit as a map may write it."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,12 @@ class Series:
     columns : dict of str to ndarray, shape (n,)
         By contract name, in SI; NaN where nothing was measured.
     path : Path
-        Where it comes from, for messages.
+        File that it was read from, for messages.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three samples, or the times do not increase.
     """
 
     time_s: Array
@@ -77,8 +82,14 @@ def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
 def row_centre_m(corners_m: Array) -> Array:
     """Centre of a marker row, shape (n, 3), from its four corners, shape (4, n, 3).
 
-    Either diagonal has the centre as its middle, so two of the four markers can do; NaN where
+    The centre is the midpoint of either diagonal, so two opposite markers suffice; NaN where
     neither diagonal is seen.
+
+    Examples
+    --------
+    >>> corners_m = np.array([[[1.0, 1, 0]], [[-1, 1, 0]], [[1, -1, 0]], [[-1, -1, 0]]])
+    >>> row_centre_m(corners_m)
+    array([[0., 0., 0.]])
     """
     diagonals_m = np.array([corners_m[0] + corners_m[3], corners_m[1] + corners_m[2]]) / 2
     seen = np.isfinite(diagonals_m)
@@ -88,7 +99,21 @@ def row_centre_m(corners_m: Array) -> Array:
 
 
 def factor_to_si(where: Path, column: str, unit: str) -> float:
-    """Factor that takes values in `unit` to the SI unit in which `column` is declared.
+    """Factor from `unit` to the SI unit in which `column` is declared.
+
+    Parameters
+    ----------
+    where : Path
+        Map, for the message.
+    column : str
+        Name of the contract, with its unit suffix.
+    unit : str
+        One of `TO_SI`.
+
+    Examples
+    --------
+    >>> factor_to_si(Path("map.toml"), "time_s", "ms")
+    0.001
 
     Raises
     ------

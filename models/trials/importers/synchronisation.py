@@ -1,8 +1,9 @@
-"""Find the offset between the servo's clock and the motion capture's.
+"""Offset between the servo's clock and the motion capture's.
 
-Both saw the same motion: the servo as its angle, the markers as the direction in which the link
-points. The offset is where the two correlate best. The link lags behind the joint by its own
-dynamics, so its root is taken (first marker row, where there is one): it bends least.
+Both recorded the same motion: the servo as its angle, the markers as the direction in which the
+link points. The offset is the one at which the two correlate best. The link lags behind the joint
+by its own dynamics, so the direction is that of its root (first marker row, if there is one),
+which bends least.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate
 
 from firmware_py.errors import InputError
-from models.shared.kinematics import pointing_rad
+from models.shared.kinematics import pointing_angles_rad
 from models.trials.importers.mapping import MARKERS
 from models.trials.importers.series import Series, row_centre_m
 from models.trials.trial import Array
 
 COARSE_STEP_S: Final = 0.01
 """Step of the first search over all offsets; the second one is continuous."""
-LEAST_CORRELATION: Final = 0.9
-"""Below this the two files do not show the same motion."""
+MIN_CORRELATION: Final = 0.9
+"""Correlation below which two files do not show the same motion."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,22 @@ class Synchronisation:
 def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchronisation:
     """Offset between the clocks of two files, to a fraction of a sample.
 
-    A coarse cross-correlation over all offsets, then the maximum of the correlation coefficient
-    around its peak, in continuous time.
+    A coarse cross-correlation over all offsets gives the start; the maximum of the correlation
+    coefficient around it is found in continuous time.
+
+    Parameters
+    ----------
+    servo : list of Series
+        With the joint angles.
+    mocap : list of Series
+        With the first marker row or the tip.
+    dof : int
+        Joints to compare.
 
     Raises
     ------
     InputError
-        If a file lacks what is compared or the two do not resemble each other.
+        If a file lacks what is compared, or the correlation is below `MIN_CORRELATION`.
     """
     angle_s, angle_rad = _angle(servo, dof)
     seen_s, seen_rad = _direction(mocap, dof)
@@ -67,7 +77,7 @@ def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchroni
         options={"xatol": 1e-6},
     )
     found = Synchronisation(float(best.x), -float(best.fun))
-    if not found.correlation >= LEAST_CORRELATION:
+    if not found.correlation >= MIN_CORRELATION:
         raise InputError(
             servo[0].path,
             f"its angle and the motion in {mocap[0].path} correlate by {found.correlation:.2f} at "
@@ -77,8 +87,8 @@ def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchroni
     return found
 
 
-def shift(series: list[Series], offset_s: float) -> list[Series]:
-    """The same samples on a clock that shows `offset_s` more."""
+def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
+    """Series whose times are larger by `offset_s`."""
     return [replace(s, time_s=s.time_s + offset_s) for s in series]
 
 
@@ -94,15 +104,15 @@ def _direction(mocap: list[Series], dof: int) -> tuple[Array, Array]:
     for series in mocap:
         if all(f"{name}_z_m" in series.columns for name in MARKERS[:4]):
             root_m = row_centre_m(np.array([series.position_m(name) for name in MARKERS[:4]]))
-            return _complete(series, pointing_rad(root_m)[:, :dof])
+            return _complete(series, pointing_angles_rad(root_m)[:, :dof])
     for series in mocap:
         if "tip_z_m" in series.columns:
-            return _complete(series, pointing_rad(series.position_m("tip"))[:, :dof])
+            return _complete(series, pointing_angles_rad(series.position_m("tip"))[:, :dof])
     raise InputError(mocap[0].path, "has neither m01 … m04 nor the tip", "map them under [markers]")
 
 
 def _complete(series: Series, values: Array) -> tuple[Array, Array]:
-    """Samples in which every value was measured."""
+    """Times and values of the samples in which every value was measured."""
     whole = np.all(np.isfinite(values), axis=1)
     if whole.sum() < 3:
         raise InputError(series.path, "shows too little to synchronise", "give --offset SECONDS")
@@ -112,7 +122,7 @@ def _complete(series: Series, values: Array) -> tuple[Array, Array]:
 def _coarse_offset_s(angle_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array) -> float:
     score: Array | float = 0.0
     for a, b in zip(angle_rad.T, seen_rad.T, strict=True):
-        # Zero beyond the ends: the link rests there, and a partial overlap must not win.
+        # Zero beyond the ends, where the link rests: a partial overlap must not win.
         score = score + correlate(_even(seen_s, b), _even(angle_s, a), mode="full")
     lag = int(np.argmax(score)) - (len(_even(angle_s, angle_rad[:, 0])) - 1)
     return float(seen_s[0] - angle_s[0] + lag * COARSE_STEP_S)

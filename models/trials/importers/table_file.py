@@ -1,7 +1,7 @@
-"""Tables: CSV, TSV, JSON and MATLAB files whose columns a map leads to the contract's names.
+"""Reader of tables (CSV, TSV, JSON, MATLAB) whose columns a map renames to the contract's names.
 
-`read_columns` knows files only: it returns whatever columns there are. What they mean is the
-map's business, so another plant's log needs another map and no other reader.
+`read_columns` returns all columns of a file. The map gives them their meaning, so that the log of
+another plant needs another map but no other reader.
 """
 
 from __future__ import annotations
@@ -16,16 +16,29 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.signals import TIME, unit_of
-from models.trials.importers.mapping import Mapping
+from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.series import Series, factor_to_si
 from models.trials.trial import Array
 
 
-def read(path: Path, mapping: Mapping) -> list[Series]:
-    """Columns of a table under the contract's names, in SI.
+def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
+    """Columns of a table by the contract's names, in SI units.
 
-    A column that the map does not name is kept if its own name already is one of the contract's
-    kind (it ends in an SI suffix); the rest is left behind.
+    A column that the map does not name is kept if its own name ends in a unit suffix of the
+    contract; all others are dropped.
+
+    Parameters
+    ----------
+    path : Path
+        CSV, TSV, JSON or MATLAB file.
+    mapping : RecordingMap
+        With `[columns]`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a mapped column is missing, a cell is not a number, or nothing
+        is mapped to `time_s`.
     """
     raw = read_columns(path)
     columns = {
@@ -53,10 +66,16 @@ def read(path: Path, mapping: Mapping) -> list[Series]:
     return [Series(columns.pop(TIME.name), columns, path)]
 
 
-def read_facts(path: Path) -> dict[str, Any]:
-    """What stands once in a file beside its columns, by name: a gain, a mass, the motion's name.
+def read_scalars(path: Path) -> dict[str, Scalar]:
+    """Single values of a file beside its columns, by name: a gain, a mass, the motion's name.
 
-    Of a JSON object its strings and numbers, of a MATLAB file its 1 × 1 variables, else nothing.
+    These are the strings and numbers of a JSON object and the 1 × 1 variables of a MATLAB file;
+    other files have none.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as what its suffix says.
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
@@ -72,7 +91,7 @@ def read_columns(path: Path) -> dict[str, Sequence[Any]]:
     """Cells of a file by the names of its columns, each of length n.
 
     JSON may be a list of records, an object of equally long lists, or an object in which one key
-    holds the list of records. Of a MATLAB file the vectors of the commonest length are taken.
+    holds the list of records. From a MATLAB file the vectors of the most frequent length are taken.
 
     Raises
     ------
@@ -124,7 +143,7 @@ def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
         lists = {k: v for k, v in document.items() if isinstance(v, list) and v}
         records = [v for v in lists.values() if isinstance(v[0], dict)]
         if not records:
-            return _commonest_length(lists)
+            return _most_frequent_length(lists)
         document = records[0]
     if not isinstance(document, list) or not all(isinstance(r, dict) for r in document):
         return {}
@@ -146,7 +165,7 @@ def _matlab(path: Path) -> dict[str, Any]:
 
 
 def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
-    return _commonest_length(
+    return _most_frequent_length(
         {
             name: np.asarray(value).ravel().tolist()
             for name, value in _matlab(path).items()
@@ -155,7 +174,7 @@ def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
     )
 
 
-def _commonest_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
+def _most_frequent_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
     lengths = [len(v) for v in columns.values()]
     commonest = max(set(lengths), key=lambda n: (lengths.count(n), n), default=0)
     return {k: v for k, v in columns.items() if len(v) == commonest}

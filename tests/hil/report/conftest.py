@@ -21,7 +21,7 @@ from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
 from models.commands.train import name_tests
 from models.gap.report.gap_json import errors_in_floors
-from models.plant.identification.evaluation import evaluation
+from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -67,7 +67,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
         write_study(directory / f"study_2dof_{name}" / "study.json", of_phase.document)
     plant = read_plant()
     few = TrialSet((*held_out[:1], *one[:1]))
-    (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluation(plant, few)))
+    (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluate_plant(plant, few)))
     unit = build_twin(NOMINAL, 1, directory)
     with FmuArchive(unit) as archive:
         report = check_fmu(archive, embedded_parts(archive.directory / "resources"))

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from models.shared.kinematics import base_corners_m, base_rotation, pointing_rad, rigid_tip_m
+from models.shared.kinematics import base_corners_m, base_rotation, pointing_angles_rad, rigid_tip_m
 
 angles = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 
@@ -52,4 +52,4 @@ def test_corners_turn_with_the_joint():
 @given(angles, st.floats(0.1, 2))
 def test_pointing_inverts_the_rigid_tip(angle, length_m):
     tip = rigid_tip_m(np.array([angle]), 0.06, length_m)
-    assert pointing_rad(tip)[0] == pytest.approx(angle, abs=1e-12)
+    assert pointing_angles_rad(tip)[0] == pytest.approx(angle, abs=1e-12)

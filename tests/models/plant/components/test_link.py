@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import fsolve
 from scipy.stats import foldnorm
 
-from models.plant.components.link import folded
+from models.plant.components.link import mean_magnitude
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
@@ -233,7 +233,7 @@ def test_the_index_is_that_of_markers_on_bent_edges(root, span):
 @pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (0.3, 1.0), (-2.0, 0.5), (4.0, 1e-3)])
 def test_noise_folds_as_the_folded_normal_distribution_does(mean, deviation):
     expected = foldnorm.mean(abs(mean) / deviation, scale=deviation)
-    assert float(folded(ca.DM(mean), ca.DM(deviation))) == pytest.approx(expected, rel=1e-9)
+    assert float(mean_magnitude(ca.DM(mean), ca.DM(deviation))) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "twin"), (1, "observer"),

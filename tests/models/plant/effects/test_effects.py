@@ -6,7 +6,7 @@ import pytest
 from firmware_py.errors import InputError
 from models.plant.effects import EFFECTS
 from models.plant.plant import _scope, read_plant
-from models.plant.simulation.compiled_model import CompiledModel, sensitivity
+from models.plant.simulation.compiled_model import CompiledModel, sensitivity_model
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE
 
@@ -88,7 +88,7 @@ def test_sensitivities_by_every_strength_at_zero(bench):
     plant = bench.plant(*ALL)
     model = plant.step_model(1)
     strengths = [s for name in ALL for s in plant.strengths(name, 1)]
-    grown = CompiledModel(sensitivity(model, strengths))
+    grown = CompiledModel(sensitivity_model(model, strengths))
     u = bench.inputs(model, 100)
     y = grown.simulate(u, bench.step_s)
     count = len(model.outputs)

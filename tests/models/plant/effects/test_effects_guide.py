@@ -8,7 +8,7 @@ import pytest
 
 from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, sensitivity
+from models.plant.simulation.compiled_model import CompiledModel, sensitivity_model
 from models.plant.step_model import names
 
 ROOT = Path(__file__).parents[4]
@@ -43,7 +43,7 @@ def test_it_simulates_and_is_absent_at_zero(cogging):
 
 
 def test_it_has_an_exact_derivative(cogging):
-    model = sensitivity(cogging["model"], ["cogging_1_nm"])
+    model = sensitivity_model(cogging["model"], ["cogging_1_nm"])
     u = np.zeros((60, len(model.inputs)))
     u[:, 0] = np.linspace(0, 0.3, 60)
     slope = CompiledModel(model).simulate(u, 0.017)[:, len(cogging["model"].outputs) :]

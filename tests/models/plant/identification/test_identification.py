@@ -7,7 +7,7 @@ import pytest
 
 from models.__main__ import main
 from models.plant.identification.identification import identify
-from models.plant.identification.simulation_fit import Objective, solve
+from models.plant.identification.simulation_fit import Objective, fit_objective
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial import TrialSet
 from models.trials.trial_files import write_trial
@@ -95,7 +95,7 @@ def test_occluded_markers_only_cost_certainty(synthetic):
                 column[hidden[:, i]] = np.nan
         start = true.with_values({"root_stiffness_1_nm_rad": 300.0, "edge_gain": 0.9})
         objective = Objective(start, "driven", [trial], free, ("tip", "di"), None, 2.2e-3)
-        results.append(solve(objective).plant.parameters)
+        results.append(fit_objective(objective).plant.parameters)
     whole, part = results
     assert part["edge_gain"].value == pytest.approx(whole["edge_gain"].value, rel=0.02)
     assert part["root_stiffness_1_nm_rad"].value == pytest.approx(
@@ -107,7 +107,7 @@ def test_a_fit_that_starts_at_the_truth_stays_there(synthetic):
     true, _ = drawn(5)
     trials = [synthetic(true, load, count=300) for load in (0.5, 2.0)]
     objective = Objective(true, "twin", trials, SHIFTED, ("tip", "angle", "current"))
-    solution = solve(objective)
+    solution = fit_objective(objective)
     assert solution.cost < 1e-6
     for name in SHIFTED:
         assert solution.plant.parameters[name].value == pytest.approx(
@@ -122,7 +122,7 @@ def test_two_joints_are_told_apart(synthetic):
     trials = [synthetic(true.with_values(own | first), 1.0, count=300, rng=rng, dof=2)]
     free = (*own, *first)
     objective = Objective(true, "driven", trials, free, ("tip", "di", "current"), None, 2.2e-3)
-    q = solve(objective).plant.parameters
+    q = fit_objective(objective).plant.parameters
     for name, value in (own | first).items():
         assert q[name].value == pytest.approx(value, rel=0.05), name
 

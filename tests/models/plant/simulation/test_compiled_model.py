@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, sensitivity, trial_inputs
+from models.plant.simulation.compiled_model import CompiledModel, model_inputs, sensitivity_model
 from models.plant.step_model import names
 
 STEP_S = 0.017
@@ -52,7 +52,7 @@ def test_the_step_length_does_not_change_the_motion(bench):
 def test_sensitivities_are_the_derivatives_of_the_run(bench, unit, names_):
     model = read_plant().step_model(1, unit)
     u, plain = bench.inputs(model, 80), CompiledModel(model)
-    y = CompiledModel(sensitivity(model, names_)).simulate(u, STEP_S)
+    y = CompiledModel(sensitivity_model(model, names_)).simulate(u, STEP_S)
     count = len(model.outputs)
     assert np.array_equal(y[:, :count], plain.simulate(u, STEP_S))
     for k, name in enumerate(names_):
@@ -71,4 +71,4 @@ def test_a_trial_without_an_input_of_the_plant_is_refused(synthetic):
     trial = synthetic(read_plant(), payload_kg=1.0, count=30)
     del trial.columns["goal_1_rad"]
     with pytest.raises(InputError, match="column goal_1_rad is missing"):
-        trial_inputs(read_plant().step_model(1, "twin"), trial)
+        model_inputs(read_plant().step_model(1, "twin"), trial)

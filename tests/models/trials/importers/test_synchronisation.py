@@ -7,7 +7,7 @@ from hypothesis.extra.numpy import arrays
 from firmware_py.errors import InputError
 from models.trials.importers.assembly import resample
 from models.trials.importers.series import Series, marker_columns
-from models.trials.importers.synchronisation import shift, synchronise
+from models.trials.importers.synchronisation import shift_clock, synchronise
 from models.trials.trial_files import read_trial
 
 
@@ -25,7 +25,7 @@ def mocap_series(session, path, markers_m=None):
 def test_the_offset_is_found_to_a_fraction_of_a_sample(session, tmp_path):
     rng = np.random.default_rng(3)
     for late_s in (-40.0, 0.0, 0.0071, 1000.003):
-        servo = shift(servo_series(session, tmp_path), late_s)
+        servo = shift_clock(servo_series(session, tmp_path), late_s)
         markers_m = session.markers_m + 2e-4 * rng.standard_normal(session.markers_m.shape)
         found = synchronise(servo, mocap_series(session, tmp_path, markers_m), session.dof)
         assert found.offset_s == pytest.approx(session.offset_s - late_s, abs=3e-4)

@@ -5,7 +5,7 @@ import pytest
 import scipy.io
 
 from models.trials.importers.mapping import read_mapping
-from models.trials.importers.table_file import read, read_columns
+from models.trials.importers.table_file import read_columns, read_table
 from models.trials.trial_files import read_trial, write_trial
 
 
@@ -117,7 +117,7 @@ def test_columns_of_other_plants_are_read_by_the_same_reader(tmp_path):
         'angle_1_rad = { from = "position" }\n'
         'duty_1 = { from = "load", scale = 0.001 }\n'
     )
-    (series,) = read(file, read_mapping(map_))
+    (series,) = read_table(file, read_mapping(map_))
     assert series.time_s.tolist() == [e["timestamp"] for e in entries]
     assert series.columns["duty_1"] == pytest.approx([0, 0.001, 0.002, 0.003, 0.004])
     scipy.io.savemat(tmp_path / "a.mat", {"t": np.arange(5.0), "qm": np.ones((5, 1)), "kp": 160.0})

@@ -1,0 +1,54 @@
+"""Interface of a load: what a joint moves."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol
+
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+
+class PlantLoad(Protocol):
+    """Load of one or two joints.
+
+    Attributes
+    ----------
+    kind : str
+        Name in a plant document.
+    max_dof : int
+        Largest number of joints.
+    features : tuple of str
+        What effects may act on (`models.plant.effects.Need`).
+    suffix : dict
+        `models.plant.scope.ROTARY` or `models.plant.scope.LINEAR`.
+    """
+
+    kind: ClassVar[str]
+    max_dof: ClassVar[int]
+    features: ClassVar[tuple[str, ...]]
+    suffix: ClassVar[dict[str, str]]
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters for the joints of `scope`."""
+        ...
+
+    def declare(self, scope: Scope) -> None:
+        """Add the states of the load, and its bends where it has any."""
+        ...
+
+    def apply_elastic_torques(self, scope: Scope) -> None:
+        """Set `bend_torque` to the elastic and viscous torque on each bend."""
+        ...
+
+    def apply_transmitted_torque(self, scope: Scope) -> None:
+        """Set `transmitted_torque` of each joint."""
+        ...
+
+    def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        """Mass matrix (n, n) and force (n,) over the joints' coordinates and the bends."""
+        ...
+
+    def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
+        """Measured quantities of the load, beyond the joints, by name."""
+        ...

@@ -1,0 +1,37 @@
+"""Application of the effects, port by port, and of the load's torques between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from models.plant.components.load_protocol import PlantLoad
+from models.plant.effects import Effect
+from models.plant.scope import Scope
+from models.shared.catalogue import Port
+
+
+def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]) -> None:
+    """Apply the effects of each port, port by port.
+
+    Parameters
+    ----------
+    scope : Scope
+        Whose quantities the effects change.
+    ports : iterable of str
+        Ports to apply, in order.
+    effects : sequence of Effect
+        All effects of the plant, in the order of `models.plant.effects.order`.
+    """
+    for port in ports:
+        for effect in effects:
+            if effect.port == port:
+                effect.apply(scope)
+
+
+def apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
+    """Set every torque except the drive's: on the bends, on the joints and through the gears."""
+    apply_effects(scope, ("stiffness", "mass"), effects)
+    load.apply_elastic_torques(scope)
+    apply_effects(scope, ("bend_torque", "joint_torque"), effects)
+    load.apply_transmitted_torque(scope)
+    apply_effects(scope, ("servo_torque",), effects)

@@ -1,0 +1,80 @@
+"""Step functions of a composed plant, and the variables that its models have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import casadi as ca
+
+from firmware_py.signals import PAYLOAD
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import StepModel, Variable, runge_kutta
+
+MAX_SUBSTEP_S: Final = 1e-3
+"""Longest Runge–Kutta step: dry friction is stiff."""
+
+
+def payload_variable(start: float = 0.0) -> Variable:
+    """Payload as an input or output."""
+    return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, 3.0)
+
+
+def current_variable(joint: int) -> Variable:
+    """Motor current as an input or output."""
+    return Variable(f"current_{joint}_a", "A", 0.0, f"measured motor current of joint {joint}")
+
+
+def measured_current(scope: Scope, joint: int, current: Expr) -> Expr:
+    """Motor current as the sensor measures it."""
+    return (1 + scope.current_scale[joint]) * current + scope.current_bias[joint]
+
+
+def build_step_model(
+    name: str,
+    scope: Scope,
+    outputs: dict[str, tuple[Variable, Expr]],
+    max_substep_s: float = MAX_SUBSTEP_S,
+) -> StepModel:
+    """Functions of a `StepModel` from a composed scope.
+
+    Parameters
+    ----------
+    name : str
+        Of the model; a C identifier.
+    scope : Scope
+        Composed: every state has its initial value and its rate or updates.
+    outputs : dict of str to (Variable, SX)
+        By name, in order.
+    max_substep_s : float
+        Longest internal step in s.
+    """
+    x = ca.vertcat(*(s.symbol for s in scope.states.values()))
+    u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
+    p = ca.vertcat(*(symbol for _, symbol in scope.parameters.values()))
+    h = scope.step_s
+
+    def function(what: str, extra: Sequence[Expr], rows: Sequence[Expr]) -> Any:
+        labels = ["x", "u", "p", "h"][: 3 + len(extra)]
+        column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(r) for r in rows))))
+        return ca.Function(f"{name}_{what}", [x, u, p, *extra], [column], labels, ["result"])
+
+    states = scope.states.values()
+    initial = ca.cse(ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states))))
+    begin = [s.symbol if s.begin is None else s.begin for s in states]
+    finish = [s.symbol if s.finish is None else s.finish for s in states]
+    rate = function("rate", [], [s.rate for s in states])
+    return StepModel(
+        name=name,
+        inputs=tuple(v for v, _ in scope.inputs.values()),
+        parameters=tuple(v for v, _ in scope.parameters.values()),
+        states=tuple(s.variable for s in states),
+        outputs=tuple(v for v, _ in outputs.values()),
+        initial=ca.Function(f"{name}_initial", [u, p], [initial], ["u", "p"], ["x"]),
+        begin=function("begin", [h], begin),
+        flow=runge_kutta(f"{name}_flow", rate),
+        finish=function("finish", [h], finish),
+        output=function("output", [], [expression for _, expression in outputs.values()]),
+        max_substep_s=max_substep_s,
+        rate=rate,
+    )
