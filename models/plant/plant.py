@@ -25,6 +25,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -152,11 +153,8 @@ class Plant:
                 f"there is no {unit} unit for a {self.load} on a {self.drive} drive",
                 "use the twin",
             )  # fmt: skip
-        scope = _scope(self.load, dof)
-        drive, load, effects = DRIVES[self.drive](), LOADS[self.load](), self._effects()
-        declared = _declared(scope, self.drive, self.load, effects, observer=unit != "twin")
-        scope.declare([self.parameters[q.name] for q in declared])
-        return COMPOSERS[unit](f"{unit}_{dof}dof", scope, drive, load, effects)
+        kinds = tuple(EFFECTS[name] for name in in_order(self.effects))
+        return _composed(self.load, self.drive, kinds, tuple(self.parameters.items()), dof, unit)
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -316,6 +314,19 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
         q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
         role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
     )  # fmt: skip
+
+
+@lru_cache(maxsize=16)  # an observer of two joints takes three seconds to compose
+def _composed(
+    load: str, drive: str, effects: tuple[type[Effect], ...],
+    parameters: tuple[tuple[str, Parameter], ...], dof: int, unit: Unit,
+) -> StepModel:  # fmt: skip
+    """Compose a plant from hashable parts; a `StepModel` is immutable, so it can be shared."""
+    scope, held = _scope(load, dof), [effect() for effect in effects]
+    declared = _declared(scope, drive, load, held, observer=unit != "twin")
+    known = dict(parameters)
+    scope.declare([known[q.name] for q in declared])
+    return COMPOSERS[unit](f"{unit}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
 
 
 def _scope(load: str, dof: int) -> Scope:
