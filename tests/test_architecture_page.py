@@ -1,0 +1,103 @@
+"""Architecture page: its tree, commands, walks and glossary against the code."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+ROOMS = ("firmware_py", "models", "fmu", "hil")
+NOT_LISTED = {"c"}
+"""Folders that the page names with their parent."""
+
+
+def section(title):
+    return re.split(r"\n##+ ", PAGE.split(f"\n## {title}\n")[1])[0]
+
+
+def folders_of_the_page():
+    """Paths of the tree, from the indentation of its lines."""
+    found, parents = set(), {}
+    for line in section("Rooms and arrows").split("```")[1].splitlines():
+        if match := re.match(r"( *)([\w-]+)/", line):
+            depth = len(match[1]) // 2
+            parents[depth] = match[2]
+            found.add("/".join(parents[d] for d in range(depth + 1)))
+    return found
+
+
+def test_the_tree_is_that_of_the_rooms():
+    code = {
+        str(folder.relative_to(ROOT))
+        for room in ROOMS
+        for folder in [ROOT / room, *(ROOT / room).rglob("*")]
+        if folder.is_dir() and any(f.is_file() for f in folder.iterdir())
+        and "__pycache__" not in folder.parts and folder.name not in NOT_LISTED
+    }  # fmt: skip
+    page = {f for f in folders_of_the_page() if f.split("/")[0] in ROOMS}
+    named = {f for f in code if f"{f.rsplit('/', 1)[-1]}/ " in PAGE}  # in the words of a parent
+    assert page <= code
+    assert code - page <= named
+
+
+def commands():
+    """Command line to its row of options, as the page has them."""
+    rows = re.findall(r"^\| `((?:models|fmu|hil|dropstitch) [\w-]+)` \| `(.+)` \|$", PAGE, re.M)
+    return dict(rows)
+
+
+def parsers():
+    """Command line to its parser."""
+    found = {}
+    for room in ROOMS:
+        program = "dropstitch" if room == "firmware_py" else room
+        for command in importlib.import_module(f"{room}.__main__").COMMANDS:
+            parser = argparse.ArgumentParser()
+            importlib.import_module(command.module).configure(parser)
+            found[f"{program} {command.name}"] = parser
+    return found
+
+
+def test_the_commands_are_those_of_the_rooms():
+    assert commands().keys() == parsers().keys()
+
+
+@pytest.mark.parametrize("command", commands())
+def test_the_options_are_there(command):
+    actions = parsers()[command]._actions
+    options = {name for action in actions for name in action.option_strings}
+    choices = {str(c) for action in actions for c in action.choices or ()}
+    row = commands()[command]
+    assert set(re.findall(r"--[\w-]+", row)) <= options
+    listed = re.findall(r"[\w]+(?:\\\|\w+)+", row)
+    assert {word for group in listed for word in group.split("\\|")} <= choices
+
+
+def walks():
+    """Title of each walk to its files, in order."""
+    text = section("Data flow").split("Five walks")[1]
+    parts = re.split(r"^\*\*(.+)\.\*\*$", text, flags=re.MULTILINE)[1:]
+    return {
+        title: re.findall(r"^\d+\. `([\w./]+)`", body, re.MULTILINE)
+        for title, body in zip(parts[::2], parts[1::2], strict=True)
+    }
+
+
+def test_the_walks_pass_each_file_once():
+    assert len(walks()) == 5
+    for title, files in walks().items():
+        assert len(files) >= 5, title
+        assert len(set(files)) == len(files), title
+        assert all((ROOT / file).is_file() for file in files), title
+
+
+def test_the_glossary_is_short_and_explains_each_word_once():
+    text = section("Glossary").strip().splitlines()
+    assert len(text) <= 40
+    words = [w for line in text[2:] for w in line.split("|")[1].strip().split(", ")]
+    assert len(set(words)) == len(words)
