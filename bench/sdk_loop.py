@@ -35,9 +35,9 @@ from firmware_py.console import DONE, NEGATIVE, Progress
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
-from hil import sil
 from hil.emulator.emulator import Emulator, Specification
-from hil.timing.cpu_accounts import assign_processors, cpu_load, pinned_to
+from hil.sil import LineKind, SilOptions, run_sil
+from hil.timing.processors import assign_processors, cpu_load, pinned_to
 
 BAUD: Final = 1_000_000
 _PROTOCOL: Final = 2.0
@@ -106,13 +106,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return DONE if good else NEGATIVE
 
 
-def ours(setting: Setting, line: sil.LineKind) -> Turn:
+def ours(setting: Setting, line: LineKind) -> Turn:
     """One turn of the robot's loop."""
-    options = sil.SilOptions(
+    options = SilOptions(
         setting.bundle, setting.model, setting.scratch / "ours", fmu=setting.fmu, line=line,
         seconds=setting.seconds, baud=BAUD, load=setting.load, faults={"lost": setting.lost},
     )  # fmt: skip
-    result = sil.run_sil(options)
+    result = run_sil(options)
     records = result.records
     return Turn(
         records["lateness_ns"] + records["busy_ns"], records["lateness_ns"],

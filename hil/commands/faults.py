@@ -1,16 +1,17 @@
-"""Inject every fault of the table by name and seed, and hold what happens against it.
+"""Campaign that injects every fault of the table by name and seed, and checks what happens.
 
-Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix). Exit 0 every fault was
-survived as stated, 1 one was not, 3 inconclusive: the host kept the processor.
+Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix). Exit 0 every fault
+ended as the table says, 1 one did not, 3 inconclusive: the host preempted the loop.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from firmware_py.console import emit
 from firmware_py.errors import InputError
@@ -18,6 +19,7 @@ from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
     from hil.faults.fault_verdict import CaseVerdict
+    from hil.faults.faults_document import FaultsDocument
 
 EXAMPLE = "python -m hil faults --bundle build/bundle_2dof --out build/faults"
 LINES = ("virtual", "socket", "process")
@@ -25,7 +27,7 @@ LINES = ("virtual", "socket", "process")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bundle", type=Path, required=True, help="what the robot runs")
+    parser.add_argument("--bundle", type=Path, required=True, help="bundle of the robot")
     parser.add_argument("--out", type=Path, required=True, help="directory for the results")
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
@@ -44,10 +46,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign, judge, write."""
     from hil.emulator.twin_fmu import build_twin
-    from hil.faults import fault_verdict
-    from hil.faults.campaign import cases_of, facts, run_campaign
+    from hil.faults.campaign import cases_of, run_campaign
     from hil.faults.cases.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS
+    from hil.faults.fault_verdict import faults_junit
+    from hil.faults.faults_document import faults_document, write_faults
     from hil.report import write_fault_report
 
     if args.seeds < 1:
@@ -67,26 +70,36 @@ def run(args: argparse.Namespace) -> int:
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"
         fmu = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
-        robot = CaseRobot(bundle, fmu)
-        judged = run_campaign(robot, cases)
-    document = fault_verdict.report(judged, facts(robot, cases))
-    (args.out / "faults.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    (args.out / "faults.xml").write_bytes(fault_verdict.junit_xml(judged))
-    write_fault_report(document, args.out / "report.html")
-    emit(args, document, describe_campaign(judged, document, args.out))
-    return fault_verdict.exit_code(document)
+        judged = run_campaign(CaseRobot(bundle, fmu), cases)
+    document = faults_document(bundle.manifest, judged)
+    write_faults(args.out / "faults.json", document)
+    (args.out / "faults.xml").write_bytes(faults_junit(judged))
+    data = msgspec.to_builtins(document)
+    write_fault_report(data, args.out / "report.html")
+    emit(args, data, describe_campaign(judged, document, args.out))
+    return document.verdict.exit_code
 
 
-def describe_campaign(judged: list[CaseVerdict], document: dict[str, Any], out: Path) -> str:
-    """The result for people: what did not pass, then the sums."""
-    counts = document["counts"]
+def describe_campaign(judged: list[CaseVerdict], document: FaultsDocument, out: Path) -> str:
+    """Return the result as text: the cases that did not pass, then the counts.
+
+    Parameters
+    ----------
+    judged : list of CaseVerdict
+        Every case.
+    document : FaultsDocument
+        Contents of `faults.json`.
+    out : Path
+        Directory that it is in.
+    """
     lines = [
         f"{one.verdict}: {one.case.name}: {'; '.join(one.unsafe + one.astray)}"
         for one in judged
         if one.verdict != "pass"
     ]
+    counts = {verdict.value: count for verdict, count in document.counts.items()}
     lines.append(
-        f"{document['verdict']}: {document['faults']} faults in {len(judged)} cases, "
+        f"{document.verdict}: {document.faults} faults in {len(judged)} cases, "
         f"{counts['pass']} passed, {counts['fail']} failed, {counts['inconclusive']} inconclusive"
     )
     lines.append(f"see {out}/report.html and faults.json")

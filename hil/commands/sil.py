@@ -1,21 +1,22 @@
-"""Run the robot's loop against emulated servos with a plant behind them, and judge its timing.
+"""Run in software of the robot's loop against emulated servos, with a verdict on its timing.
 
 Writes to OUT: timing.json and timing.xml (the verdict), *.hgrm (percentiles in HdrHistogram's
 format), timeline.json (for ui.perfetto.dev), ticks.mcap (the robot's own log), trial/sil.csv
-(the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed by our own
-doing, or stopped by the safety supervisor, 3 inconclusive: the host kept the processor.
+(the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed by the loop's
+own time, or stopped by the safety supervisor, 3 inconclusive: the host preempted the loop.
 
-With --rig the virtual laboratory stands behind the servos instead of a twin, on the virtual line:
-the robot's prediction then meets a reality that no plant of ours describes.
+With --rig the rig, not a twin, stands behind the servos on the virtual line: the robot's prediction
+is then compared with a link that no plant describes exactly.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
+
+import msgspec
 
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import MotionConfig
@@ -23,16 +24,13 @@ from firmware_py.console import emit
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.summary import Ended
-from hil import sil, sil_artifacts
 from hil.arguments import add_line_arguments
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
-from hil.timing import tick_budget, timing_verdict
-from hil.timing.hdr_histogram import write_hgrm
-from hil.timing.timeline import write_timeline
+from hil.sil import LineKind, SilOptions, run_sil, write_results
+from hil.timing.tick_budget import describe_budget
+from hil.timing.timing_document import PredictionError, TimingDocument
 from models.shared.catalogue import parse_strengths
-from models.trials.trial_files import write_trial
 
 EXAMPLE = (
     "python -m hil sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
@@ -42,20 +40,18 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bundle", type=Path, required=True, help="what the robot runs")
+    parser.add_argument("--bundle", type=Path, required=True, help="bundle of the robot")
     parser.add_argument("--out", type=Path, required=True, help="directory for the results")
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
     )
-    parser.add_argument(
-        "--rig", action="store_true", help="put the virtual laboratory behind the servos instead"
-    )
+    parser.add_argument("--rig", action="store_true", help="put the rig behind the servos instead")
     parser.add_argument(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
-        help="with --rig: add an effect to what the laboratory has; repeatable",
+        help="with --rig: add an effect to what the rig has; repeatable",
     )  # fmt: skip
     parser.add_argument(
-        "--line", choices=get_args(sil.LineKind), default="socket",
+        "--line", choices=get_args(LineKind), default="socket",
         help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
     )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=10.0, help="duration (default: 10)")
@@ -72,7 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, judge, write."""
-    options = sil.SilOptions(
+    options = SilOptions(
         bundle=ModelBundle.load(args.bundle),
         model=model_named(args.model),
         out=args.out,
@@ -93,117 +89,73 @@ def run(args: argparse.Namespace) -> int:
         faults=parse_rates(args.faults),
         seed=args.seed,
     )
-    result = sil.run_sil(options)
-    timing = write_results(result, options)
-    emit(args, timing, describe_sil(timing, args.out))
-    return timing_verdict.exit_code(timing)
+    timing = write_results(run_sil(options), options)
+    emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
+    return timing.verdict.exit_code
 
 
 def _rig_source(args: argparse.Namespace) -> RigSource | None:
     hidden = parse_strengths(args.hide)
     if hidden and not args.rig:
-        raise InputError("--hide", "needs the laboratory, not a twin", "add --rig")
+        raise InputError("--hide", "needs the rig, not a twin", "add --rig")
     return RigSource(hidden, args.seed) if args.rig else None
 
 
-def write_results(result: sil.SilResult, options: sil.SilOptions) -> dict[str, Any]:
-    """Judge a run and write everything but the log, which the recorder wrote; return timing."""
-    summary, out = result.summary, options.out
-    timing = timing_verdict.judge_timing(
-        result.records, options.period_s, result.loop_cpu, result.line_cpu,
-        result.outcome.releases, result.environment,
-        summary.reason if summary.ended is Ended.TRIPPED else "",
-    )  # fmt: skip
-    timing["run"] = {
-        "ended": summary.ended.value,
-        "reason": summary.reason,
-        "wall_s": result.wall_s,
-        "bus_faults": summary.bus_faults,
-        "faults_injected": result.outcome.faults,
-        "telemetry_drops": summary.telemetry_drops,
-    }
-    if result.reference is not None:
-        timing["probe_jitter"], timing["reference_jitter"] = (
-            timing["reference_jitter"], result.reference
-        )  # fmt: skip
-    timing["bus_plan"] = tick_budget.plan_times(result.plan)
-    timing["account"] = tick_budget.measure_budget(
-        result.records, options.period_s, timing["bus_plan"], timing["reference_jitter"]
-    )
-    programme = sil_artifacts.programme_s(options)
-    timing["run"]["programme_s"] = programme
-    timing["prediction_error"] = sil_artifacts.prediction_error(
-        result.records, result.outcome.truth, programme
-    )
-    (out / "timing.json").write_text(json.dumps(timing, indent=1), encoding="utf-8")
-    (out / "timing.xml").write_bytes(timing_verdict.junit_xml(timing))
-    if result.geometry and timing["prediction_error"]["n"]:
-        write_trial(sil_artifacts.as_trial(result, options), out / "trial")
-    sil_artifacts.draw_summary(result, timing, out / "summary.svg")
-    _write_evidence(result, timing["budget"]["period_ns"], out)
-    return timing
+def describe_sil(timing: TimingDocument, out: Path) -> str:
+    """Return the result as text.
 
-
-def _write_evidence(result: sil.SilResult, period_ns: int, out: Path) -> None:
-    records = result.records
-    for name, durations_ns in {
-        "tick": records["lateness_ns"] + records["busy_ns"],
-        "own_cost": records["busy_ns"] - records["bus_wait_ns"],
-        "lateness": records["lateness_ns"],
-        "probe_lateness": result.loop_cpu.lateness_ns,
-    }.items():
-        write_hgrm(out / f"{name}.hgrm", durations_ns)
-    write_timeline(out / "timeline.json", records, result.loop_cpu, period_ns)
-
-
-def describe_sil(timing: dict[str, Any], out: Path) -> str:
-    """The result for people."""
-    run_, environment, error = timing["run"], timing["environment"], timing["prediction_error"]
+    Parameters
+    ----------
+    timing : TimingDocument
+        The result.
+    out : Path
+        Directory that the other files are in.
+    """
+    environment = timing.environment
     lines = [
-        f"{timing['verdict']}: {timing['reason']}",
-        f"{run_['ended']}: {run_['reason']}; {timing['ticks']} ticks in {run_['wall_s']:.1f} s on "
-        f"the {environment['line']} line",
+        f"{timing.verdict}: {timing.reason}",
+        f"{timing.run.ended}: {timing.run.reason}; {timing.ticks} ticks in "
+        f"{timing.run.wall_s:.1f} s on the {environment.line} line",
     ]
-    if environment["line"] == "virtual":
+    if environment.speed_up is not None:
         lines.append(
-            f"{environment['speed_up']:.0f} times real time, "
-            f"{environment['speed_up_by_processor_time']:.0f} times by processor time"
+            f"{environment.speed_up:.0f} times real time, "
+            f"{environment.speed_up_by_processor_time:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *tick_budget.describe_budget(timing["account"])]
-        lines += environment["refused"]
-    if error["n"]:
-        lines.append(
-            f"predicted tip off by {error['mean_euclidean_distance_m'] * 1e3:.1f} mm on average, "
-            f"{error['max_m'] * 1e3:.1f} mm at most"
-        )
-        lines += [
-            f"  {name.replace('_', ' '):12} {part['mean_euclidean_distance_m'] * 1e3:5.1f} mm, "
-            f"{part['max_m'] * 1e3:5.1f} mm at most, interval covers "
-            f"{100 * part['interval_coverage']:.1f} %"
-            for name, part in error["parts"].items()
-        ]
+        lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
+    lines += _error_lines(timing.prediction_error)
     lines.append(f"see {out}/summary.svg and timing.json")
     return "\n".join(lines)
 
 
-def _timing_lines(timing: dict[str, Any]) -> list[str]:
-    cost = timing["own_cost"]
-    met = "met" if cost["within_budget"] else "not met"
-    causes = ", ".join(f"{count} {cause}" for cause, count in timing["causes"].items())
+def _timing_lines(timing: TimingDocument) -> list[str]:
+    met = "met" if timing.own_cost.within_budget else "not met"
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
     rows = {
-        "own cost": cost,
-        "wake-up": timing["lateness"],
-        "beside it": timing["reference_jitter"],
+        "own cost": timing.own_cost,
+        "lateness": timing.lateness,
+        "reference": timing.reference_jitter,
     }
-    shares = (("p50", "p50_ns"), ("p99", "p99_ns"), ("p99.9", "p99_9_ns"), ("max", "max_ns"))
     return [
+        *(f"{name:9} {row.in_us()}" for name, row in rows.items()),
+        f"target for the own cost, p50 {timing.budget.own_cost_p50_ns / 1e3:.0f} µs, "
+        f"p99 {timing.budget.own_cost_p99_ns / 1e3:.0f} µs: {met}",
+        f"misses {timing.misses} ({causes}); with 95 % confidence the loop's own are fewer than 1 "
+        f"in {1 / timing.own_miss_rate_upper_bound_95:.0f}",
+    ]
+
+
+def _error_lines(error: PredictionError) -> list[str]:
+    if error.mean_euclidean_distance_m is None or error.max_m is None:
+        return []
+    return [
+        f"predicted tip off by {error.mean_euclidean_distance_m * 1e3:.1f} mm on average, "
+        f"{error.max_m * 1e3:.1f} mm at most",
         *(
-            f"{name:9} " + ", ".join(f"{label} {row[key] / 1e3:.0f} µs" for label, key in shares)
-            for name, row in rows.items()
+            f"  {name.replace('_', ' '):12} {(part.mean_euclidean_distance_m or 0) * 1e3:5.1f} mm, "
+            f"{(part.max_m or 0) * 1e3:5.1f} mm at most, interval covers "
+            f"{100 * (part.interval_coverage or 0):.1f} %"
+            for name, part in error.parts.items()
         ),
-        f"target for the own cost, p50 {timing_verdict.OWN_COST_P50_NS / 1e3:.0f} µs, "
-        f"p99 {timing_verdict.OWN_COST_P99_NS / 1e3:.0f} µs: {met}",
-        f"misses {timing['misses']} ({causes}); with 95 % confidence ours are fewer than 1 in "
-        f"{1 / timing['own_miss_rate_upper_bound_95']:.0f}",
     ]

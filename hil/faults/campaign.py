@@ -1,13 +1,10 @@
-"""The campaign: every row of the table on every line, servo and seed that it names."""
+"""Campaign of faults: every row of the table on every line, servo and seed that it names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Final
 
-from firmware_py.bus.dynamixel import watchdog_steps
-from firmware_py.bus.registers import WATCHDOG_STEP_S
-from firmware_py.bus.servo_models import MODELS
 from firmware_py.console import Progress
 from hil.faults.cases.case_robot import CaseRobot
 from hil.faults.cases.process_case import run_process
@@ -17,20 +14,19 @@ from hil.faults.fault_row import FaultRow
 from hil.faults.fault_table import ROWS
 from hil.faults.fault_verdict import CaseVerdict, FaultCase, judge_case
 from hil.faults.observation import CaseObservation
-from hil.timing.cpu_accounts import host_environment
 
 RUNNERS: Final[dict[str, Callable[[CaseRobot, FaultRow, int, int], CaseObservation]]] = {
     "virtual": run_virtual,
     "socket": run_real_time,
     "process": run_process,
 }
-"""What runs a case, by its line."""
+"""Function that runs a case, by its line."""
 
 
 def cases_of(
     dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[FaultRow] = ROWS
 ) -> list[FaultCase]:
-    """What there is to run, in the order of the table, the virtual line first.
+    """Return the cases in the order of the table, the virtual line first.
 
     In real time a row runs once, on its first model: the bits are the virtual line's to try.
     """
@@ -56,19 +52,3 @@ def run_campaign(robot: CaseRobot, cases: Sequence[FaultCase]) -> list[CaseVerdi
         judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
         progress.step(case.row.fault)
     return judged
-
-
-def facts(robot: CaseRobot, cases: Sequence[FaultCase]) -> dict[str, Any]:
-    """What a report says about the campaign as a whole."""
-    period_s = robot.bundle.manifest.period_s
-    rows = {case.row for case in cases}
-    return {
-        "dof": robot.dof,
-        "period_s": period_s,
-        "watchdog_s": watchdog_steps(period_s) * WATCHDOG_STEP_S,
-        "faults": len({row.fault for row in rows}),
-        "rows": len(rows),
-        "models": [MODELS[n].name for n in sorted({case.number for case in cases})],
-        "seeds": sorted({case.seed for case in cases}),
-        "environment": host_environment(),
-    }

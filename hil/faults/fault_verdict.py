@@ -1,23 +1,23 @@
-"""The verdict: what happened held against what must happen; JSON and JUnit XML of it.
+"""Verdict on a case of the campaign: its observation against its row of the table.
 
-A case passes where no complaint is left. On a line in real time the host may take the processor
-away: where the kernel's counters show that it cost slots, and nothing speaks against the safety of
-the case, a complaint about its course proves nothing and the case is inconclusive.
+A case passes where no complaint is left. On a line in real time the host may preempt the loop.
+Where the kernel's counters show that this lost slots, and the case is safe, a complaint about its
+course proves nothing and the case is inconclusive.
 """
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 from firmware_py.realtime.timing import Cause
 from hil.faults.fault_row import FaultRow
 from hil.faults.observation import CaseObservation
+from hil.verdict import JUnitCase, Verdict, junit_xml
 
 RESOLUTION_RAD: Final = 2e-3
 """Goals are rounded to pulses (1.5 mrad with an X servo)."""
@@ -55,14 +55,14 @@ class FaultCase:
 
 @dataclass(frozen=True)
 class CaseVerdict:
-    """A case with what happened and what is wrong with that.
+    """A case, its observation and the complaints about it.
 
     Attributes
     ----------
     case : FaultCase
         What was run.
     observation : CaseObservation
-        What happened.
+        Observation of the run.
     unsafe, astray : list of str
         Complaints about safety; about the course, which must be as the row says.
     """
@@ -73,28 +73,29 @@ class CaseVerdict:
     astray: list[str]
 
     @property
-    def verdict(self) -> str:
-        """One of "pass", "fail" and "inconclusive"."""
+    def verdict(self) -> Verdict:
+        """Result of the case."""
         if self.unsafe:
-            return "fail"
+            return Verdict.FAIL
         if not self.astray:
-            return "pass"
+            return Verdict.PASS
         preempted = self.observation.misses.get(Cause.PREEMPTED.value, 0)
-        return "inconclusive" if preempted and self.case.line != "virtual" else "fail"
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `faults.json`."""
-        case = self.case
-        return {
-            "fault": case.row.fault, "how": case.row.how, "line": case.line,
-            "model": MODELS[case.number].name, "seed": case.seed, "must": str(case.row.must),
-            "verdict": self.verdict, "complaints": self.unsafe + self.astray,
-            **self.observation.as_dict(),
-        }  # fmt: skip
+        excused = preempted and self.case.line != "virtual"
+        return Verdict.INCONCLUSIVE if excused else Verdict.FAIL
 
 
 def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseVerdict:
-    """Hold an observation against its row."""
+    """Compare an observation with its row of the table.
+
+    Parameters
+    ----------
+    case : FaultCase
+        The case.
+    seen : CaseObservation
+        What was observed.
+    period_s : float
+        Control period, which sets the time of the servos' watchdog.
+    """
     return CaseVerdict(case, seen, _unsafe(seen, period_s), _astray(case.row, seen))
 
 
@@ -138,34 +139,17 @@ def _astray(row: FaultRow, seen: CaseObservation) -> list[str]:
     return complaints
 
 
-def report(judged: list[CaseVerdict], facts: dict[str, Any]) -> dict[str, Any]:
-    """The contents of `faults.json`."""
-    counts = {v: sum(j.verdict == v for j in judged) for v in ("pass", "fail", "inconclusive")}
-    verdict = next((v for v in ("fail", "inconclusive") if counts[v]), "pass")
-    return {
-        "schema": 1, "verdict": verdict, "counts": counts, **facts,
-        "cases": [j.as_dict() for j in judged],
-    }  # fmt: skip
-
-
-def exit_code(document: dict[str, Any]) -> int:
-    """Exit code of a verdict."""
-    return {"pass": DONE, "fail": NEGATIVE, "inconclusive": INCONCLUSIVE}[document["verdict"]]
-
-
-def junit_xml(judged: list[CaseVerdict]) -> bytes:
-    """The verdict as JUnit XML, one case each."""
-    verdicts = [j.verdict for j in judged]
-    suite = ET.Element(
-        "testsuite", name="dropstitch.faults", tests=str(len(judged)),
-        failures=str(verdicts.count("fail")), skipped=str(verdicts.count("inconclusive")),
-    )  # fmt: skip
-    for one, verdict in zip(judged, verdicts, strict=True):
-        case = ET.SubElement(suite, "testcase", classname="faults", name=one.case.name)
-        if verdict != "pass":
-            kind = "failure" if verdict == "fail" else "skipped"
-            words = "; ".join(one.unsafe + one.astray)
-            ET.SubElement(case, kind, message=words).text = f"must: {one.case.row.must}"
-    ET.indent(suite)
-    document: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
-    return document
+def faults_junit(judged: Sequence[CaseVerdict]) -> bytes:
+    """Return the verdicts as JUnit XML, one test case each."""
+    return junit_xml(
+        "faults",
+        [
+            JUnitCase(
+                one.case.name,
+                one.verdict,
+                "; ".join(one.unsafe + one.astray),
+                f"must: {one.case.row.must}",
+            )
+            for one in judged
+        ],
+    )

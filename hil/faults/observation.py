@@ -1,12 +1,13 @@
-"""What happened in a case: the loop's record and the servos' servo_log put together."""
+"""Observation of a case: the loop's record and the servos' log put together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,9 +44,8 @@ class CaseOutcome:
     unlogged_stale: int = 0
 
 
-@dataclass(frozen=True)
-class CaseObservation:
-    """What happened in a case; the fields of `faults.json`.
+class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Observation of a case; its fields are those of `faults.json`.
 
     Attributes
     ----------
@@ -93,17 +93,13 @@ class CaseObservation:
     lost_ticks: int = 0
     unlogged_ticks: int = 0
     replugs: int = 0
-    misses: dict[str, int] = field(default_factory=dict)
+    misses: dict[str, int] = msgspec.field(default_factory=dict)
     unheard_ns: int = 0
     watched: bool = True
     live: bool = False
     drift_rad: float = 0.0
     goal_jump_rad: float = 0.0
     stale_as_fresh: int = 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
 
 
 def observe_case(

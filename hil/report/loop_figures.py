@@ -160,7 +160,7 @@ def _distance(
 
 
 def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
-    """Spans of the run in which it glides to zero or rests; see `hil.sil_artifacts.programme_s`."""
+    """Spans of the run in which it glides to zero or rests (`hil.sil.sil_options`)."""
     if not programme:
         return []
     rest_s, motion_s, _ = programme.values()

@@ -318,7 +318,7 @@ def prediction(loop: LoopRun) -> Table | None:
         _row(
             _PARTS.get(name, name), str(part["n"]), f"{MM * part['mean_euclidean_distance_m']:.1f}",
             f"{MM * part['p95_m']:.1f}", f"{MM * part['max_m']:.1f}",
-            percent(part["interval_coverage"], 1), percent(part["in_range_share"], 1),
+            percent(part["interval_coverage"], 1), percent(part["in_range_fraction"], 1),
         )
         for name, part in ({"all": error} | error.get("parts", {})).items()
     ]  # fmt: skip

@@ -1,55 +1,153 @@
-"""Where the time of a tick goes: every stage against its budget, the read taken apart, the slack.
+"""Time budget of a tick: every stage against its budget, the parts of the read, the slack.
 
 ::
 
-    slot   |<----------------------------- period ------------------------------->|
-           | wake | read                      | estimate … write | log |  slack   |
-                  | own | wire | servo | wait |
+    slot   |<------------------------------- period --------------------------------->|
+           | wake | read                              | estimate … write | log | slack |
+                  | own | transmission | servo | wait |
 
-`wire` and `servo` follow from the bus plan: bits at the baud rate, return delays. `wait` is what
-the read waited beyond them: latency timer, operating system, an answer that did not come and was
-asked for again. `own` is its work on packets. The high-water mark is the longest tick seen. It is
-no worst-case execution time: nothing rules out a longer one, and the bound on the miss rate says
-how rare it must be.
+`transmission` and `servo` follow from the bus plan: bits at the baud rate, return delays. `wait` is
+what the read waited beyond them: latency timer, operating system, an answer that did not come and
+was requested again. `own` is its work on packets. The high-water mark is the longest tick seen. It
+is not a worst-case execution time: nothing excludes a longer one, and the bound on the miss rate
+says how rare it must be.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.signals import STAGES
-from hil.timing.timing_verdict import summarise
+from hil.timing.percentiles import LABELS, Nanoseconds, Percentiles
+
+__all__ = ["PlanTimes", "TickBudget", "describe_budget", "measure_budget", "plan_times"]
 
 BUDGET_NS: Final = {
     "wake": 100_000, "read": 200_000, "estimate": 200_000, "predict": 200_000, "command": 20_000,
     "check": 80_000, "write": 100_000, "log": 200_000,
 }  # fmt: skip
-"""99th percentile that a stage may take by itself, the waiting of the read left out. Tails do not
-add up, so the sum may be above the 1 ms of the whole. Reported, not judged."""
-CPU_SHARE: Final = 0.04
+"""99th percentile that a stage may take, the wait of the read left out. Tails do not add up, so the
+sum may exceed the 1 ms of the whole. Reported, not judged."""
+CPU_FRACTION: Final = 0.04
+"""Target for the fraction of the time in which the loop computes."""
 EXCHANGE_RATIO: Final = 1.15
+"""Target for read and write together against their transmission time."""
 LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
-"""How much later than the reference beside it the loop may wake."""
+"""Targets for the lateness of the loop against the reference beside it."""
 
 
-def plan_times(plan: Plan) -> dict[str, Any]:
-    """What a plan says about one tick, times in ns."""
-    return {
-        "plan": plan.name,
-        "wire_ns": round((plan.read_s - plan.pause_s) * 1e9),
-        "servo_ns": round(plan.pause_s * 1e9),
-        "write_ns": round(plan.write_s * 1e9),
-    }
+class PlanTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Times of one tick that follow from the bus plan.
+
+    Attributes
+    ----------
+    plan : str
+        Name of the plan.
+    transmission_ns, servo_ns, write_ns : int
+        Bits of the read; return delays of the servos; bits of the write.
+    """
+
+    plan: str
+    transmission_ns: int
+    servo_ns: int
+    write_ns: int
+
+    @property
+    def exchange_ns(self) -> int:
+        """Read and write together."""
+        return self.transmission_ns + self.servo_ns + self.write_ns
+
+
+class StageBudget(Percentiles, frozen=True, kw_only=True):
+    """Time of a stage, its budget, and whether its 99th percentile is within it."""
+
+    budget_p99_ns: int
+    within_budget: bool
+
+
+class Slack(Percentiles, frozen=True, kw_only=True):
+    """Time of the period that a tick leaves, and the least."""
+
+    min_ns: int
+
+
+class TickCost(Percentiles, frozen=True, kw_only=True):
+    """Duration of some ticks, and the slots that they lost."""
+
+    missed_slots: int
+
+
+class ExchangeTime(Percentiles, frozen=True, kw_only=True):
+    """Read and write together, against the time that the plan gives them.
+
+    Attributes
+    ----------
+    plan_ns : int
+        Time by the plan.
+    ratio_p50 : float
+        Median against it.
+    until_goals_arrived_ratio_p50 : float
+        The same with the transmission of the goals, which the loop does not wait for.
+    """
+
+    plan_ns: int
+    ratio_p50: float
+    until_goals_arrived_ratio_p50: float
+
+
+class TickBudget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Time of the ticks of a run, by where it went.
+
+    Attributes
+    ----------
+    budget : dict of str to StageBudget
+        By stage; the read without its wait.
+    read : dict of str to Percentiles
+        Parts of the read: own, transmission, servo, wait.
+    slack : Slack
+        What is left of the period.
+    high_water_mark_ns : int
+        Longest tick, its lateness included.
+    read_again, without_data : TickCost
+        Ticks in which a second read replaced a lost or damaged answer, and in which it did not.
+    cpu_fraction : float
+        Fraction of the time in which the loop computes.
+    exchange : ExchangeTime
+        Read and write.
+    lateness_against_reference : dict of str to float
+        Ratio of the loop's lateness to the reference jitter, by percentile.
+    """
+
+    budget: dict[str, StageBudget]
+    read: dict[str, Percentiles]
+    slack: Slack
+    high_water_mark_ns: int
+    read_again: TickCost
+    without_data: TickCost
+    cpu_fraction: float
+    exchange: ExchangeTime
+    lateness_against_reference: dict[str, float]
+
+
+def plan_times(plan: Plan) -> PlanTimes:
+    """Times of one tick by a bus plan."""
+    return PlanTimes(
+        plan=plan.name,
+        transmission_ns=round((plan.read_s - plan.pause_s) * 1e9),
+        servo_ns=round(plan.pause_s * 1e9),
+        write_ns=round(plan.write_s * 1e9),
+    )
 
 
 def measure_budget(
-    records: NDArray[np.void], period_s: float, wire: dict[str, Any], reference: dict[str, Any]
-) -> dict[str, Any]:
+    records: NDArray[np.void], period_s: float, plan: PlanTimes, reference: Percentiles
+) -> TickBudget:
     """Account for the time of every tick.
 
     Parameters
@@ -58,113 +156,120 @@ def measure_budget(
         The run.
     period_s : float
         Control period.
-    wire : dict
-        See `plan_times`.
-    reference : dict
-        Reference jitter beside it: percentiles as `hil.timing.timing_verdict.summarise` gives them.
-
-    Returns
-    -------
-    dict
-        "budget" by stage; "read" by part; "slack"; "high_water_mark_ns"; "read_again": ticks in
-        which a reply was lost or spoilt and the second read made up for it; "without_data": ticks
-        in which it did not; "cpu_share" of the loop; "exchange": read and write against the wire's
-        own time; "lateness_against_reference".
+    plan : PlanTimes
+        Times that follow from the bus plan.
+    reference : Percentiles
+        Reference jitter beside the run.
     """
     period_ns = round(period_s * 1e9)
-    waited = records["bus_wait_ns"]
-    own_read = records["read_ns"] - waited
-    taken = records["lateness_ns"] + records["busy_ns"]
-    budget = {}
-    for stage in STAGES:
-        stages_own = summarise(own_read if stage == "read" else records[f"{stage}_ns"])
-        met = stages_own["p99_ns"] <= BUDGET_NS[stage]
-        budget[stage] = {**stages_own, "budget_p99_ns": BUDGET_NS[stage], "within_budget": met}
-    every_tick = np.ones(len(records), np.int64)
-    read = {
-        "own": summarise(own_read),
-        "wire": summarise(wire["wire_ns"] * every_tick),
-        "servo": summarise(wire["servo_ns"] * every_tick),
-        "wait": summarise(waited - wire["wire_ns"] - wire["servo_ns"]),
-    }
-    exchange = summarise(records["read_ns"] + records["write_ns"])
-    on_wire_ns = wire["wire_ns"] + wire["servo_ns"] + wire["write_ns"]
-    slack = period_ns - taken
-    again = records["bus_status"] == BusStatus.RETRIED
-    blind = records["bus_status"] > BusStatus.ALERT
+    own_ns = records["busy_ns"] - records["bus_wait_ns"]
+    taken_ns = records["lateness_ns"] + records["busy_ns"]
+    slack_ns = period_ns - taken_ns
+    return TickBudget(
+        budget={stage: _stage(records, stage) for stage in STAGES},
+        read=_read_parts(records, plan),
+        slack=Slack.of(slack_ns, min_ns=int(slack_ns.min()) if len(slack_ns) else 0),
+        high_water_mark_ns=int(taken_ns.max()) if len(taken_ns) else 0,
+        read_again=_cost(records, taken_ns, records["bus_status"] == BusStatus.RETRIED),
+        without_data=_cost(records, taken_ns, records["bus_status"] > BusStatus.ALERT),
+        cpu_fraction=float(own_ns.sum()) / (period_ns * len(own_ns)) if len(own_ns) else 0.0,
+        exchange=_exchange(records["read_ns"] + records["write_ns"], plan),
+        lateness_against_reference=_ratios(Percentiles.of(records["lateness_ns"]), reference),
+    )
+
+
+def _stage(records: NDArray[np.void], stage: str) -> StageBudget:
+    taken_ns = records[f"{stage}_ns"]
+    if stage == "read":
+        taken_ns = taken_ns - records["bus_wait_ns"]
+    limit_ns = BUDGET_NS[stage]
+    measured = StageBudget.of(taken_ns, budget_p99_ns=limit_ns, within_budget=False)
+    return msgspec.structs.replace(measured, within_budget=measured.p99_ns <= limit_ns)
+
+
+def _read_parts(records: NDArray[np.void], plan: PlanTimes) -> dict[str, Percentiles]:
+    waited_ns, every_tick = records["bus_wait_ns"], np.ones(len(records), np.int64)
     return {
-        "budget": budget,
-        "read": read,
-        "slack": {**summarise(slack), "min_ns": int(slack.min()) if len(slack) else 0},
-        "high_water_mark_ns": int(taken.max()) if len(taken) else 0,
-        "read_again": _cost(records, taken, again),
-        "without_data": _cost(records, taken, blind),
-        "cpu_share": _share(records["busy_ns"] - waited, period_ns),
-        "exchange": {
-            **exchange,
-            "wire_ns": on_wire_ns,
-            "ratio_p50": exchange["p50_ns"] / on_wire_ns,
-            "until_goals_arrived_ratio_p50": (exchange["p50_ns"] + wire["write_ns"]) / on_wire_ns,
-        },
-        "lateness_against_reference": _ratios(summarise(records["lateness_ns"]), reference),
-    }  # fmt: skip
+        "own": Percentiles.of(records["read_ns"] - waited_ns),
+        "transmission": Percentiles.of(plan.transmission_ns * every_tick),
+        "servo": Percentiles.of(plan.servo_ns * every_tick),
+        "wait": Percentiles.of(waited_ns - plan.transmission_ns - plan.servo_ns),
+    }
 
 
-def _cost(
-    records: NDArray[np.void], taken_ns: NDArray[np.int64], ticks: NDArray[np.bool_]
-) -> dict[str, int]:
-    """How long some ticks took, and how many slots they cost."""
+def _cost(records: NDArray[np.void], taken_ns: Nanoseconds, ticks: NDArray[np.bool_]) -> TickCost:
     skipped = np.append(records["missed"][1:], 0)
-    return {**summarise(taken_ns[ticks]), "missed_slots": int(skipped[ticks].sum())}
+    return TickCost.of(taken_ns[ticks], missed_slots=int(skipped[ticks].sum()))
 
 
-def _share(own_ns: NDArray[np.int64], period_ns: int) -> float:
-    return float(own_ns.sum()) / (period_ns * len(own_ns)) if len(own_ns) else 0.0
+def _exchange(exchange_ns: Nanoseconds, plan: PlanTimes) -> ExchangeTime:
+    p50_ns = Percentiles.of(exchange_ns).p50_ns
+    return ExchangeTime.of(
+        exchange_ns,
+        plan_ns=plan.exchange_ns,
+        ratio_p50=p50_ns / plan.exchange_ns,
+        until_goals_arrived_ratio_p50=(p50_ns + plan.write_ns) / plan.exchange_ns,
+    )
 
 
-def _ratios(lateness: dict[str, int], reference: dict[str, Any]) -> dict[str, float]:
+def _ratios(lateness: Percentiles, reference: Percentiles) -> dict[str, float]:
     return {
-        name: lateness[name] / reference[name] for name in LATENESS_RATIOS if reference.get(name)
+        name: getattr(lateness, name) / known
+        for name in LATENESS_RATIOS
+        if (known := getattr(reference, name))
     }
 
 
-def describe_budget(account: dict[str, Any]) -> list[str]:
-    """The budget table and what else is worth a line, for people."""
-    rows = [f"{'stage, µs':14} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
-    for stage, row in account["budget"].items():
-        within = f"{row['budget_p99_ns'] / 1e3:8.0f}" + ("" if row["within_budget"] else "  over")
-        if stage == "read":
-            rows += [_row(f"read: {part}", account["read"][part]) for part in account["read"]]
-            rows[-len(account["read"])] += " " + within
-        else:
-            rows.append(f"{_row(stage, row)} {within}")
-    rows.append(_row("slack", account["slack"]) + f"  least {account['slack']['min_ns'] / 1e3:.0f}")
-    exchange, ratios = account["exchange"], account["lateness_against_reference"]
-    rows.append(
-        f"read and write p50 {exchange['p50_ns'] / 1e3:.0f} µs, {exchange['ratio_p50']:.2f} × the "
-        f"wire's own {exchange['wire_ns'] / 1e3:.0f} µs, "
-        f"{exchange['until_goals_arrived_ratio_p50']:.2f} × until the goals have arrived; the loop "
-        f"computes for {account['cpu_share']:.1%} of the time"
-    )
-    for key, words in (("read_again", "that read twice"), ("without_data", "without data")):
-        if (cost := account[key])["n"]:
-            rows.append(
-                f"{cost['n']} ticks {words} took at most {cost['max_ns'] / 1e6:.2f} ms, p99 "
-                f"{cost['p99_ns'] / 1e6:.2f} ms, and cost {cost['missed_slots']} slots"
-            )
-    if ratios:
-        late = ", ".join(
-            f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"
-            for name, ratio in ratios.items()
+def describe_budget(budget: TickBudget) -> list[str]:
+    """Return the budget table and the figures beside it as lines of text."""
+    rows = [f"{'stage, µs':18} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
+    for stage, measured in budget.budget.items():
+        limit = f"{measured.budget_p99_ns / 1e3:8.0f}" + (
+            "" if measured.within_budget else "  over"
         )
-        rows.append(f"wake-up against the reference beside it: {late}")
-    rows.append(
-        f"high-water mark {account['high_water_mark_ns'] / 1e6:.2f} ms: the longest tick seen, "
-        "which bounds nothing"
+        if stage == "read":
+            parts = [_row(f"read: {part}", row) for part, row in budget.read.items()]
+            rows += [f"{parts[0]} {limit}", *parts[1:]]
+        else:
+            rows.append(f"{_row(stage, measured)} {limit}")
+    rows.append(_row("slack", budget.slack) + f"  least {budget.slack.min_ns / 1e3:.0f}")
+    return [*rows, _exchange_words(budget), *_cost_words(budget), *_lateness_words(budget)]
+
+
+def _exchange_words(budget: TickBudget) -> str:
+    exchange = budget.exchange
+    return (
+        f"read and write p50 {exchange.p50_ns / 1e3:.0f} µs, {exchange.ratio_p50:.2f} × their "
+        f"{exchange.plan_ns / 1e3:.0f} µs by the plan, "
+        f"{exchange.until_goals_arrived_ratio_p50:.2f} × until the goals have arrived; the loop "
+        f"computes for {budget.cpu_fraction:.1%} of the time"
     )
-    return rows
 
 
-def _row(name: str, summary: dict[str, Any]) -> str:
-    keys = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
-    return f"{name:14} " + " ".join(f"{summary[key] / 1e3:8.0f}" for key in keys)
+def _cost_words(budget: TickBudget) -> list[str]:
+    costs = (("that read twice", budget.read_again), ("without data", budget.without_data))
+    return [
+        f"{cost.n} ticks {words} took at most {cost.max_ns / 1e6:.2f} ms, p99 "
+        f"{cost.p99_ns / 1e6:.2f} ms, and lost {cost.missed_slots} slots"
+        for words, cost in costs
+        if cost.n
+    ]
+
+
+def _lateness_words(budget: TickBudget) -> list[str]:
+    ratios = budget.lateness_against_reference
+    late = ", ".join(
+        f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"
+        for name, ratio in ratios.items()
+    )
+    mark = budget.high_water_mark_ns / 1e6
+    return [
+        *([f"lateness against the reference beside it: {late}"] if ratios else []),
+        f"high-water mark {mark:.2f} ms: the longest tick seen, which bounds nothing",
+    ]
+
+
+def _row(name: str, row: Percentiles) -> str:
+    return f"{name:18} " + " ".join(
+        f"{getattr(row, field) / 1e3:8.0f}" for field in LABELS.values()
+    )

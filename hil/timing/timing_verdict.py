@@ -1,33 +1,10 @@
-"""The timing verdict: which deadlines were missed, and whose doing it was.
+"""Timing verdict of a run: pass, fail or inconclusive, from its missed deadlines and their causes.
 
-A tick misses when it ends after its slot. Its excess, lateness + busy - period, is the time that
-it would have had to be faster by. It is set against the time for which the kernel shows that
-somebody else had the processor:
-
-What is the host's
-    Run-queue delay of the loop's thread (`/proc/…/schedstat`), less what processes of ours ran on
-    that processor meanwhile. Time in which the processor stood still: a probe with a higher
-    priority than everything of ours is pinned to it and wakes every few milliseconds; where even
-    the probe was late the hypervisor, an interrupt or a stranger's real-time task had the
-    processor. Such a stall is known to within one period of the probe: all that is possible
-    excuses a miss, only what is certain makes a tick count as preempted. The larger of the two
-    accounts counts, since they overlap.
-    The same two for the processor of the emulator, as far as the loop waited longer for the wire
-    than it usually does. The processes of `--load` are declared host load: time lost to them is
-    the host's. Steal time (`/proc/stat`) comes in steps of 10 ms over all processors: it is
-    evidence of the same stalls and counts only where no probe ran, or where the kernel refused
-    the probe its priority: then it may have waited behind ourselves.
-
-What is ours
-    Everything else: computing, waiting for the bus, and every delay by a process of ours, be it
-    emulator, recorder or probe. Lateness that no counter explains is ours as well.
-
-A miss is the host's where its excess is no longer than the host's time, and ours beyond doubt
-where it would have been a miss without it. A tick counts as preempted by the host from
-`PREEMPTED_NS` on. Verdict:
+`hil.timing.deadline_misses` attributes each miss to the host or to the loop. A tick counts as
+preempted by the host from `PREEMPTED_NS` of certain host time on.
 
 ==================== ==== =======================================================================
-fail                 1    the safety supervisor stopped the robot, or a miss is ours beyond doubt
+fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
 inconclusive         3    else, more than 1 % of the ticks were preempted by the host, or it took so
                           many slots in a row that the supervisor stopped the robot
 pass                 0    else; misses that are the host's are listed
@@ -36,118 +13,116 @@ pass                 0    else; misses that are the host's are listed
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
+from firmware_py.documents import Document
 from firmware_py.realtime.timing import Cause, miss_rate_bound
-from firmware_py.safety.states import SafetyState
 from firmware_py.signals import STAGES
 from hil.timing.cpu_accounts import ProbeRecord, Releases
+from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_after_miss
+from hil.timing.percentiles import Nanoseconds, Percentiles
+from hil.verdict import JUnitCase, Verdict, junit_xml
 
-Nanoseconds = NDArray[np.int64]
+__all__ = ["TimingVerdict", "judge_timing", "timing_junit"]
 
 PREEMPTED_NS: Final = 500_000
 """Host time in a tick from which on the tick counts as preempted: half of the cost budget."""
-PREEMPTED_SHARE: Final = 0.01
-"""Share of preempted ticks above which a run proves nothing."""
+PREEMPTED_FRACTION: Final = 0.01
+"""Fraction of preempted ticks above which a run is inconclusive."""
 OWN_COST_P50_NS: Final = 500_000
 OWN_COST_P99_NS: Final = 1_000_000
-"""Targets for a tick without its waiting for the wire; reported, not judged."""
+"""Targets for a tick without its wait for the bus; reported, not judged."""
 
 
-@dataclass(frozen=True)
-class Miss:
-    """A tick that ended after its slot.
+class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Limits and targets that a run is held against.
 
     Attributes
     ----------
-    tick : int
-        Number of its slot.
-    slots : int
-        Slots lost by it.
-    excess_ns, host_ns, bus_wait_ns : int
-        How much too long it took; the time that was the host's; its wait for the wire.
-    cause : Cause
-        Whose doing it was.
+    period_ns : int
+        Control period.
+    own_cost_p50_ns, own_cost_p99_ns : int
+        Targets for a tick without its wait for the bus.
+    preempted_fraction : float
+        Fraction of preempted ticks above which the run is inconclusive.
     """
 
-    tick: int
-    slots: int
-    excess_ns: int
-    host_ns: int
-    bus_wait_ns: int
-    cause: Cause
+    period_ns: int
+    own_cost_p50_ns: int = OWN_COST_P50_NS
+    own_cost_p99_ns: int = OWN_COST_P99_NS
+    preempted_fraction: float = PREEMPTED_FRACTION
 
 
-def host_time_ns(
-    records: NDArray[np.void], loop_cpu: ProbeRecord, line_cpu: ProbeRecord, releases: Releases
-) -> tuple[Nanoseconds, Nanoseconds]:
-    """Time of each tick in which the host had a processor that we were waiting for.
+class OwnCost(Percentiles, frozen=True, kw_only=True):
+    """Time of a tick without its wait for the bus, and whether it meets its targets."""
 
-    Parameters
+    within_budget: bool
+
+
+class HostTime(Percentiles, frozen=True, kw_only=True):
+    """Certain host time of a tick, and how many ticks count as preempted."""
+
+    preempted_ticks: int
+    preempted_fraction: float
+
+
+class TimingVerdict(Document, frozen=True, kw_only=True):
+    """Verdict on the timing of a run; the first part of `timing.json`.
+
+    Attributes
     ----------
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    loop_cpu, line_cpu : ProbeRecord
-        What the probes saw on the processors of loop and emulator; may be empty.
-    releases : Releases
-        The emulator's own record; may be empty.
-
-    Returns
-    -------
-    (ndarray, ndarray), each of shape (n,)
-        What is certain, and what is possible.
+    verdict, reason : Verdict, str
+        Result, and one sentence that explains it.
+    stopped : str
+        Reason for which the safety supervisor stopped the robot; empty where it did not.
+    budget : TimingTargets
+        Limits and targets.
+    slots, ticks : int
+        Slots of the run, lost ones included; ticks that ran.
+    stages : dict of str to Percentiles
+        By stage of the tick.
+    tick, own_cost, bus_wait, lateness : Percentiles
+        Whole tick; tick without its wait for the bus; that wait; lateness of the wake-up.
+    host : HostTime
+        Certain host time.
+    misses, own_misses : int
+        Slots lost; those not attributed to the host.
+    longest_run_of_misses : int
+        Slots lost in a row.
+    causes : dict of Cause to int
+        Slots lost by cause.
+    missed : tuple of Miss
+        Every tick that ended after its slot.
+    miss_rate_upper_bound_95, own_miss_rate_upper_bound_95 : float
+        Upper bounds on the miss rates with 95 % confidence.
     """
-    host = np.zeros((len(records), 2), np.int64)
-    waits = records["bus_wait_ns"]
-    longer = np.maximum(waits - np.median(waits), 0) if len(waits) else waits
-    starts = records["deadline_ns"]
-    ends = starts + records["lateness_ns"] + records["busy_ns"]
-    for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        # A tick's run-queue delay counts from the end of the tick before.
-        queued = int(records["preempted_ns"][k]) - loop_cpu.ours_between_ns(
-            int(ends[k - 1]) if k else start_ns, end_ns
-        )
-        line_queued = releases.run_delay_between_ns(start_ns, end_ns)
-        line_queued -= line_cpu.ours_between_ns(start_ns, end_ns)
-        steal = int(records["steal_ns"][k])
-        stalls = loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else (steal, steal)
-        for column, (stall, line_stall) in enumerate(
-            zip(stalls, line_cpu.stall_ns(start_ns, end_ns), strict=True)
-        ):
-            wire = min(max(line_queued, line_stall, 0), int(longer[k]))
-            host[k, column] = min(max(queued, stall, 0) + wire, end_ns - start_ns)
-    return host[:, 0], host[:, 1]
 
+    VERSION: ClassVar[int] = 2
 
-def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int) -> list[Miss]:
-    """Every tick that ended after its slot, with its cause."""
-    excess = records["lateness_ns"] + records["busy_ns"] - period_ns
-    skipped = np.append(records["missed"][1:], 0)  # by the tick in front of the gap
-    misses = []
-    for k in np.flatnonzero((excess > 0) | (skipped > 0)).tolist():
-        excess_ns, wait_ns = max(int(excess[k]), 1), int(records["bus_wait_ns"][k])
-        if excess_ns <= host_ns[k]:
-            cause = Cause.PREEMPTED
-        elif wait_ns > records["busy_ns"][k] - wait_ns:
-            cause = Cause.BUS_WAIT
-        else:
-            cause = Cause.OWN_COMPUTE
-        slots = int(skipped[k]) or -(-excess_ns // period_ns)
-        tick = int(records["tick"][k])
-        misses.append(Miss(tick, slots, excess_ns, int(host_ns[k]), wait_ns, cause))
-    return misses
-
-
-def stopped_after_miss(records: NDArray[np.void]) -> bool:
-    """Whether the supervisor stopped the robot in a tick right after slots had been missed."""
-    stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
-    return len(stopping) > 0 and bool(records["missed"][stopping[0]])
+    verdict: Verdict
+    reason: str
+    stopped: str
+    budget: TimingTargets
+    slots: int
+    ticks: int
+    stages: dict[str, Percentiles]
+    tick: Percentiles
+    own_cost: OwnCost
+    bus_wait: Percentiles
+    lateness: Percentiles
+    host: HostTime
+    misses: int
+    own_misses: int
+    longest_run_of_misses: int
+    causes: dict[Cause, int]
+    missed: tuple[Miss, ...]
+    miss_rate_upper_bound_95: float
+    own_miss_rate_upper_bound_95: float
 
 
 def judge_timing(
@@ -156,10 +131,9 @@ def judge_timing(
     loop_cpu: ProbeRecord | None = None,
     line_cpu: ProbeRecord | None = None,
     releases: Releases | None = None,
-    environment: dict[str, Any] | None = None,
     stopped: str = "",
-) -> dict[str, Any]:
-    """Judge a run; the contents of `timing.json`.
+) -> TimingVerdict:
+    """Judge the timing of a run.
 
     Parameters
     ----------
@@ -168,139 +142,112 @@ def judge_timing(
     period_s : float
         Control period.
     loop_cpu, line_cpu : ProbeRecord, optional
-        What the probes saw.
+        Probes on the processors of loop and emulator.
     releases : Releases, optional
         The emulator's own record.
-    environment : dict, optional
-        Facts about machine and line, copied.
     stopped : str
         Why the safety supervisor stopped the robot; empty where it did not.
-
-    Returns
-    -------
-    dict
-        Times in nanoseconds; "verdict" is "pass", "fail" or "inconclusive".
     """
-    period_ns = round(period_s * 1e9)
-    loop_cpu = loop_cpu or ProbeRecord()
-    host_ns, possible_ns = host_time_ns(
-        records, loop_cpu, line_cpu or ProbeRecord(), releases or Releases()
+    targets = TimingTargets(period_ns=round(period_s * 1e9))
+    certain_ns, possible_ns = host_time_ns(
+        records, loop_cpu or ProbeRecord(), line_cpu or ProbeRecord(), releases or Releases()
     )
-    misses = find_misses(records, possible_ns, period_ns)
+    misses = find_misses(records, possible_ns, targets.period_ns)
     causes = {cause: sum(m.slots for m in misses if m.cause is cause) for cause in Cause}
     lost = sum(causes.values())
-    own = lost - causes[Cause.PREEMPTED]
-    slots = len(records) + lost
-    preempted = int(np.count_nonzero(host_ns >= PREEMPTED_NS))
-    share = preempted / max(len(records), 1)
-    stages = {name: summarise(records[f"{name}_ns"]) for name in STAGES}
-    cost = summarise(records["busy_ns"] - records["bus_wait_ns"])
+    own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
+    host = _host_time(certain_ns)
+    verdict, reason = _decide(records, stopped, own, slots, host)
+    return TimingVerdict(
+        schema=TimingVerdict.VERSION,
+        verdict=verdict,
+        reason=reason,
+        stopped=stopped,
+        budget=targets,
+        slots=slots,
+        ticks=len(records),
+        stages={name: Percentiles.of(records[f"{name}_ns"]) for name in STAGES},
+        tick=Percentiles.of(records["busy_ns"]),
+        own_cost=_own_cost(records["busy_ns"] - records["bus_wait_ns"], targets),
+        bus_wait=Percentiles.of(records["bus_wait_ns"]),
+        lateness=Percentiles.of(records["lateness_ns"]),
+        host=host,
+        misses=lost,
+        own_misses=own,
+        longest_run_of_misses=max((m.slots for m in misses), default=0),
+        causes=causes,
+        missed=tuple(misses),
+        miss_rate_upper_bound_95=miss_rate_bound(lost, slots),
+        own_miss_rate_upper_bound_95=miss_rate_bound(own, slots),
+    )
+
+
+def _host_time(certain_ns: Nanoseconds) -> HostTime:
+    preempted = int(np.count_nonzero(certain_ns >= PREEMPTED_NS))
+    return HostTime.of(
+        certain_ns,
+        preempted_ticks=preempted,
+        preempted_fraction=preempted / max(len(certain_ns), 1),
+    )
+
+
+def _own_cost(cost_ns: Nanoseconds, targets: TimingTargets) -> OwnCost:
+    cost = OwnCost.of(cost_ns, within_budget=False)
+    met = cost.p50_ns <= targets.own_cost_p50_ns and cost.p99_ns <= targets.own_cost_p99_ns
+    return msgspec.structs.replace(cost, within_budget=met)
+
+
+def _decide(
+    records: NDArray[np.void], stopped: str, own: int, slots: int, host: HostTime
+) -> tuple[Verdict, str]:
+    """Verdict and its reason, see the module's table."""
     if stopped and not own and stopped_after_miss(records):
-        verdict = "inconclusive"
-        reason = f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
-    elif stopped:
-        verdict, reason = "fail", f"the safety supervisor stopped the robot: {stopped}"
-    elif own:
-        verdict, reason = "fail", f"{own} of {slots} slots were missed by our own doing"
-    elif share > PREEMPTED_SHARE:
-        verdict = "inconclusive"
-        reason = f"the host preempted {preempted} of {len(records)} ticks: run it on a calmer one"
-    else:
-        verdict, reason = "pass", f"no slot of {slots} was missed by our own doing"
-    return {
-        "schema": 1,
-        "verdict": verdict,
-        "reason": reason,
-        "stopped": stopped,
-        "budget": {
-            "period_ns": period_ns,
-            "own_cost_p50_ns": OWN_COST_P50_NS,
-            "own_cost_p99_ns": OWN_COST_P99_NS,
-            "preempted_share": PREEMPTED_SHARE,
-        },
-        "slots": slots,
-        "ticks": len(records),
-        "stages": stages,
-        "tick": summarise(records["busy_ns"]),
-        "own_cost": {
-            **cost,
-            "within_budget": cost["p50_ns"] <= OWN_COST_P50_NS
-            and cost["p99_ns"] <= OWN_COST_P99_NS,
-        },
-        "bus_wait": summarise(records["bus_wait_ns"]),
-        "lateness": summarise(records["lateness_ns"]),
-        "host": {**summarise(host_ns), "preempted_ticks": preempted, "preempted_share": share},
-        "misses": lost,
-        "own_misses": own,
-        "longest_run_of_misses": max((m.slots for m in misses), default=0),
-        "causes": {cause.value: count for cause, count in causes.items()},
-        "missed": [{**vars(m), "cause": m.cause.value} for m in misses],
-        "miss_rate_upper_bound_95": miss_rate_bound(lost, slots),
-        "own_miss_rate_upper_bound_95": miss_rate_bound(own, slots),
-        "reference_jitter": {
-            **summarise(loop_cpu.lateness_ns),
-            "period_ns": loop_cpu.period_ns,
-            "method": "clock_nanosleep in a process of its own on the loop's processor",
-            "above_the_loop": loop_cpu.proves,
-        },
-        "environment": dict(environment or {}),
-    }
+        return Verdict.INCONCLUSIVE, (
+            f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
+        )
+    if stopped:
+        return Verdict.FAIL, f"the safety supervisor stopped the robot: {stopped}"
+    if own:
+        return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
+    if host.preempted_fraction > PREEMPTED_FRACTION:
+        return Verdict.INCONCLUSIVE, (
+            f"the host preempted {host.preempted_ticks} of {len(records)} ticks: "
+            "run it on a calmer one"
+        )
+    return Verdict.PASS, f"the loop missed none of {slots} slots by its own time"
 
 
-def exit_code(timing: dict[str, Any]) -> int:
-    """Exit code of a verdict."""
-    return {"pass": DONE, "fail": NEGATIVE, "inconclusive": INCONCLUSIVE}[timing["verdict"]]
+def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
+    """Return the verdict as JUnit XML: one case per question.
 
-
-def summarise(values: Nanoseconds) -> dict[str, int]:
-    """Count, percentiles and maximum; a percentile is a value that occurred."""
-    names = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
-    if len(values) == 0:
-        return {"n": 0, **dict.fromkeys(names, 0)}
-    shares = np.quantile(values, (0.5, 0.99, 0.999, 1.0), method="inverted_cdf")
-    return {"n": len(values), **{name: int(v) for name, v in zip(names, shares, strict=True)}}
-
-
-def junit_xml(timing: dict[str, Any]) -> bytes:
-    """The verdict as JUnit XML: one case per question."""
-    own, stopped = timing["own_misses"], timing["stopped"]
-    missed = [m for m in timing["missed"] if m["cause"] != Cause.PREEMPTED.value]
-    restless = timing["verdict"] == "inconclusive"
-    # Question, how it was answered where not with yes, and what there is to say about it.
-    cases = (
+    Parameters
+    ----------
+    timing : TimingVerdict
+        The verdict.
+    facts : mapping, optional
+        Facts about machine and line, added as properties.
+    """
+    own = [miss for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
+    inconclusive = timing.verdict is Verdict.INCONCLUSIVE
+    stopped = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL
+    questions: Sequence[tuple[str, Verdict, str]] = (
+        ("the robot is not stopped", stopped if timing.stopped else Verdict.PASS, timing.stopped),
         (
-            "the robot is not stopped",
-            ("skipped" if restless else "failure") if stopped else "",
-            stopped,
-        ),
-        (
-            "no deadline is missed by our own doing",
-            "failure" if own else "",
-            "\n".join(map(str, missed)),
+            "the loop misses no deadline by its own time",
+            Verdict.FAIL if timing.own_misses else Verdict.PASS,
+            "\n".join(map(str, own)),
         ),
         (
             "the host leaves the loop alone",
-            "skipped" if restless else "",
-            f"{timing['host']['preempted_ticks']} ticks preempted",
+            Verdict.INCONCLUSIVE if inconclusive else Verdict.PASS,
+            f"{timing.host.preempted_ticks} ticks preempted",
         ),
     )
-    outcomes = [outcome for _, outcome, _ in cases]
-    suite = ET.Element(
-        "testsuite", name="dropstitch.sil", tests=str(len(cases)),
-        failures=str(outcomes.count("failure")), skipped=str(outcomes.count("skipped")),
-    )  # fmt: skip
-    properties = ET.SubElement(suite, "properties")
-    for name, value in (
-        ("verdict", timing["verdict"]),
-        ("own_cost_p99_ns", timing["own_cost"]["p99_ns"]),
-        ("own_miss_rate_upper_bound_95", timing["own_miss_rate_upper_bound_95"]),
-        *timing["environment"].items(),
-    ):
-        ET.SubElement(properties, "property", name=str(name), value=str(value))
-    for name, outcome, text in cases:
-        case = ET.SubElement(suite, "testcase", classname="sil", name=name)
-        if outcome:
-            ET.SubElement(case, outcome, message=timing["reason"]).text = text
-    ET.indent(suite)
-    document: bytes = ET.tostring(suite, encoding="utf-8", xml_declaration=True)
-    return document
+    properties = {
+        "verdict": timing.verdict.value,
+        "own_cost_p99_ns": timing.own_cost.p99_ns,
+        "own_miss_rate_upper_bound_95": timing.own_miss_rate_upper_bound_95,
+        **(facts or {}),
+    }
+    cases = [JUnitCase(name, verdict, timing.reason, text) for name, verdict, text in questions]
+    return junit_xml("sil", cases, properties)

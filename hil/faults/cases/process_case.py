@@ -33,7 +33,7 @@ from hil.faults.cases.station import Station, StationTask
 from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
-from hil.timing.cpu_accounts import assign_processors, pinned_to
+from hil.timing.processors import assign_processors, pinned_to
 
 SECONDS: Final = 2.6
 REPLUG_SECONDS: Final = 4.5

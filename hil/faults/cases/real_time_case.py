@@ -21,7 +21,7 @@ from hil.faults.fault_row import FaultRow
 from hil.faults.host_faults import Host
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, observe_case
-from hil.timing.cpu_accounts import assign_processors, pinned_to
+from hil.timing.processors import assign_processors, pinned_to
 
 SLOTS: Final = 150
 """2.6 s: the fault begins before the 110th."""

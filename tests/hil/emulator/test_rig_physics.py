@@ -1,8 +1,7 @@
-"""The robot's loop against the laboratory: reproducible, the laboratory's own, and hiding hurts."""
+"""The robot's loop against the rig: reproducible, the rig's own states, and hidden effects."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +13,12 @@ from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.summary import Ended
-from hil import sil, sil_artifacts
 from hil.__main__ import main
-from hil.commands.sil import write_results
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
+from hil.sil import SilOptions, run_sil, write_results
+from hil.sil.prediction_error import true_tip_m
+from hil.timing.timing_document import read_timing
 
 STEP_S = 1e-3
 
@@ -47,25 +47,25 @@ def bundle(tmp_path_factory):
 
 @pytest.fixture
 def options(bundle, tmp_path):
-    return sil.SilOptions(
+    return SilOptions(
         bundle=bundle, model=MODELS[54024], out=tmp_path, line="virtual", seconds=2.0,
         rig=RigSource(),
     )  # fmt: skip
 
 
 def test_a_run_is_reproducible_and_its_seed_is_its_variation(options):
-    first, second = sil.run_sil(options), sil.run_sil(options)
+    first, second = run_sil(options), run_sil(options)
     assert first.summary.ended is Ended.FINISHED
-    assert first.environment["records_sha256"] == second.environment["records_sha256"]
-    other = sil.run_sil(replace(options, rig=RigSource(seed=1)))
-    assert other.environment["records_sha256"] != first.environment["records_sha256"]
+    assert first.environment.records_sha256 == second.environment.records_sha256
+    other = run_sil(replace(options, rig=RigSource(seed=1)))
+    assert other.environment.records_sha256 != first.environment.records_sha256
 
 
-def test_the_robot_measures_the_laboratory_and_its_tip_belongs_to_the_same_moment(options):
-    """Loop, bus and wire add delay and resolution only: step a laboratory beside them."""
-    result = sil.run_sil(replace(options, latency_s=0.0))
+def test_the_robot_measures_the_rig_and_its_tip_belongs_to_the_same_moment(options):
+    """Loop, bus and line add delay and resolution only: step a rig beside them."""
+    result = run_sil(replace(options, latency_s=0.0))
     servo, beside = MODELS[54024], RigPhysics(RigSource(), 1, options.payload_kg)
-    truth = sil_artifacts.true_tip_m(result.records, result.outcome.truth)
+    truth = true_tip_m(result.records, result.outcome.truth)
     goal_rad, now_ns = 0.0, 0
     for record, tip_m in zip(result.records, truth, strict=True):
         sample_ns = int(record["deadline_ns"]) + 150_000  # 15 bytes ask
@@ -96,11 +96,11 @@ def test_time_that_is_too_short_for_a_step_is_not_lost():
 
 def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     options = replace(options, rig=RigSource({"prebend": 0.01}))
-    timing = write_results(sil.run_sil(options), options)
-    assert timing["environment"]["behind_the_servos"] == "rig"
-    assert timing["environment"]["hidden"] == {"prebend": 0.01}
+    timing = write_results(run_sil(options), options)
+    assert timing.environment.behind_the_servos == "rig"
+    assert timing.environment.hidden == {"prebend": 0.01}
     assert (options.out / "trial" / "sil.csv").is_file()
-    assert json.loads((options.out / "timing.json").read_text())["prediction_error"]["n"] > 0
+    assert read_timing(options.out / "timing.json").prediction_error.n > 0
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
 )
 def test_what_cannot_be_run_is_refused(options, changes, complaint):
     with pytest.raises(InputError, match=complaint):
-        sil.run_sil(replace(options, **changes))
+        run_sil(replace(options, **changes))
 
 
 def test_hiding_in_a_twin_is_refused_in_one_sentence(bundle, tmp_path, capsys):

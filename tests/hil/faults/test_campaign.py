@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -26,11 +27,17 @@ from hil.faults.cases.case_robot import CaseRobot
 from hil.faults.fault_row import Expectation, FaultRow
 from hil.faults.fault_table import RECOVERED, ROWS
 from hil.faults.fault_verdict import FaultCase, judge_case
+from hil.faults.faults_document import faults_document, read_faults, write_faults
 from hil.faults.injection import LINE_FAULTS, SERVO_FAULTS, FaultSchedule, Injection
 from hil.faults.observation import CaseObservation
 from hil.faults.servo_log import LoggedBus, LoggedServo
 
 LEGACY, PRO_A, PERIOD_S = 54024, 54025, 0.017
+MANIFEST = {
+    "dof": 2, "period_s": PERIOD_S, "degree": 1, "estimator": "none", "features": (),
+    "outputs": (), "lag_ticks": (0,), "training_data_sha256": "", "plant_sha256": "",
+    "libraries": {}, "metrics": {}, "coefficients": {}, "files": {},
+}  # fmt: skip
 VIRTUAL = [row for row in ROWS if "virtual" in row.lines]
 
 
@@ -50,11 +57,7 @@ def robot(bus_of, monkeypatch, tmp_path):
             self.fmu = SimpleNamespace(close=lambda: None)
 
     monkeypatch.setattr(virtual_case, "FmuPhysics", Physics)
-    manifest = Manifest(
-        dof=2, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
-        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
-    )  # fmt: skip
+    manifest = Manifest(**MANIFEST)
     return CaseRobot(ModelBundle(tmp_path, manifest, NoEstimator(), StillPredictor()), tmp_path)
 
 
@@ -150,7 +153,7 @@ def test_each_thing_that_must_hold_is_looked_at(change, words):
                        unheard_ns=60_000_000, goal_jump_rad=1.9e-3)  # fmt: skip
     case = FaultCase(row, "socket", PRO_A, 0)
     assert judge_case(case, good, PERIOD_S).verdict == "pass"
-    judged = judge_case(case, replace(good, **change), PERIOD_S)
+    judged = judge_case(case, msgspec.structs.replace(good, **change), PERIOD_S)
     assert judged.verdict == "fail"
     assert any(words in complaint for complaint in judged.unsafe + judged.astray)
 
@@ -160,18 +163,28 @@ def test_the_host_is_an_excuse_for_the_course_but_not_for_safety():
     seen = CaseObservation("finished", "", lost_ticks=1, misses={"preempted by the host": 1})
     assert judge_case(case, seen, PERIOD_S).verdict == "inconclusive"
     assert judge_case(replace(case, line="virtual"), seen, PERIOD_S).verdict == "fail"
-    assert judge_case(case, replace(seen, stale_as_fresh=1), PERIOD_S).verdict == "fail"
+    assert (
+        judge_case(case, msgspec.structs.replace(seen, stale_as_fresh=1), PERIOD_S).verdict
+        == "fail"
+    )
 
 
-def test_verdicts_are_counted_and_written():
+def test_verdicts_are_counted_and_written(tmp_path):
     case = FaultCase(FaultRow("x", "y", Expectation("finished")), "virtual", PRO_A, 0)
     good, bad = CaseObservation("finished", ""), CaseObservation("tripped", "why")
     judged = [judge_case(case, seen, PERIOD_S) for seen in (good, bad)]
-    document = fault_verdict.report(judged, {"faults": 1})
-    assert document["counts"] == {"pass": 1, "fail": 1, "inconclusive": 0}
-    assert (document["verdict"], fault_verdict.exit_code(document)) == ("fail", 1)
-    assert json.loads(json.dumps(document))["cases"][1]["complaints"]
-    suite = ET.fromstring(fault_verdict.junit_xml(judged))
+    manifest = Manifest(**MANIFEST)
+    document = faults_document(manifest, judged)
+    assert document.counts == {"pass": 1, "fail": 1, "inconclusive": 0}
+    assert (document.verdict, document.verdict.exit_code) == ("fail", 1)
+    assert document.cases[1].complaints == ("tripped (why), not finished",)
+    write_faults(tmp_path / "faults.json", document)
+    assert read_faults(tmp_path / "faults.json") == document
+    assert (
+        json.loads((tmp_path / "faults.json").read_text())["cases"][0]["model"]
+        == "H54-200-S500-R(A)"
+    )
+    suite = ET.fromstring(fault_verdict.faults_junit(judged))
     assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
     assert suite.find("testcase/failure").get("message") == "tripped (why), not finished"
 

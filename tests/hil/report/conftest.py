@@ -15,10 +15,9 @@ from fmu.__main__ import main as fmu_main
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
-from hil import sil
-from hil.commands.sil import write_results
 from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
+from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
 from models.gap.report.gap_json import errors_in_floors
 from models.plant.identification.evaluation import evaluate_plant
@@ -72,11 +71,11 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     with FmuArchive(unit) as archive:
         report = check_fmu(archive, embedded_parts(archive.directory / "resources"))
     (directory / "check_twin_1dof.json").write_text(json.dumps(report.data()))
-    options = sil.SilOptions(
+    options = SilOptions(
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",
-        unit=unit, line="virtual", seconds=3.0,
+        fmu=unit, line="virtual", seconds=3.0,
     )  # fmt: skip
-    write_results(sil.run_sil(options), options)
+    write_results(run_sil(options), options)
     (directory / "commands.log").write_text("\n".join([COMMANDS[0], *COMMANDS]) + "\n")
     return directory
 

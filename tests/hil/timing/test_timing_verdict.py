@@ -1,4 +1,4 @@
-"""Verdicts on synthetic runs: whose doing was it?"""
+"""Verdicts on synthetic runs: each missed deadline attributed to host or loop."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
 from hil.timing import timing_verdict
 from hil.timing.cpu_accounts import PROBE_PERIOD_NS, ProbeRecord, Releases
+from hil.timing.percentiles import Percentiles
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS
@@ -41,7 +43,7 @@ def slow_down(records, tick: int, busy_ns: int, *, lateness_ns=30_000, wait_ns=1
     records["deadline_ns"][tick + 1 :] += skipped * PERIOD_NS
 
 
-def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> ProbeRecord:
+def probe_over(records, *stalls: tuple[int, int], own_ns: int = 20_000) -> ProbeRecord:
     """A probe that was on time but for stalls (start, length) of its processor."""
     first, last = int(records["deadline_ns"][0]) - PERIOD_NS, int(records["deadline_ns"][-1])
     due = np.arange(first, last + PERIOD_NS, PROBE_PERIOD_NS)
@@ -50,7 +52,7 @@ def probe_over(records, *stalls: tuple[int, int], ours_ns: int = 20_000) -> Prob
         inside = (wake >= start_ns) & (wake < start_ns + length_ns)
         wake[inside] = start_ns + length_ns
     keep = np.append(True, np.diff(wake) > 0)  # what was due first says how late it was
-    return ProbeRecord(wake[keep], (wake - due)[keep], np.full(keep.sum(), ours_ns))
+    return ProbeRecord(wake[keep], (wake - due)[keep], np.full(keep.sum(), own_ns))
 
 
 def judge(records, *watches, **more):
@@ -60,29 +62,29 @@ def judge(records, *watches, **more):
 def test_a_calm_run_passes():
     records = run_of()
     timing = judge(records, probe_over(records), probe_over(records))
-    assert (timing["verdict"], timing_verdict.exit_code(timing)) == ("pass", 0)
-    assert timing["misses"] == timing["host"]["preempted_ticks"] == 0
-    assert timing["own_cost"]["p99_ns"] == 300_000
-    assert timing["slots"] == timing["ticks"] == 1000
-    assert timing["own_miss_rate_upper_bound_95"] == pytest.approx(1.0 - 0.05 ** (1 / 1000))
+    assert (timing.verdict, timing.verdict.exit_code) == ("pass", 0)
+    assert timing.misses == timing.host.preempted_ticks == 0
+    assert timing.own_cost.p99_ns == 300_000
+    assert timing.slots == timing.ticks == 1000
+    assert timing.own_miss_rate_upper_bound_95 == pytest.approx(1.0 - 0.05 ** (1 / 1000))
 
 
 def test_computing_too_long_is_our_own_doing():
     records = run_of()
     slow_down(records, 500, 40 * MS)
     timing = judge(records, probe_over(records), probe_over(records))
-    assert (timing["verdict"], timing_verdict.exit_code(timing)) == ("fail", 1)
-    assert timing["causes"] == {"own compute": 2, "bus wait": 0, "preempted by the host": 0}
-    assert timing["longest_run_of_misses"] == 2
-    assert timing["slots"] == 1002
+    assert (timing.verdict, timing.verdict.exit_code) == ("fail", 1)
+    assert timing.causes == {Cause.OWN_COMPUTE: 2, Cause.BUS_WAIT: 0, Cause.PREEMPTED: 0}
+    assert timing.longest_run_of_misses == 2
+    assert timing.slots == 1002
 
 
 def test_waiting_too_long_for_the_wire_is_ours():
     records = run_of()
     slow_down(records, 500, 18 * MS, wait_ns=17 * MS)
     timing = judge(records, probe_over(records), probe_over(records))
-    assert timing["verdict"] == "fail"
-    assert timing["causes"]["bus wait"] == 1
+    assert timing.verdict == "fail"
+    assert timing.causes[Cause.BUS_WAIT] == 1
 
 
 def test_a_stall_that_the_probe_saw_too_is_the_hosts():
@@ -90,8 +92,8 @@ def test_a_stall_that_the_probe_saw_too_is_the_hosts():
     slow_down(records, 500, 22 * MS)
     stall = (int(records["deadline_ns"][500]) + 30_000, 20 * MS)
     timing = judge(records, probe_over(records, stall), probe_over(records))
-    assert (timing["verdict"], timing["misses"], timing["own_misses"]) == ("pass", 1, 0)
-    assert timing["causes"]["preempted by the host"] == 1
+    assert (timing.verdict, timing.misses, timing.own_misses) == ("pass", 1, 0)
+    assert timing.causes[Cause.PREEMPTED] == 1
 
 
 def test_two_stalls_in_one_tick_excuse_it_together():
@@ -101,8 +103,8 @@ def test_two_stalls_in_one_tick_excuse_it_together():
     stalls = (begin_ns, 21 * MS), (begin_ns + 24 * MS, 44 * MS)
     one = judge(records, probe_over(records, stalls[1]), probe_over(records))
     both = judge(records, probe_over(records, *stalls), probe_over(records))
-    assert (one["verdict"], both["verdict"]) == ("fail", "pass")
-    assert 65 * MS - 2 * PROBE_PERIOD_NS <= both["host"]["max_ns"] <= 65 * MS
+    assert (one.verdict, both.verdict) == ("fail", "pass")
+    assert 65 * MS - 2 * PROBE_PERIOD_NS <= both.host.max_ns <= 65 * MS
 
 
 def test_a_stall_that_may_have_fallen_outside_the_tick_excuses_it_and_does_not_count():
@@ -114,9 +116,9 @@ def test_a_stall_that_may_have_fallen_outside_the_tick_excuses_it_and_does_not_c
     lateness_ns = np.array([0, 2 * MS, 0])
     watch = ProbeRecord(due_ns + lateness_ns, lateness_ns, np.zeros(3, np.int64))
     timing = judge(records, watch, probe_over(records))
-    assert (timing["misses"], timing["own_misses"]) == (1, 0)
-    assert timing["host"]["max_ns"] == 300_000
-    assert timing["host"]["preempted_ticks"] == 0
+    assert (timing.misses, timing.own_misses) == (1, 0)
+    assert timing.host.max_ns == 300_000
+    assert timing.host.preempted_ticks == 0
 
 
 def test_a_stall_that_does_not_suffice_as_an_excuse_is_none():
@@ -124,7 +126,7 @@ def test_a_stall_that_does_not_suffice_as_an_excuse_is_none():
     slow_down(records, 500, 40 * MS)
     stall = (int(records["deadline_ns"][500]) + 30_000, 10 * MS)
     timing = judge(records, probe_over(records, stall), probe_over(records))
-    assert timing["verdict"] == "fail"
+    assert timing.verdict == "fail"
 
 
 def test_a_probe_without_its_priority_proves_nothing():
@@ -132,14 +134,14 @@ def test_a_probe_without_its_priority_proves_nothing():
     slow_down(records, 500, 22 * MS)
     stall = (int(records["deadline_ns"][500]) + 30_000, 20 * MS)
     watch = replace(probe_over(records, stall), privileged=False)
-    assert judge(records, watch, probe_over(records))["verdict"] == "fail"
+    assert judge(records, watch, probe_over(records)).verdict == "fail"
 
 
 def test_a_stall_at_another_time_is_no_excuse():
     records = run_of()
     slow_down(records, 500, 22 * MS)
     stall = (int(records["deadline_ns"][400]), 20 * MS)
-    assert judge(records, probe_over(records, stall), probe_over(records))["verdict"] == "fail"
+    assert judge(records, probe_over(records, stall), probe_over(records)).verdict == "fail"
 
 
 def test_waiting_in_the_run_queue_behind_a_stranger_is_the_hosts():
@@ -147,7 +149,7 @@ def test_waiting_in_the_run_queue_behind_a_stranger_is_the_hosts():
     slow_down(records, 500, 1_500_000, lateness_ns=20 * MS)
     records["preempted_ns"][500] = 20 * MS
     timing = judge(records, probe_over(records), probe_over(records))
-    assert (timing["verdict"], timing["causes"]["preempted by the host"]) == ("pass", 1)
+    assert (timing.verdict, timing.causes[Cause.PREEMPTED]) == ("pass", 1)
 
 
 def test_waiting_in_the_run_queue_behind_ourselves_is_ours():
@@ -156,14 +158,14 @@ def test_waiting_in_the_run_queue_behind_ourselves_is_ours():
     records["preempted_ns"][500] = 20 * MS
     watch = probe_over(records)
     inside = np.searchsorted(watch.wake_ns, records["deadline_ns"][500] + 20 * MS)
-    watch.ours_ns[inside] = 20 * MS
-    assert judge(records, watch, probe_over(records))["verdict"] == "fail"
+    watch.own_ns[inside] = 20 * MS
+    assert judge(records, watch, probe_over(records)).verdict == "fail"
 
 
 def test_lateness_that_nothing_explains_is_ours():
     records = run_of()
     slow_down(records, 500, 1_500_000, lateness_ns=20 * MS)
-    assert judge(records, probe_over(records), probe_over(records))["verdict"] == "fail"
+    assert judge(records, probe_over(records), probe_over(records)).verdict == "fail"
 
 
 def test_a_reply_that_the_host_held_up_is_the_hosts_and_one_that_we_held_up_is_ours():
@@ -177,10 +179,10 @@ def test_a_reply_that_the_host_held_up_is_the_hosts_and_one_that_we_held_up_is_o
     written, queued = due + 50_000, np.full(len(due), 5000)
     written[500], queued[500] = start + 17 * MS, 16 * MS
     releases = Releases(due, written, queued)
-    quiet = probe_over(records, ours_ns=0)
-    assert judge(records, quiet, quiet, releases=releases)["verdict"] == "pass"
+    quiet = probe_over(records, own_ns=0)
+    assert judge(records, quiet, quiet, releases=releases).verdict == "pass"
     queued[500] = 5000  # the emulator was running all the time: slow by itself
-    assert judge(records, quiet, quiet, releases=releases)["verdict"] == "fail"
+    assert judge(records, quiet, quiet, releases=releases).verdict == "fail"
 
 
 @pytest.mark.parametrize(
@@ -190,23 +192,23 @@ def test_more_than_one_percent_of_preempted_ticks_proves_nothing(preempted, verd
     records = run_of(1000)
     records["preempted_ns"][100 : 100 + preempted] = 2 * MS
     timing = judge(records, probe_over(records), probe_over(records))
-    assert (timing["verdict"], timing_verdict.exit_code(timing)) == (verdict, code)
-    assert timing["host"]["preempted_ticks"] == preempted
+    assert (timing.verdict, timing.verdict.exit_code) == (verdict, code)
+    assert timing.host.preempted_ticks == preempted
 
 
 def test_a_miss_of_ours_is_not_excused_by_a_restless_host():
     records = run_of()
     records["preempted_ns"][100:200] = 2 * MS
     slow_down(records, 500, 40 * MS)
-    assert judge(records, probe_over(records), probe_over(records))["verdict"] == "fail"
+    assert judge(records, probe_over(records), probe_over(records)).verdict == "fail"
 
 
 def test_steal_counts_where_no_probe_ran():
     records = run_of()
     slow_down(records, 500, 22 * MS)
     records["steal_ns"][500] = 20 * MS
-    assert judge(records)["verdict"] == "pass"
-    assert judge(records, probe_over(records))["verdict"] == "fail", "the probe knows better"
+    assert judge(records).verdict == "pass"
+    assert judge(records, probe_over(records)).verdict == "fail", "the probe knows better"
 
 
 @given(st.lists(st.tuples(st.integers(0, 98), st.integers(MS, 60 * MS)), max_size=10))
@@ -215,24 +217,24 @@ def test_every_lost_slot_is_counted_once_and_has_one_cause(slow):
     for tick, busy_ns in dict(slow).items():
         slow_down(records, tick, busy_ns)
     timing = judge(records)
-    assert timing["misses"] == records["missed"].sum() == sum(timing["causes"].values())
-    assert timing["slots"] == records["tick"][-1] + 1
-    assert timing["misses"] == sum(m["slots"] for m in timing["missed"])
+    assert timing.misses == records["missed"].sum() == sum(timing.causes.values())
+    assert timing.slots == records["tick"][-1] + 1
+    assert timing.misses == sum(m.slots for m in timing.missed)
 
 
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=200))
-def test_percentiles_are_values_that_at_least_that_share_does_not_exceed(values):
-    summary = timing_verdict.summarise(np.array(values))
-    for share, name in ((0.5, "p50_ns"), (0.99, "p99_ns"), (0.999, "p99_9_ns"), (1.0, "max_ns")):
-        assert summary[name] in values
-        assert np.mean(np.array(values) <= summary[name]) >= share - 1e-12
+def test_percentiles_are_values_that_at_least_that_fraction_does_not_exceed(values):
+    summary = Percentiles.of(np.array(values))
+    for fraction, name in ((0.5, "p50_ns"), (0.99, "p99_ns"), (0.999, "p99_9_ns"), (1.0, "max_ns")):
+        assert getattr(summary, name) in values
+        assert np.mean(np.array(values) <= getattr(summary, name)) >= fraction - 1e-12
 
 
 def test_a_robot_that_was_stopped_has_not_passed():
     records = run_of()
     timing = judge(records, probe_over(records), probe_over(records), stopped="no fresh data")
-    assert (timing["verdict"], timing_verdict.exit_code(timing)) == ("fail", 1)
-    assert "no fresh data" in timing["reason"]
+    assert (timing.verdict, timing.verdict.exit_code) == ("fail", 1)
+    assert "no fresh data" in timing.reason
 
 
 @pytest.mark.parametrize(("stalled", "verdict"), [(False, "fail"), (True, "inconclusive")])
@@ -244,13 +246,13 @@ def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
     stalls = [(int(records["deadline_ns"][500]) + 30_000, 70 * MS)] if stalled else []
     watch = probe_over(records, *stalls)
     timing = judge(records, watch, probe_over(records), stopped="4 slots missed in a row")
-    assert timing["verdict"] == verdict
+    assert timing.verdict == verdict
     records["missed"][501], records["missed"][502] = (
         0,
         4,
     )  # it was stopped before, by something else
     timing = judge(records, watch, probe_over(records), stopped="a limit")
-    assert timing["verdict"] == "fail"
+    assert timing.verdict == "fail"
 
 
 @pytest.mark.parametrize(
@@ -261,10 +263,10 @@ def test_junit_says_the_same(slow_ns, preempted, stopped):
     records["preempted_ns"][100 : 100 + preempted] = 2 * MS
     if slow_ns:
         slow_down(records, 500, slow_ns)
-    timing = judge(records, environment={"line": "socket"}, stopped=stopped)
-    suite = ET.fromstring(timing_verdict.junit_xml(timing))
+    timing = judge(records, stopped=stopped)
+    suite = ET.fromstring(timing_verdict.timing_junit(timing, {"line": "socket"}))
     assert len(suite.findall("testcase")) == int(suite.get("tests"))
-    assert len(suite.findall("testcase/failure")) == (timing["verdict"] == "fail")
-    assert len(suite.findall("testcase/skipped")) == (timing["verdict"] == "inconclusive")
+    assert len(suite.findall("testcase/failure")) == (timing.verdict == "fail")
+    assert len(suite.findall("testcase/skipped")) == (timing.verdict == "inconclusive")
     assert len(suite.findall("testcase/failure")) == int(suite.get("failures"))
     assert suite.find("properties/property[@name='line']").get("value") == "socket"

@@ -1,9 +1,10 @@
-"""The robot's loop against emulated servos with the nominal plant behind them."""
+"""Runs of the robot's loop against emulated servos with the nominal plant behind them."""
 
 from __future__ import annotations
 
 import json
 import math
+import time
 import tomllib
 from dataclasses import replace
 from xml.etree import ElementTree as ET
@@ -19,14 +20,18 @@ from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.recording import read_recording
+from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
 from fmu.fmu_builder import build_fmu
-from hil import sil, sil_artifacts
-from hil.commands.sil import describe_sil, write_results
+from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
 from hil.emulator.twin_fmu import build_twin
+from hil.sil import SilOptions, run_sil, write_results
+from hil.sil.prediction_error import prediction_error, true_tip_m
+from hil.sil.sil_loop import LOG_NAME
+from hil.timing.timing_document import read_timing
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial_files import read_trial
 
@@ -72,9 +77,9 @@ def bundles(tmp_path_factory):
 
 @pytest.fixture
 def options(twins, bundles, tmp_path):
-    def build(dof: int = 1, **changes) -> sil.SilOptions:
+    def build(dof: int = 1, **changes) -> SilOptions:
         given = {"model": MODELS[54024], "line": "virtual", "seconds": 3.0} | changes
-        return sil.SilOptions(bundle=bundles[dof], out=tmp_path, fmu=twins[dof], **given)
+        return SilOptions(bundle=bundles[dof], out=tmp_path, fmu=twins[dof], **given)
 
     return build
 
@@ -83,17 +88,17 @@ def options(twins, bundles, tmp_path):
 @pytest.mark.parametrize("dof", [1, 2])
 def test_a_virtual_run_is_bit_identical_twice(options, number, dof):
     chosen = options(dof, model=MODELS[number], faults={"lost": 0.02, "late": 0.02})
-    first, second = sil.run_sil(chosen), sil.run_sil(chosen)
+    first, second = run_sil(chosen), run_sil(chosen)
     assert first.records.tobytes() == second.records.tobytes()
     assert first.outcome.truth.tip_m.tobytes() == second.outcome.truth.tip_m.tobytes()
-    assert first.environment["records_sha256"] == second.environment["records_sha256"]
+    assert first.environment.records_sha256 == second.environment.records_sha256
     assert sum(first.outcome.faults.values()) > 0
-    other = sil.run_sil(replace(chosen, seed=1))
-    assert other.environment["records_sha256"] != first.environment["records_sha256"]
+    other = run_sil(replace(chosen, seed=1))
+    assert other.environment.records_sha256 != first.environment.records_sha256
 
 
 def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
-    result = sil.run_sil(options(seconds=9.0, payload_kg=2.0))
+    result = run_sil(options(seconds=9.0, payload_kg=2.0))
     records = result.records
     assert result.summary.ended is Ended.FINISHED
     assert np.all(np.diff(records["tick"]) == 1) and not records["missed"].any()
@@ -101,7 +106,7 @@ def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
     lag = records["goal_1_rad"] - records["angle_1_rad"]
     assert np.max(np.abs(lag)) < 0.76 * 0.2
     assert np.max(np.abs(records["angle_1_rad"])) == pytest.approx(math.radians(30), abs=0.03)
-    truth = sil_artifacts.true_tip_m(records, result.outcome.truth)
+    truth = true_tip_m(records, result.outcome.truth)
     assert np.isfinite(truth).all()
     lean = np.argmax(records["angle_1_rad"])
     assert truth[lean, 0] > records["predicted_tip_x_m"][lean] + 5e-3, "gravity bends it outwards"
@@ -110,7 +115,7 @@ def test_the_servo_follows_and_the_tip_sags_below_the_rigid_one(options):
 
 def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
     """The line adds delay and resolution, nothing else: step the plant itself beside it."""
-    result = sil.run_sil(options(seconds=2.0, latency_s=0.0, payload_kg=1.0))
+    result = run_sil(options(seconds=2.0, latency_s=0.0, payload_kg=1.0))
     servo, plant = MODELS[54024], read_plant(NOMINAL).step_model(1, "twin")
     p = plant.parameter_values()
     u = np.array([0.0, 1.0])
@@ -135,14 +140,14 @@ def test_what_the_robot_measures_is_the_plant_within_its_resolution(options):
         ({"lost": 0.7}, Ended.TRIPPED),
     ],
 )
-def test_faults_of_the_wire_are_survived_or_stop_the_robot(options, faults, ended):
-    result = sil.run_sil(options(faults=faults, seed=4))
+def test_faults_of_the_line_are_survived_or_stop_the_robot(options, faults, ended):
+    result = run_sil(options(faults=faults, seed=4))
     records = result.records
     assert result.summary.ended is ended
     again = records["bus_status"] == BusStatus.RETRIED
     assert again.any()
     assert (ended is Ended.TRIPPED) == (records["stale_ticks"].max() >= 3)
-    # What the issue allows a tick with a lost reply; in simulated time all of it is the wire's.
+    # What the issue allows a tick with a lost reply; in simulated time all of it is the line's.
     assert (records["lateness_ns"] + records["busy_ns"])[again].max() <= 11_000_000
     assert not records["missed"].any()
     # Stale data is repeated, never zero and never garbage.
@@ -152,12 +157,13 @@ def test_faults_of_the_wire_are_survived_or_stop_the_robot(options, faults, ende
 
 def test_a_run_leaves_log_trial_and_verdict(options):
     chosen = options(2, motion=MotionConfig(phase_2_rad=math.pi / 2), faults={"lost": 0.1})
-    result = sil.run_sil(chosen)
+    result = run_sil(chosen)
     timing = write_results(result, chosen)
-    assert json.loads((chosen.out / "timing.json").read_text()) == timing
+    assert read_timing(chosen.out / "timing.json") == timing
+    assert '"verdict": "pass"' in (chosen.out / "timing.json").read_text(), ".ci/run reads it"
     assert ET.parse(chosen.out / "timing.xml").getroot().tag == "testsuite"
     assert b"<svg" in (chosen.out / "summary.svg").read_bytes()
-    log = read_recording(chosen.out / sil.LOG_NAME)
+    log = read_recording(chosen.out / LOG_NAME)
     assert log.complete
     np.testing.assert_array_equal(log.columns["angle_2_rad"], result.records["angle_2_rad"])
     trial = read_trial(chosen.out / "trial" / "sil.csv")
@@ -166,23 +172,56 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     assert trial.meta.phase_2_rad == pytest.approx(math.pi / 2)
     assert np.isnan(trial.markers_m).all()
     assert "interpolated" in trial.meta.notes
-    assert timing["prediction_error"]["n"] == fresh.sum()
-    assert timing["verdict"] in describe_sil(timing, chosen.out)
+    assert timing.prediction_error.n == fresh.sum()
+    assert timing.reason in describe_sil(timing, chosen.out)
 
 
 @pytest.mark.parametrize("line", ["socket", "pty"])
-def test_a_run_in_real_time_comes_to_a_verdict(options, line):
+def test_the_verdict_on_a_run_in_real_time_follows_from_its_evidence(options, line):
     chosen = options(line=line, seconds=1.0)
-    result = sil.run_sil(chosen)
-    timing = write_results(result, chosen)
+    result = run_sil(chosen)
+    timing, records = write_results(result, chosen), result.records
     assert result.summary.ended is Ended.FINISHED
-    assert timing["verdict"] in ("pass", "fail", "inconclusive")
-    assert timing["environment"]["line"] == line
-    assert timing["reference_jitter"]["n"] > 0
-    assert len(result.outcome.releases.due_ns) >= len(result.records) - 10
-    assert np.isfinite(sil_artifacts.true_tip_m(result.records, result.outcome.truth)).mean() > 0.9
+    # Slots are lost where a tick ended after its slot, and nowhere else.
+    late = records["lateness_ns"] + records["busy_ns"] > 17_000_000
+    assert [miss.tick for miss in timing.missed] == records["tick"][late].tolist()
+    assert timing.slots - timing.ticks == timing.misses == sum(timing.causes.values())
+    assert timing.own_misses == timing.misses - timing.causes[Cause.PREEMPTED]
+    restless = timing.host.preempted_ticks > 0.01 * len(records)
+    calm = "inconclusive" if restless else "pass"
+    assert timing.verdict == ("fail" if timing.own_misses else calm)
+    assert timing.environment.line == line
+    assert timing.reference_jitter.n > 0
+    assert len(result.outcome.releases.due_ns) >= len(records) - 10
+    known = np.isfinite(true_tip_m(records, result.outcome.truth)[:, 0])
+    np.testing.assert_array_equal(known, records["stale_ticks"] == 0)
     assert result.summary.telemetry_drops == 0
-    assert len(read_recording(chosen.out / sil.LOG_NAME).columns["tick"]) == len(result.records)
+    assert len(read_recording(chosen.out / LOG_NAME).columns["tick"]) == len(records)
+
+
+class SlowOnce(RigidPredictor):
+    """Computes for 45 ms, by the processor's clock, in its 20th tick."""
+
+    ticks = 0
+
+    def predict(self, angle_rad, current_a, di) -> Prediction:
+        self.ticks += 1
+        end_s = time.thread_time() + 45e-3
+        while self.ticks == 20 and time.thread_time() < end_s:
+            pass
+        return super().predict(angle_rad, current_a, di)
+
+
+def test_a_run_in_real_time_fails_where_the_loop_computes_longer_than_its_period(options):
+    chosen = options(line="socket", seconds=1.0)
+    slow = replace(chosen, bundle=replace(chosen.bundle, predictor=SlowOnce()))
+    result = run_sil(slow)
+    timing = write_results(result, slow)
+    assert (timing.verdict, timing.verdict.exit_code) == ("fail", 1)
+    [miss] = [miss for miss in timing.missed if miss.tick == result.records["tick"][19]]
+    assert miss.cause is Cause.OWN_COMPUTE
+    assert miss.excess_ns >= 28_000_000, "45 ms in a period of 17 ms"
+    assert miss.slots >= 2 and timing.own_misses >= miss.slots
 
 
 def test_prediction_error_takes_fresh_ticks_only():
@@ -194,12 +233,12 @@ def test_prediction_error_takes_fresh_ticks_only():
     truth = Truth(
         np.array([10, 110, 210]), np.array([[1.1, 0.0, 0.0], [1.2, 0.0, 0.0], [9.0, 0.0, 0.0]])
     )
-    error = sil_artifacts.prediction_error(records, truth)
-    assert error["n"] == 2, "tick 2 is stale, tick 3 got no answer"
-    assert error["mean_euclidean_distance_m"] == pytest.approx(0.15)
-    assert error["max_m"] == pytest.approx(0.2)
-    assert error["interval_coverage"] == pytest.approx(5 / 6)
-    assert sil_artifacts.prediction_error(records[3:], truth)["rms_m"] is None
+    error = prediction_error(records, truth)
+    assert error.n == 2, "tick 2 is stale, tick 3 got no answer"
+    assert error.mean_euclidean_distance_m == pytest.approx(0.15)
+    assert error.max_m == pytest.approx(0.2)
+    assert error.interval_coverage == pytest.approx(5 / 6)
+    assert prediction_error(records[3:], truth).rms_m is None
 
 
 def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
@@ -211,12 +250,10 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
     true_m = np.zeros((6, 3))
     true_m[:, 1] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     truth = Truth(np.arange(6) * 100 + 10, true_m)
-    parts = sil_artifacts.prediction_error(
-        records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0}
-    )["parts"]
+    parts = prediction_error(records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0}).parts
     expected = {"in_range": 0.34, "out_of_range": 0.4, "rest": 0.3, "motion": 0.25,
                 "glide": 0.4, "stop": 0.6}  # fmt: skip
-    assert {k: v["mean_euclidean_distance_m"] for k, v in parts.items()} == pytest.approx(expected)
+    assert {k: v.mean_euclidean_distance_m for k, v in parts.items()} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -238,22 +275,22 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
 )
 def test_what_cannot_be_run_is_refused_in_one_sentence(options, changes, complaint):
     with pytest.raises(InputError, match=complaint):
-        sil.run_sil(replace(options(), **changes))
+        run_sil(replace(options(), **changes))
 
 
 def test_an_fmu_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
     with pytest.raises(InputError, match="2 joints, 1 are needed"):
-        sil.run_sil(replace(options(), fmu=twins[2]))
+        run_sil(replace(options(), fmu=twins[2]))
     observer = read_plant(NOMINAL).step_model(1, "observer")
     with pytest.raises(InputError, match="--unit twin"):
-        sil.run_sil(replace(options(), fmu=build_fmu(observer, tmp_path / "observer.fmu")))
+        run_sil(replace(options(), fmu=build_fmu(observer, tmp_path / "observer.fmu")))
 
 
 def test_without_an_fmu_the_bundles_plant_is_built(options, bundles):
     plant = bundles[1].directory / "plant.json"
     plant.write_text(json.dumps(tomllib.loads(NOMINAL.read_text())))
     try:
-        built = sil.run_sil(replace(options(), fmu=None))
+        built = run_sil(replace(options(), fmu=None))
     finally:
         plant.unlink()
-    assert built.records.tobytes() == sil.run_sil(options()).records.tobytes()
+    assert built.records.tobytes() == run_sil(options()).records.tobytes()

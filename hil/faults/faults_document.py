@@ -1,0 +1,154 @@
+"""Faults document (`faults.json`): every case of a campaign with its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from firmware_py.bus.dynamixel import watchdog_steps
+from firmware_py.bus.registers import WATCHDOG_STEP_S
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.documents import Document, read_document, write_document
+from firmware_py.inference.bundle import Manifest
+from hil.faults.fault_verdict import CaseVerdict
+from hil.faults.observation import CaseObservation
+from hil.timing.processors import HostEnvironment, host_environment
+from hil.verdict import Verdict
+
+__all__ = ["CaseResult", "FaultsDocument", "faults_document", "read_faults", "write_faults"]
+
+
+class CaseResult(CaseObservation, frozen=True, kw_only=True):
+    """A case, its verdict and what was observed.
+
+    Attributes
+    ----------
+    fault, how : str
+        Row of the fault table.
+    line : str
+        "virtual", "socket" or "process".
+    model : str
+        Servos.
+    seed : int
+        Of the moment and of the bits.
+    must : str
+        What must happen.
+    verdict : Verdict
+        Result.
+    complaints : tuple of str
+        Where the observation differs from what must happen, safety first.
+    """
+
+    fault: str
+    how: str
+    line: str
+    model: str
+    seed: int
+    must: str
+    verdict: Verdict
+    complaints: tuple[str, ...]
+
+
+class FaultsDocument(Document, frozen=True, kw_only=True):
+    """Contents of `faults.json`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        The worst of the cases.
+    counts : dict of Verdict to int
+        Cases by verdict.
+    dof : int
+        Joints of the robot.
+    period_s : float
+        Control period.
+    watchdog_s : float
+        Time after which the servos' bus watchdog stops them.
+    faults, rows : int
+        Number of faults, and of ways to try them.
+    models : tuple of str
+        Servo models that were tried.
+    seeds : tuple of int
+        Seeds that were tried.
+    environment : HostEnvironment
+        Machine.
+    cases : tuple of CaseResult
+        Every case.
+    """
+
+    VERSION: ClassVar[int] = 2
+    MADE_BY: ClassVar[str] = "python -m hil faults"
+
+    verdict: Verdict
+    counts: dict[Verdict, int]
+    dof: int
+    period_s: float
+    watchdog_s: float
+    faults: int
+    rows: int
+    models: tuple[str, ...]
+    seeds: tuple[int, ...]
+    environment: HostEnvironment
+    cases: tuple[CaseResult, ...]
+
+
+def faults_document(manifest: Manifest, judged: Sequence[CaseVerdict]) -> FaultsDocument:
+    """Return the contents of `faults.json`.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Of the bundle that the robot ran.
+    judged : sequence of CaseVerdict
+        Every case.
+    """
+    counts = {verdict: sum(one.verdict is verdict for one in judged) for verdict in Verdict}
+    worst = next((v for v in (Verdict.FAIL, Verdict.INCONCLUSIVE) if counts[v]), Verdict.PASS)
+    cases = [one.case for one in judged]
+    rows = {case.row for case in cases}
+    return FaultsDocument(
+        schema=FaultsDocument.VERSION,
+        verdict=worst,
+        counts=counts,
+        dof=manifest.dof,
+        period_s=manifest.period_s,
+        watchdog_s=watchdog_steps(manifest.period_s) * WATCHDOG_STEP_S,
+        faults=len({row.fault for row in rows}),
+        rows=len(rows),
+        models=tuple(MODELS[n].name for n in sorted({case.number for case in cases})),
+        seeds=tuple(sorted({case.seed for case in cases})),
+        environment=host_environment(),
+        cases=tuple(_result(one) for one in judged),
+    )
+
+
+def _result(one: CaseVerdict) -> CaseResult:
+    case, seen = one.case, one.observation
+    return CaseResult(
+        **{name: getattr(seen, name) for name in CaseObservation.__struct_fields__},
+        fault=case.row.fault,
+        how=case.row.how,
+        line=case.line,
+        model=MODELS[case.number].name,
+        seed=case.seed,
+        must=str(case.row.must),
+        verdict=one.verdict,
+        complaints=tuple(one.unsafe + one.astray),
+    )
+
+
+def read_faults(path: Path) -> FaultsDocument:
+    """Read a faults document.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or of another version.
+    """
+    return read_document(path, FaultsDocument)
+
+
+def write_faults(path: Path, document: FaultsDocument) -> None:
+    """Write a faults document."""
+    write_document(path, document)

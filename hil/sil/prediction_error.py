@@ -1,0 +1,109 @@
+"""Error of the robot's prediction: predicted tip against the true tip, tick by tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.safety.states import SafetyState
+from firmware_py.signals import tip_names
+from hil.emulator.emulator import Truth
+from hil.timing.timing_document import PredictionError, TipErrors
+
+Array = NDArray[np.float64]
+
+
+def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
+    """Tip at the moment that each tick measured, the second time where it read twice.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        Every tick.
+    truth : Truth
+        Record of the plant.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        NaN where no servo was asked or the answer is older than the tick: there the robot had no
+        fresh measurement to predict from.
+    """
+    tip = np.full((len(records), 3), np.nan)
+    if len(truth.time_ns) == 0:
+        return tip
+    wake_ns = records["deadline_ns"] + records["lateness_ns"]
+    sample = np.searchsorted(truth.time_ns, wake_ns + records["busy_ns"], side="right") - 1
+    inside = (sample >= 0) & (truth.time_ns[sample] >= wake_ns) & (records["stale_ticks"] == 0)
+    tip[inside] = truth.tip_m[sample[inside]]
+    return tip
+
+
+def predicted_tip_m(records: NDArray[np.void]) -> Array:
+    """The robot's own prediction, shape (n, 3)."""
+    return np.column_stack([records[name] for name in tip_names("predicted_")])
+
+
+def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
+    """Part of the programme that each time falls into.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Times since the start.
+    programme : mapping of str to float
+        Durations of the parts in s, which repeat.
+    """
+    ends_s = np.cumsum(list(programme.values()))
+    # Half a microsecond: a slot's time is its number times the period, rounded.
+    part = np.searchsorted(ends_s, np.mod(time_s + 5e-7, ends_s[-1]), side="right")
+    return np.array([list(programme)[k] for k in part])
+
+
+def prediction_error(
+    records: NDArray[np.void], truth: Truth, programme: Mapping[str, float] | None = None
+) -> PredictionError:
+    """Distance between the robot's prediction and the plant's tip over all fresh ticks.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        Every tick.
+    truth : Truth
+        Record of the plant.
+    programme : mapping of str to float, optional
+        Durations of the parts that the run repeats: the error by these parts is added, with the
+        controlled stop as a part of its own.
+    """
+    error_m = predicted_tip_m(records) - true_tip_m(records, truth)
+    fresh = np.asarray(np.isfinite(error_m).all(axis=1))
+    in_range = records["in_range"].astype(bool)
+    parts: dict[str, NDArray[np.bool_]] = {"in_range": in_range, "out_of_range": ~in_range}
+    if programme:
+        stopping = records["state"] >= SafetyState.STOPPING
+        part = programme_part(records["time_s"], programme)
+        parts |= {n: np.asarray(part == n) & ~stopping for n in programme} | {"stop": stopping}
+    by_part = {name: _errors(records, error_m, fresh & rows) for name, rows in parts.items()}
+    return PredictionError(
+        **msgspec.structs.asdict(_errors(records, error_m, fresh)),
+        parts={name: errors for name, errors in by_part.items() if errors.n},
+    )
+
+
+def _errors(records: NDArray[np.void], error_m: Array, rows: NDArray[np.bool_]) -> TipErrors:
+    if not rows.any():
+        return TipErrors(n=0)
+    distance_m = np.linalg.norm(error_m[rows], axis=1)
+    half_width_m = np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
+    return TipErrors(
+        n=int(rows.sum()),
+        mean_euclidean_distance_m=float(distance_m.mean()),
+        rms_m=float(np.sqrt(np.mean(distance_m**2))),
+        p95_m=float(np.quantile(distance_m, 0.95)),
+        max_m=float(distance_m.max()),
+        interval_coverage=float((np.abs(error_m) <= half_width_m)[rows].mean()),
+        in_range_fraction=float(records["in_range"].astype(bool)[rows].mean()),
+    )

@@ -1,0 +1,84 @@
+"""Run in real time: the loop here, the emulator, the recorder and the probes in processes.
+
+::
+
+    processor A   loop (FIFO 50) · probe, cyclictest (FIFO 80)
+    processor B   emulator (FIFO 60) · recorder · probe (FIFO 80) · declared load
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import Literal
+
+from firmware_py.realtime.clock import DeadlineClock, real_time
+from firmware_py.realtime.timing import KernelCounters
+from firmware_py.robot import open_bus
+from hil.emulator.emulator import Emulator, Specification
+from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
+from hil.sil.sil_options import SilOptions, sil_config
+from hil.timing.probe import Probe
+from hil.timing.processors import assign_processors, cpu_load, pinned_to, scheduling_policy
+from hil.timing.reference_jitter import cyclictest
+
+_LOAD = "declared host load, normal priority, on the emulator's processor"
+
+
+def run_in_real_time(
+    options: SilOptions,
+    kind: Literal["pty", "socket"],
+    specification: Specification,
+    scratch: Path,
+) -> SilResult:
+    """Run the loop in this process against an emulator in another.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    kind : {"pty", "socket"}
+        Port between the two.
+    specification : Specification
+        Servos, line and plant.
+    scratch : Path
+        Directory for the socket and for intermediate files.
+    """
+    loop_cpu, other_cpus = assign_processors()
+    line_cpu = max(other_cpus)
+    clock = DeadlineClock()
+    with pinned_to(other_cpus), contextlib.ExitStack() as stack:
+        enter = stack.enter_context
+        emulator = enter(contextlib.closing(Emulator(specification, kind, scratch, line_cpu)))
+        config = sil_config(options, emulator.name, loop_cpu)
+        telemetry = enter(sil_recording(options, config))
+        enter(cpu_load(options.load, other_cpus))
+        # On a single processor the emulator is a neighbour of the loop; else there is none.
+        neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
+        loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
+        line_probe = enter(contextlib.closing(Probe(line_cpu)))
+        reference = enter(cyclictest(loop_cpu, options.period_s, scratch))
+        with (
+            open_bus(config, clock) as bus,
+            contextlib.closing(KernelCounters()) as counters,
+            real_time(config.real_time) as refused,
+        ):
+            loop = build_sil_loop(options, config, bus, clock, telemetry, counters)
+            start_s = time.perf_counter()
+            summary = loop.run()
+            wall_s = time.perf_counter() - start_s
+            policy = scheduling_policy()
+        probes = loop_probe.stop(), line_probe.stop()
+        environment = sil_environment(
+            options,
+            policy,
+            refused=tuple(refused),
+            loop_processor=loop_cpu,
+            line_processor=line_cpu,
+            load_processes=options.load,
+            load_is=_LOAD,
+        )
+        return SilResult(
+            summary, emulator.stop(), *probes, wall_s, environment, bus.plan, reference.stop()
+        )

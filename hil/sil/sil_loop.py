@@ -1,0 +1,136 @@
+"""Parts that runs on every line share: the robot's loop, its recorder, the result."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.bus_plan import Plan
+from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.config import RobotConfig
+from firmware_py.log.recorder import recording
+from firmware_py.log.telemetry import SocketTelemetry, Telemetry
+from firmware_py.loop import ControlLoop
+from firmware_py.realtime.clock import Clock
+from firmware_py.realtime.timing import Counters
+from firmware_py.robot import build_loop, log_metadata
+from firmware_py.summary import RunSummary
+from hil.emulator.emulator import EmulatorOutcome
+from hil.sil.sil_options import SilOptions
+from hil.timing.cpu_accounts import ProbeRecord
+from hil.timing.processors import host_environment
+from hil.timing.reference_jitter import ReferenceJitter
+from hil.timing.timing_document import SilEnvironment
+
+LOG_NAME: Final = "ticks.mcap"
+_STOP_TICKS: Final = 200
+"""Room for the ticks of the controlled stop."""
+
+
+class SilResult(NamedTuple):
+    """A run and everything that was measured beside it.
+
+    Attributes
+    ----------
+    summary : RunSummary
+        The loop's own summary.
+    outcome : EmulatorOutcome
+        The emulator's record.
+    loop_cpu, line_cpu : ProbeRecord
+        Probes on the processors of loop and emulator; empty on the virtual line.
+    wall_s : float
+        Time that the run took.
+    environment : SilEnvironment
+        Machine, scheduler, load, line.
+    plan : Plan
+        How the servos were read.
+    reference : ReferenceJitter or None
+        Wake-up jitter by cyclictest, where it is installed.
+    geometry : dict of str to float
+        The link's base_offset_m, link_length_m and link_width_m, as far as the plant has them.
+    """
+
+    summary: RunSummary
+    outcome: EmulatorOutcome
+    loop_cpu: ProbeRecord
+    line_cpu: ProbeRecord
+    wall_s: float
+    environment: SilEnvironment
+    plan: Plan
+    reference: ReferenceJitter | None = None
+    geometry: dict[str, float] | None = None
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """Every tick, in order."""
+        return self.summary.records
+
+
+def build_sil_loop(
+    options: SilOptions,
+    config: RobotConfig,
+    bus: ServoBus,
+    clock: Clock,
+    telemetry: Telemetry,
+    counters: Counters,
+) -> ControlLoop:
+    """Return the robot's loop, which keeps every tick of the run.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    config, bus, clock, telemetry, counters
+        See `firmware_py.robot.build_loop`.
+    """
+    slots = round(options.seconds / config.period_s)
+    return build_loop(
+        config, options.bundle, bus, clock, slots=slots, telemetry=telemetry, counters=counters,
+        keep=slots + _STOP_TICKS,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
+    """Run the robot's recorder for as long as the block lasts."""
+    # The observer is not told the payload, but whoever imports the log may know it.
+    metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
+        "payload_kg": repr(options.payload_kg)
+    }
+    path = options.out / LOG_NAME
+    with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
+        yield telemetry
+
+
+def sil_environment(options: SilOptions, scheduler: str, **more: Any) -> SilEnvironment:
+    """Describe the machine and the line of a run.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    scheduler : str
+        Policy and priority of the loop.
+    **more
+        Fields that only some lines have.
+    """
+    return SilEnvironment(
+        **msgspec.structs.asdict(host_environment()),
+        line=options.line,
+        baud=options.baud,
+        latency_timer_ns=round(options.latency_s * 1e9),
+        servo=options.model.name,
+        faults=dict(options.faults),
+        payload_kg=options.payload_kg,
+        behind_the_servos="rig" if options.rig else "twin",
+        hidden=dict(options.rig.hidden) if options.rig else {},
+        scheduler=scheduler,
+        **more,
+    )

@@ -1,0 +1,135 @@
+"""Options of a run in software, and the robot's configuration that follows from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from firmware_py.bus.servo_models import Model
+from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.errors import InputError
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.motion import GLIDE_S, Motion
+from firmware_py.realtime.clock import RealTimeOptions
+from hil.emulator.physics import RigSource
+
+LineKind = Literal["pty", "socket", "virtual"]
+
+
+@dataclass(frozen=True)
+class SilOptions:
+    """Options of a run in software.
+
+    Attributes
+    ----------
+    bundle : ModelBundle
+        Bundle of the robot.
+    model : Model
+        Servo to emulate.
+    out : Path
+        Directory of the log.
+    fmu : Path, optional
+        Twin behind the servos; by default it is built from the bundle's plant.
+    rig : RigSource, optional
+        Rig to put there instead of a twin, on the virtual line.
+    line : {"pty", "socket", "virtual"}
+        See `hil.emulator.line`.
+    seconds : float
+        Duration of the motion, which repeats.
+    baud : int
+        Bits per second.
+    latency_s : float
+        Latency timer of the USB adapter.
+    payload_kg : float
+        At the twin's tip.
+    motion : MotionConfig
+        Reference motion.
+    load : int
+        Processes that load the emulator's processor.
+    faults : mapping of str to float
+        Rates of the line's faults, see `hil.emulator.line_faults`.
+    seed : int
+        Of the faults.
+    """
+
+    bundle: ModelBundle
+    model: Model
+    out: Path
+    fmu: Path | None = None
+    rig: RigSource | None = None
+    line: LineKind = "socket"
+    seconds: float = 10.0
+    baud: int = 1_000_000
+    latency_s: float = 1e-3
+    payload_kg: float = 1.0
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    load: int = 0
+    faults: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return self.bundle.manifest.dof
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+        return self.bundle.manifest.period_s
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Addresses of the servos, in joint order."""
+        return tuple(range(1, self.dof + 1))
+
+    def check(self) -> None:
+        """Check what no other part checks.
+
+        Raises
+        ------
+        InputError
+            If duration or load cannot be, or the rig is combined with a twin or with real time.
+        """
+        if not 0 < self.seconds < math.inf:
+            raise InputError("--seconds", f"is {self.seconds:g}", "give a positive duration")
+        if self.load < 0:
+            raise InputError("--load", f"is {self.load}", "give a number of processes, 0 for none")
+        if self.rig and (self.fmu or self.line != "virtual"):
+            raise InputError(
+                "--rig", "stands in a twin's place and keeps no real time",
+                "take --line virtual alone",
+            )  # fmt: skip
+
+
+def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
+    """Return the configuration that the robot would have.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    port : str
+        Port that the robot opens.
+    cpu : int, optional
+        Processor to pin the loop to.
+    """
+    return RobotConfig(
+        bundle=str(options.bundle.directory),
+        bus=BusConfig(port=port, baud=options.baud),
+        servos=tuple(ServoConfig(id=i, model=options.model.name) for i in options.ids),
+        period_s=options.period_s,
+        motion=options.motion,
+        real_time=RealTimeOptions(cpu=cpu),
+    )
+
+
+def programme_s(options: SilOptions) -> dict[str, float]:
+    """Return the durations that the run repeats, in order: rest, motion, glide back to zero."""
+    m = options.motion
+    motion = Motion(m.kind, m.amplitude_rad, m.period_s, m.phase_2_rad, options.dof)
+    parts_s = {"rest": m.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
+    period_s = options.period_s  # the loop runs whole slots
+    return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}

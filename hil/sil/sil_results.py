@@ -1,0 +1,98 @@
+"""Results of a run in software: timing document, trial, picture, histograms and timeline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from firmware_py.summary import Ended
+from hil.sil.prediction_error import prediction_error
+from hil.sil.sil_loop import SilResult
+from hil.sil.sil_options import SilOptions, programme_s
+from hil.sil.sil_picture import draw_summary
+from hil.sil.sil_trial import as_trial
+from hil.timing.hdr_histogram import write_hgrm
+from hil.timing.reference_jitter import probe_jitter
+from hil.timing.tick_budget import measure_budget, plan_times
+from hil.timing.timeline import write_timeline
+from hil.timing.timing_document import RunFacts, TimingDocument, write_timing
+from hil.timing.timing_verdict import judge_timing, timing_junit
+from models.trials.trial_files import write_trial
+
+
+def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
+    """Judge a run and write everything but the log, which the recorder wrote.
+
+    Parameters
+    ----------
+    result : SilResult
+        The run.
+    options : SilOptions
+        Its options; the files go to `options.out`.
+
+    Returns
+    -------
+    TimingDocument
+        Contents of `timing.json`.
+    """
+    out = options.out
+    timing = timing_document(result, options)
+    write_timing(out / "timing.json", timing)
+    facts = msgspec.to_builtins(timing.environment)
+    (out / "timing.xml").write_bytes(timing_junit(timing, facts))
+    if result.geometry and timing.prediction_error.n:
+        write_trial(as_trial(result, options), out / "trial")
+    draw_summary(result, timing, out / "summary.svg")
+    _write_durations(result, timing.budget.period_ns, out)
+    return timing
+
+
+def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
+    """Judge a run; return the contents of `timing.json`.
+
+    Parameters
+    ----------
+    result : SilResult
+        The run.
+    options : SilOptions
+        Its options.
+    """
+    summary, programme = result.summary, programme_s(options)
+    stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
+    verdict = judge_timing(
+        result.records, options.period_s, result.loop_cpu, result.line_cpu,
+        result.outcome.releases, stopped,
+    )  # fmt: skip
+    jitter, plan = probe_jitter(result.loop_cpu), plan_times(result.plan)
+    reference = result.reference or jitter
+    return TimingDocument(
+        **msgspec.structs.asdict(verdict),
+        environment=result.environment,
+        run=RunFacts(
+            ended=summary.ended.value,
+            reason=summary.reason,
+            wall_s=result.wall_s,
+            bus_faults=summary.bus_faults,
+            faults_injected=result.outcome.faults,
+            telemetry_drops=summary.telemetry_drops,
+            programme_s=programme,
+        ),
+        reference_jitter=reference,
+        probe_jitter=jitter if result.reference else None,
+        bus_plan=plan,
+        account=measure_budget(result.records, options.period_s, plan, reference),
+        prediction_error=prediction_error(result.records, result.outcome.truth, programme),
+    )
+
+
+def _write_durations(result: SilResult, period_ns: int, out: Path) -> None:
+    records = result.records
+    for name, durations_ns in {
+        "tick": records["lateness_ns"] + records["busy_ns"],
+        "own_cost": records["busy_ns"] - records["bus_wait_ns"],
+        "lateness": records["lateness_ns"],
+        "probe_lateness": result.loop_cpu.lateness_ns,
+    }.items():
+        write_hgrm(out / f"{name}.hgrm", durations_ns)
+    write_timeline(out / "timeline.json", records, result.loop_cpu, period_ns)

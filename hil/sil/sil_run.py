@@ -1,0 +1,83 @@
+"""Run in software: the robot's own `ControlLoop`, an emulated line, a plant behind it.
+
+Loop, bus, estimator, predictor, supervisor and recorder are the robot's, unmodified; only the port
+that they open belongs to an emulator. On the virtual line the clock is simulated as well.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from firmware_py.config import check_config
+from firmware_py.errors import InputError
+from firmware_py.inference.fmu_instance import FmuInstance
+from hil.emulator.emulator import Specification
+from hil.emulator.physics import RigSource
+from hil.emulator.twin_fmu import build_twin
+from hil.sil.real_time_run import run_in_real_time
+from hil.sil.sil_loop import SilResult
+from hil.sil.sil_options import SilOptions, sil_config
+from hil.sil.virtual_run import run_on_virtual_line
+
+_GEOMETRY: Final = ("base_offset_m", "link_length_m", "link_width_m")
+
+
+def run_sil(options: SilOptions) -> SilResult:
+    """Run the loop against the emulated servos.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Bundle, servo, line, motion and faults.
+
+    Raises
+    ------
+    InputError
+        If bundle, FMU or options cannot be used.
+    """
+    options.check()
+    with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
+        source = options.rig or options.fmu
+        if source is None:
+            source = build_twin(_plant(options), options.dof, Path(scratch))
+        specification = Specification(
+            source, options.model.number, options.ids, options.baud,
+            latency_s=options.latency_s, payload_kg=options.payload_kg,
+            faults=dict(options.faults), seed=options.seed,
+        )  # fmt: skip
+        check_config(sil_config(options, options.line), "--baud")
+        _make(options.out)
+        if options.line == "virtual":
+            result = run_on_virtual_line(options, specification)
+        else:
+            result = run_in_real_time(options, options.line, specification, Path(scratch))
+        return result._replace(geometry=_geometry(source))
+
+
+def _make(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            directory, f"cannot be made a directory ({error.strerror})", "name another --out"
+        ) from None
+
+
+def _plant(options: SilOptions) -> Path:
+    path = options.bundle.directory / "plant.json"
+    if not path.is_file():
+        raise InputError(path, "is missing", "copy the whole bundle, or name a twin with --fmu")
+    return path
+
+
+def _geometry(source: Path | RigSource) -> dict[str, float]:
+    if isinstance(source, RigSource):
+        from hil.emulator.rig_physics import rig_geometry  # loads MuJoCo
+
+        return rig_geometry()
+    with FmuInstance(source) as opened:
+        known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
+        values = opened.get([f"parameters.{name}" for name in known]).tolist()
+        return dict(zip(known, values, strict=True))

@@ -1,0 +1,61 @@
+"""Run on the virtual line: simulated time, the same ticks for the same options."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+
+from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
+from firmware_py.realtime.clock import SimClock
+from firmware_py.realtime.timing import NoCounters
+from firmware_py.robot import build_bus
+from hil.emulator.emulator import EmulatorOutcome, Specification, build_line
+from hil.emulator.line import VirtualTransport
+from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
+from hil.sil.sil_options import SilOptions, sil_config
+from hil.timing.cpu_accounts import ProbeRecord, Releases
+
+
+def run_on_virtual_line(options: SilOptions, specification: Specification) -> SilResult:
+    """Run the loop and the emulated servos on one simulated clock.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    specification : Specification
+        Servos, line and plant.
+    """
+    clock = SimClock()
+    line, truth = build_line(specification)
+    config = sil_config(options, "virtual")
+    bus = build_bus(config, VirtualTransport(line, clock), clock)
+    loop = build_sil_loop(options, config, bus, clock, NoTelemetry(), NoCounters())
+    start_s, start_busy_s = time.perf_counter(), time.process_time()
+    summary = loop.run()
+    wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
+    with sil_recording(options, config) as telemetry:  # afterwards: it runs in real time
+        for record in summary.records:
+            _put(telemetry, record.tobytes())
+    outcome = EmulatorOutcome(truth.truth(), Releases(), dict(line.faults.injected))
+    digest = hashlib.sha256(summary.records.tobytes() + outcome.truth.tip_m.tobytes())
+    environment = sil_environment(
+        options,
+        "none: simulated time",
+        speed_up=clock.now_ns() * 1e-9 / wall_s,
+        speed_up_by_processor_time=clock.now_ns() * 1e-9 / busy_s,
+        records_sha256=digest.hexdigest(),
+    )
+    return SilResult(
+        summary, outcome, ProbeRecord(), ProbeRecord(), wall_s, environment, bus.plan
+    )  # fmt: skip
+
+
+def _put(telemetry: SocketTelemetry, record: bytes) -> None:
+    """Send a record, repeatedly until the recorder has room for it."""
+    drops = telemetry.drops
+    telemetry.put(memoryview(record))
+    while telemetry.drops > drops:
+        time.sleep(1e-3)
+        drops = telemetry.drops
+        telemetry.put(memoryview(record))

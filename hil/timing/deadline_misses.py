@@ -1,0 +1,144 @@
+"""Missed deadlines, each attributed to the host or to the loop.
+
+A tick misses when it ends after its slot. Its excess, lateness + busy - period, is the time by
+which it was too slow. It is compared with the time for which the kernel shows that another party
+had the processor.
+
+Host time
+    Run-queue delay of the loop's thread (`/proc/…/schedstat`), less the time that processes of this
+    program ran on that processor meanwhile. Time in which the processor stood still: a probe with a
+    higher priority than the whole program is pinned to it and wakes every few milliseconds; where
+    the probe itself was late, the hypervisor, an interrupt or a foreign real-time task had the
+    processor. Such a stall is known to within one period of the probe: the possible time excuses a
+    miss, and only the certain time makes a tick count as preempted. The two accounts overlap, so
+    the larger one counts.
+    The same two for the processor of the emulator, as far as the loop waited longer for the bus
+    than it usually does. The processes of `--load` are declared host load: time lost to them is
+    host time. Steal time (`/proc/stat`) comes in steps of 10 ms over all processors. It is evidence
+    of the same stalls and counts only where no probe ran, or where the kernel refused the probe its
+    priority: then the probe may have waited behind the loop itself.
+
+Own time
+    Everything else: computing, waiting for the bus, and every delay by a process of this program
+    (emulator, recorder or probe). Lateness that no counter explains is own time as well.
+
+A miss is attributed to the host where its excess is no longer than the possible host time.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.realtime.timing import Cause
+from firmware_py.safety.states import SafetyState
+from hil.timing.cpu_accounts import ProbeRecord, Releases
+
+Nanoseconds = NDArray[np.int64]
+
+
+class Miss(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A tick that ended after its slot.
+
+    Attributes
+    ----------
+    tick : int
+        Number of its slot.
+    slots : int
+        Slots lost by it.
+    excess_ns, host_ns, bus_wait_ns : int
+        Time by which it was too slow; host time in it; its wait for the bus.
+    cause : Cause
+        Largest part of it.
+    """
+
+    tick: int
+    slots: int
+    excess_ns: int
+    host_ns: int
+    bus_wait_ns: int
+    cause: Cause
+
+
+def host_time_ns(
+    records: NDArray[np.void], loop_cpu: ProbeRecord, line_cpu: ProbeRecord, releases: Releases
+) -> tuple[Nanoseconds, Nanoseconds]:
+    """Time of each tick in which the host had a processor that the loop was waiting for.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        The run.
+    loop_cpu, line_cpu : ProbeRecord
+        Probes on the processors of loop and emulator; may be empty.
+    releases : Releases
+        The emulator's own record; may be empty.
+
+    Returns
+    -------
+    (ndarray, ndarray), each of shape (n,)
+        Certain and possible time.
+    """
+    host = np.zeros((len(records), 2), np.int64)
+    waits = records["bus_wait_ns"]
+    longer = np.maximum(waits - np.median(waits), 0) if len(waits) else waits
+    starts = records["deadline_ns"]
+    ends = starts + records["lateness_ns"] + records["busy_ns"]
+    for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        # A tick's run-queue delay counts from the end of the tick before.
+        queued = int(records["preempted_ns"][k]) - loop_cpu.own_between_ns(
+            int(ends[k - 1]) if k else start_ns, end_ns
+        )
+        line_queued = releases.run_delay_between_ns(start_ns, end_ns)
+        line_queued -= line_cpu.own_between_ns(start_ns, end_ns)
+        steal = int(records["steal_ns"][k])
+        stalls = loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else (steal, steal)
+        for column, (stall, line_stall) in enumerate(
+            zip(stalls, line_cpu.stall_ns(start_ns, end_ns), strict=True)
+        ):
+            line = min(max(line_queued, line_stall, 0), int(longer[k]))
+            host[k, column] = min(max(queued, stall, 0) + line, end_ns - start_ns)
+    return host[:, 0], host[:, 1]
+
+
+def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int) -> list[Miss]:
+    """Every tick that ended after its slot, with its cause.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        The run.
+    host_ns : ndarray, shape (n,)
+        Possible host time of each tick, see `host_time_ns`.
+    period_ns : int
+        Control period.
+    """
+    excess = records["lateness_ns"] + records["busy_ns"] - period_ns
+    skipped = np.append(records["missed"][1:], 0)  # by the tick in front of the gap
+    misses = []
+    for k in np.flatnonzero((excess > 0) | (skipped > 0)).tolist():
+        excess_ns, wait_ns = max(int(excess[k]), 1), int(records["bus_wait_ns"][k])
+        if excess_ns <= host_ns[k]:
+            cause = Cause.PREEMPTED
+        elif wait_ns > records["busy_ns"][k] - wait_ns:
+            cause = Cause.BUS_WAIT
+        else:
+            cause = Cause.OWN_COMPUTE
+        misses.append(
+            Miss(
+                tick=int(records["tick"][k]),
+                slots=int(skipped[k]) or -(-excess_ns // period_ns),
+                excess_ns=excess_ns,
+                host_ns=int(host_ns[k]),
+                bus_wait_ns=wait_ns,
+                cause=cause,
+            )
+        )
+    return misses
+
+
+def stopped_after_miss(records: NDArray[np.void]) -> bool:
+    """Whether the supervisor stopped the robot in a tick right after slots had been missed."""
+    stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
+    return len(stopping) > 0 and bool(records["missed"][stopping[0]])

@@ -1,0 +1,57 @@
+"""Percentiles of a duration: count, median, tails and maximum."""
+
+from __future__ import annotations
+
+from typing import Any, Final, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Nanoseconds = NDArray[np.int64]
+
+FRACTIONS: Final = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999}
+"""Percentiles by the name of their field."""
+LABELS: Final = {"p50": "p50_ns", "p99": "p99_ns", "p99.9": "p99_9_ns", "max": "max_ns"}
+"""Fields by the label that people read."""
+
+
+class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Percentiles of a series of durations in ns; each is a value that occurred.
+
+    Attributes
+    ----------
+    n : int
+        Number of durations; the other fields are 0 where there is none.
+    p50_ns, p99_ns, p99_9_ns, max_ns : int
+        Smallest value that this fraction of the durations does not exceed.
+    """
+
+    n: int
+    p50_ns: int
+    p99_ns: int
+    p99_9_ns: int
+    max_ns: int
+
+    @classmethod
+    def of(cls, durations_ns: Nanoseconds, **more: Any) -> Self:
+        """Return the percentiles of a series.
+
+        Parameters
+        ----------
+        durations_ns : ndarray of int, shape (n,)
+            The durations.
+        **more
+            Fields that a subclass adds.
+        """
+        values = [0] * (len(FRACTIONS) + 1)
+        if len(durations_ns):
+            levels = (*FRACTIONS.values(), 1.0)
+            values = np.quantile(durations_ns, levels, method="inverted_cdf").tolist()
+        names = (*FRACTIONS, "max_ns")
+        fields = {name: int(value) for name, value in zip(names, values, strict=True)}
+        return cls(n=len(durations_ns), **fields, **more)
+
+    def in_us(self) -> str:
+        """Return median, tails and maximum in whole µs, as a line of text."""
+        return ", ".join(f"{label} {getattr(self, f) / 1e3:.0f} µs" for label, f in LABELS.items())

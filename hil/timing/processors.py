@@ -1,0 +1,113 @@
+"""Processors of the machine: assignment, artificial load, scheduling policy and description."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import platform
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+class HostEnvironment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Facts about a machine that a timing depends on.
+
+    Attributes
+    ----------
+    kernel, machine, python : str
+        Versions and architecture.
+    processors : int
+        Number of processors.
+    clock_source, governor, load_average : str
+        As the kernel reports them; "unknown" where it does not.
+    """
+
+    kernel: str
+    machine: str
+    processors: int
+    python: str
+    clock_source: str
+    governor: str
+    load_average: str
+
+
+@contextlib.contextmanager
+def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
+    """Keep processors busy for as long as the block lasts.
+
+    Parameters
+    ----------
+    count : int
+        Processes of normal priority to run.
+    cpus : set of int
+        Processors that they may use.
+    """
+    processes = [_SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
+    for process in processes:
+        process.start()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def _spin(cpus: set[int]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.sched_setaffinity(0, cpus)
+    block = np.random.default_rng(0).standard_normal((64, 64))
+    while True:
+        block = block @ block
+        block /= np.abs(block).max()
+
+
+def assign_processors() -> tuple[int, set[int]]:
+    """Processor for the loop, and those for everything else (the same where there is only one)."""
+    available = sorted(os.sched_getaffinity(0))
+    return available[-1], set(available[:-1]) or set(available)
+
+
+@contextlib.contextmanager
+def pinned_to(cpus: set[int]) -> Iterator[None]:
+    """Pin this process, and all that it starts, to some processors for the block."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cpus)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def scheduling_policy() -> str:
+    """Policy and priority of the calling thread, like "SCHED_FIFO 50"."""
+    names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"
+
+
+def host_environment() -> HostEnvironment:
+    """Describe this machine."""
+
+    def fact(path: str) -> str:
+        try:
+            return Path(path).read_text(encoding="ascii").strip()
+        except OSError:
+            return "unknown"
+
+    return HostEnvironment(
+        kernel=f"{platform.system()} {platform.release()} {platform.version()}",
+        machine=platform.machine(),
+        processors=os.cpu_count() or 0,
+        python=platform.python_version(),
+        clock_source=fact("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+        governor=fact("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
+        load_average=fact("/proc/loadavg").rsplit(" ", 2)[0],
+    )

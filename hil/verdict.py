@@ -1,0 +1,87 @@
+"""Verdict of a run or a campaign, its exit code, and JUnit XML of several verdicts."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
+
+
+class Verdict(StrEnum):
+    """Result of a check."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    INCONCLUSIVE = "inconclusive"
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of a command with this verdict: 0, 1 or 3."""
+        return _EXIT_CODES[self]
+
+
+_EXIT_CODES = {Verdict.PASS: DONE, Verdict.FAIL: NEGATIVE, Verdict.INCONCLUSIVE: INCONCLUSIVE}
+_ELEMENTS = {Verdict.FAIL: "failure", Verdict.INCONCLUSIVE: "skipped"}
+
+
+class JUnitCase(NamedTuple):
+    """One test case of a JUnit suite.
+
+    Attributes
+    ----------
+    name : str
+        Name of the case.
+    verdict : Verdict
+        A failure where it is `FAIL`, skipped where it is `INCONCLUSIVE`.
+    message, text : str
+        Short and long explanation of a verdict other than `PASS`.
+    """
+
+    name: str
+    verdict: Verdict
+    message: str = ""
+    text: str = ""
+
+
+def junit_xml(
+    suite: str, cases: Sequence[JUnitCase], properties: Mapping[str, Any] | None = None
+) -> bytes:
+    """Return a JUnit XML document.
+
+    Parameters
+    ----------
+    suite : str
+        Name of the suite, below "dropstitch.".
+    cases : sequence of JUnitCase
+        Its cases.
+    properties : mapping, optional
+        Facts about the run, written as text.
+
+    Examples
+    --------
+    >>> print(junit_xml("sil", [JUnitCase("no miss", Verdict.PASS)]).decode())
+    <?xml version='1.0' encoding='utf-8'?>
+    <testsuite name="dropstitch.sil" tests="1" failures="0" skipped="0">
+      <testcase classname="sil" name="no miss" />
+    </testsuite>
+    """
+    verdicts = [case.verdict for case in cases]
+    root = ET.Element(
+        "testsuite", name=f"dropstitch.{suite}", tests=str(len(cases)),
+        failures=str(verdicts.count(Verdict.FAIL)),
+        skipped=str(verdicts.count(Verdict.INCONCLUSIVE)),
+    )  # fmt: skip
+    if properties is not None:
+        element = ET.SubElement(root, "properties")
+        for name, value in properties.items():
+            ET.SubElement(element, "property", name=name, value=str(value))
+    for case in cases:
+        element = ET.SubElement(root, "testcase", classname=suite, name=case.name)
+        if kind := _ELEMENTS.get(case.verdict):
+            ET.SubElement(element, kind, message=case.message).text = case.text
+    ET.indent(root)
+    document: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return document
