@@ -1,4 +1,4 @@
-"""Run of an FMU in FMPy along a motion or a trial."""
+"""Simulated run of an FMU in FMPy along a motion or a trial."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Build of an FMU from a bundle and a plant.
+"""FMU build from a bundle and a plant.
 
 twin: servo and link in closed loop, driven by goals, with the predictor beside them. predictor:
 the polynomial alone. observer: the estimator of DI and payload that the robot runs. Without --out

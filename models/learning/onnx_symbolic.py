@@ -1,4 +1,4 @@
-"""Import of an ONNX file of `models.learning.onnx_power` as a CasADi function.
+"""Symbolic import of an ONNX file of `models.learning.onnx_power` as a CasADi function.
 
 The twin and predictor FMUs are generated from it, so the FMU and onnxruntime on the robot evaluate
 the same file.

@@ -1,4 +1,4 @@
-"""Export of a study to a bundle: ONNX graphs, parity gate, manifest, golden ticks, model card."""
+"""Bundle export of a study: ONNX graphs, parity gate, manifest, golden ticks, model card."""
 
 from __future__ import annotations
 

@@ -261,6 +261,11 @@ def test_what_is_not_offered_says_so(instance):
         assert list(instance.fmu.getInt32([])) == []
 
 
+def test_only_the_error_category_can_be_logged(instance):
+    instance.fmu.setDebugLogging(True, ["logStatusError"])
+    _refuses(instance, lambda: instance.fmu.setDebugLogging(True, ["logAll"]), "logStatusError")
+
+
 def test_the_token_of_another_fmu_is_refused(archive):
     archive.description.guid, token = "{0}", archive.description.guid
     try:

@@ -1,0 +1,73 @@
+"""Training command: selection of trials, refusals, bundle and summary."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from models.__main__ import main
+from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
+from models.plant.provenance import FittedTrial, Provenance
+from models.trials.trial_files import TrialSet, write_trial
+
+
+def fitted(name, trial):
+    return Provenance(fitted_trials=(FittedTrial(name, trial.sha256()),))
+
+
+def test_tests_are_named_by_what_they_are(toy_trials):
+    training, held_out = toy_trials(1).split()
+
+    def changed(original, **changes):
+        return replace(original, meta=msgspec.structs.replace(original.meta, **changes))
+
+    multisine = changed(held_out[0], motion="multisine", amplitude_rad=0.35)
+    third = changed(training[0], trial=3)
+    ahead = changed(held_out[0], amplitude_rad=training[0].meta.amplitude_rad, phase_2_rad=0.7854)
+    named = name_tests(training, (*held_out, multisine, third, ahead))
+    assert list(named) == [
+        "trial_2", "trial_3", "unseen_20deg", "unseen_multisine_20deg", "unseen_phase_45deg_30deg",
+    ]  # fmt: skip
+
+
+def test_phases_are_chosen_among_2dof_trials_only(toy_trials):
+    one, two = toy_trials(1), toy_trials(2)
+    ahead = replace(two[0], meta=msgspec.structs.replace(two[0].meta, phase_2_rad=np.pi / 2))
+    trials = TrialSet((*one, *two, ahead))
+    assert of_phases(trials, None, "DIR") is trials
+    assert of_phases(trials, [90.0], "DIR").trials == (*one, ahead)
+    assert of_phases(trials, [0.0, 90.0], "DIR").trials == trials.trials
+    with pytest.raises(InputError, match=r"45 degrees.*--phase-deg 45"):
+        of_phases(trials, [0.0, 45.0], "DIR")
+
+
+def test_an_unseen_trial_that_the_plant_was_fitted_on_is_refused(toy_trials):
+    training, held_out = toy_trials(1).split()
+    tests = name_tests(training, tuple(held_out))
+    seen = tests["unseen_20deg"][0]
+    refuse_fitted(fitted("a", training[0]), "plant.json", tests)
+    with pytest.raises(InputError, match=seen.name):
+        refuse_fitted(fitted("another name", seen), "plant.json", tests)
+
+
+def test_trials_of_another_time_step_are_refused(toy_trials):
+    first, second, *_ = toy_trials(1)
+    slower = replace(second, columns=second.columns | {"time_s": 2 * second.columns["time_s"]})
+    refuse_mixed_steps((first, second))
+    with pytest.raises(InputError, match=r"0\.034 s.*0\.017 s"):
+        refuse_mixed_steps((first, slower))
+
+
+def test_train_writes_a_bundle_and_says_how_to_make_an_unseen_motion(toy_trials, tmp_path, capsys):
+    for trial in toy_trials(1, amplitudes_deg=(30,)):
+        write_trial(trial, tmp_path / "trials")
+    arguments = ["train", str(tmp_path / "trials"), "--dof", "1", "--out", str(tmp_path / "out"),
+                 "--plant", "models/plant/nominal.toml"]  # fmt: skip
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "no unseen motion" in text and "--amplitude-deg 20" in text
+    assert (tmp_path / "out" / "manifest.json").is_file()
+    assert main([*arguments[:3], "2", *arguments[4:]]) == 2
+    assert "2DOF" in capsys.readouterr().err
