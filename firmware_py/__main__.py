@@ -1,4 +1,4 @@
-"""Run the inflatable link on the robot PC."""
+"""Command line of the robot PC, `dropstitch`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
-    Command("run", "firmware_py.commands.run", "drive the servos at the fixed rate"),
-    Command("release", "firmware_py.commands.release", "switch the torque off"),
-    Command("doctor", "firmware_py.commands.doctor", "say what would spoil the timing here"),
+    Command("run", "firmware_py.commands.run", "run the control loop"),
+    Command("release", "firmware_py.commands.release", "switch the torque of the servos off"),
+    Command("doctor", "firmware_py.commands.doctor", "check this PC for what spoils the timing"),
     Command("replay", "firmware_py.commands.replay", "replay a log through the bundle"),
     Command("bench", "firmware_py.commands.bench", "measure the tick's own cost"),
-    Command("install-service", "firmware_py.commands.install_service", "write a systemd unit"),
+    Command("install-service", "firmware_py.commands.install_service", "write a systemd service"),
 )
 
 

@@ -1,4 +1,4 @@
-"""The robot's configuration: one TOML file for one robot, every key checked, none guessed."""
+"""Configuration of one robot: a TOML file whose every key is checked."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAX_DOF: Final = 2
 
 
 class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[bus]`.
+    """Table `[bus]`: port and timing of the servos' bus.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     baud : int
         Bits per second.
     reply_timeout_s : float
-        Longest wait for the servos within a tick, a second read included.
+        Longest wait for the servos in a tick, a second read included.
     return_delay_s : float or None
-        Written to the servos; None leaves what they have.
+        Return delay to write to the servos; None leaves theirs.
     replug_s : float
-        How long to wait for a port that has gone; when it is back, every start-up check is made
-        again and the goals blend from the measured position. 0 leaves the robot stopped.
+        Longest wait for a port that has gone. When it is back, every start-up check is repeated and
+        the goals blend from the measured position. 0 leaves the robot stopped.
     """
 
     port: str
@@ -57,19 +57,35 @@ class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One `[[servos]]` entry, in joint order."""
+    """Entry of `[[servos]]`; the entries are in joint order.
+
+    Attributes
+    ----------
+    id : int
+        Id on the bus, 0 to 252.
+    model : str
+        Name of the model, see `firmware_py.bus.servo_models.MODELS`.
+    """
 
     id: int
     model: str
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[motion]`; see `firmware_py.motion`.
+    """Table `[motion]`: the reference motion, see `firmware_py.motion`.
 
     Attributes
     ----------
+    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
+        Kind of motion.
+    amplitude_rad : float
+        Largest goal of each joint.
+    period_s : float
+        Time of one cycle of the sinusoid.
+    phase_2_rad : float
+        Phase by which joint 2 leads joint 1.
     rest_s : float
-        Rest before the motion: the reference of the Deformation Index.
+        Rest before the motion, the reference of the Deformation Index.
     """
 
     kind: Kind = "sinusoid"
@@ -80,12 +96,12 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[live]`: where `dropstitch run --live` serves the ticks to Foxglove.
+    """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove.
 
     Attributes
     ----------
     host : str
-        Address to listen at. Whoever reaches it sees the robot, but cannot command it.
+        Address to listen at. Who can reach it sees the ticks, but cannot command the robot.
     port : int
         TCP port; 0 takes any that is free.
     """
@@ -95,18 +111,32 @@ class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`robot.toml`; see the commented example at the root of the repository.
+    """Contents of `robot.toml`; the commented example is at the root of the repository.
 
     Attributes
     ----------
     bundle : str
         Directory of the bundle, relative to the file.
+    bus : BusConfig
+        Table `[bus]`.
+    servos : tuple of ServoConfig
+        One per joint, in joint order.
+    period_s : float
+        Control period.
     payload_kg : float or None
-        What hangs at the tip; None where it is not known and the observer is to estimate it.
+        Mass at the tip; None where it is unknown and the observer estimates it.
     record : bool
-        Whether a sidecar process writes the ticks to a file.
+        Whether the recorder process writes the ticks to a file.
     logs : str
         Directory of these files, relative to the file.
+    motion : MotionConfig
+        Table `[motion]`.
+    limits : Limits
+        Table `[limits]`.
+    live : LiveConfig
+        Table `[live]`.
+    real_time : RealTimeOptions
+        Table `[real_time]`.
     """
 
     schema: int = SCHEMA
@@ -129,7 +159,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def limits_in_force(self) -> Limits:
-        """The configured limits, slower where a servo has no watchdog to stop it without us."""
+        """The configured limits, with a lower rate where a servo has no bus watchdog."""
         models = [model_named(servo.model) for servo in self.servos]
         if all(Register.BUS_WATCHDOG in model.table for model in models):
             return self.limits
@@ -137,17 +167,17 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return msgspec.structs.replace(self.limits, rate_rad_s=rate)
 
     def setups(self) -> tuple[ServoSetup, ...]:
-        """Servos as the bus wants them."""
+        """Return the servos as `firmware_py.bus.dynamixel.DynamixelBus` takes them."""
         (low, high), rate = self.limits.angle_rad, self.limits_in_force.rate_rad_s
         return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
 
     @property
     def transmission_budget_s(self) -> float:
-        """What a tick can spend on transmission."""
+        """Time that a tick can spend on transmission."""
         return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
 
     def bus_plans(self) -> list[bus_plan.Plan]:
-        """Ways to spend it, fastest first; see `firmware_py.bus.bus_plan`."""
+        """Return the plans to read the servos, fastest first; see `firmware_py.bus.bus_plan`."""
         delay_s = self.bus.return_delay_s
         return bus_plan.plans(
             self.setups()[0].model.table, self.dof, self.bus.baud,
@@ -155,17 +185,22 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         )  # fmt: skip
 
     def goals_rad(self, *, repeated: bool = False) -> Array:
-        """Goals of the motion, one row a period, rest in front, shape (n, dof).
+        """Return the goals of the motion, one row per period, rest in front.
 
         Parameters
         ----------
         repeated : bool
-            The table will be run again and again: return to zero at its end.
+            Whether the table will be repeated, so that it must return to zero at its end.
+
+        Returns
+        -------
+        ndarray, shape (n, dof)
+            Goal angles in rad.
 
         Raises
         ------
         InputError
-            If the motion is none, or breaks a limit.
+            If a parameter of the motion is out of range, or a goal breaks a limit.
         """
         wanted = self.motion
         motion = Motion(
@@ -182,6 +217,11 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 def read_config(path: Path | str) -> RobotConfig:
     """Read and check `robot.toml`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
 
     Raises
     ------
@@ -204,12 +244,36 @@ def read_config(path: Path | str) -> RobotConfig:
 
 
 def check_config(config: RobotConfig, path: Path | str) -> None:
-    """Refuse values that are out of range or do not fit together; `path` is who to blame.
+    """Refuse values that are out of range or do not fit together.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Configuration to check.
+    path : Path or str
+        Subject of the message: the file, or what else the configuration comes from.
 
     Raises
     ------
     InputError
         Naming the key and the remedy.
+
+    Examples
+    --------
+    >>> config = RobotConfig(
+    ...     bundle="build/bundle_1dof",
+    ...     bus=BusConfig(port="/dev/ttyUSB0"),
+    ...     servos=(ServoConfig(id=1, model="H54-200-S500-R"),),
+    ... )
+    >>> check_config(config, "example")
+    >>> config.limits_in_force.rate_rad_s  # lower than configured: it has no bus watchdog
+    1.0
+    >>> slow = msgspec.structs.replace(config.bus, reply_timeout_s=1.0)
+    >>> try:
+    ...     check_config(msgspec.structs.replace(config, bus=slow), "example")
+    ... except InputError as error:
+    ...     print(error.what)
+    bus.reply_timeout_s is 1.0, outside 0.0001 to 0.017
     """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")
@@ -258,7 +322,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
     for k, axis in enumerate("xyz"):
         if not limits.tip_min_m[k] < limits.tip_max_m[k]:
             raise InputError(
-                path, f"limits.tip_min_m and tip_max_m leave no room along {axis}", "give min < max"
+                path, f"limits.tip_min_m and tip_max_m are empty along {axis}", "give min < max"
             )
 
 

@@ -1,10 +1,10 @@
-"""The error tree.
+"""Errors that this project raises on purpose.
 
 ::
 
-    DropstitchError                 anything that we raise on purpose
-    ├── InputError                  the user's file, option or set-up is wrong (exit 2)
-    ├── FmuRefusal                 an FMI unit refused a call; it stands where it stood
+    DropstitchError                 root
+    ├── InputError                  a file, an option or the set-up cannot be used (exit 2)
+    ├── FmuRefusal                  an FMU refused a call; its state is unchanged
     └── SafetyTrip                  the supervisor stopped the robot; holds the last ticks (exit 1)
 
 Inside the loop a fault is a value (`firmware_py.bus.servo_bus.BusStatus`), never an exception.
@@ -21,16 +21,16 @@ class DropstitchError(Exception):
 
 
 class InputError(DropstitchError):
-    """Something that the user gave cannot be used.
+    """A file, an option or a device that the user named cannot be used.
 
     Parameters
     ----------
     where : str or Path
-        File, option or device that is at fault.
+        The file, option or device.
     what : str
-        What is wrong, naming the field (row, column, key) where there is one.
+        What is wrong, with the row, column or key.
     remedy : str
-        What the user can do about it, as an imperative.
+        What the user can do, as an imperative.
     """
 
     def __init__(self, where: str | Path, what: str, remedy: str) -> None:
@@ -38,12 +38,12 @@ class InputError(DropstitchError):
         super().__init__(f"{where}: {what}; {remedy}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let the error cross from a worker process to the command that shows it."""
+        """Support pickling, so that the error passes from a worker process to the command."""
         return type(self), (self.where, self.what, self.remedy)
 
 
 class FmuRefusal(DropstitchError):
-    """An FMI unit refused a call; the message is the sentence that it logged."""
+    """An FMU refused a call; the message is the one that it logged."""
 
 
 class SafetyTrip(DropstitchError):
@@ -52,9 +52,9 @@ class SafetyTrip(DropstitchError):
     Parameters
     ----------
     reason : str
-        One sentence: which limit, which joint, which value.
+        One sentence: limit, joint and value.
     last_ticks : Any
-        The ticks that led here, a structured array of `firmware_py.signals.tick_dtype`.
+        The last ticks, a structured array of `firmware_py.signals.tick_dtype`.
     """
 
     def __init__(self, reason: str, last_ticks: Any = None) -> None:

@@ -1,4 +1,4 @@
-"""What a run was: how it ended, what went wrong on the way, where the time went."""
+"""Summary of a run: end, faults, timing."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from firmware_py.realtime.timing import Timing
 
 
 class Ended(Enum):
-    """How a run ended."""
+    """Kind of end of a run."""
 
     FINISHED = "finished"
-    """The motion, or the time asked for, was over."""
+    """The motion, or the requested time, was over."""
     SIGNALLED = "signalled"
-    """SIGINT or SIGTERM came; the robot was brought to a controlled stop."""
+    """SIGINT or SIGTERM; the robot came to a controlled stop."""
     TRIPPED = "tripped"
     """The safety supervisor stopped the robot."""
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a run was.
+    """Result of a run.
 
     Attributes
     ----------
     ended : Ended
-        How it ended.
+        Kind of end.
     reason : str
-        One sentence.
+        Cause of the end, one sentence.
     ticks : int
         Ticks that ran.
     bus_faults : dict of str to int
@@ -42,13 +42,13 @@ class RunSummary:
     timing : Timing
         Histograms, misses and their causes.
     records : ndarray of tick_dtype, shape (n,)
-        The last ticks, oldest first, as many as were asked to be kept.
+        The last ticks, oldest first.
     telemetry_drops : int
-        Ticks that the recorder did not get.
+        Ticks that the recorder did not receive.
     replugs : int
-        Times that the robot went on after its port had been gone.
+        Times that the robot continued after its port had gone.
     released : bool
-        Whether every servo confirmed at the end that its torque is off.
+        Whether every servo confirmed torque off at the end.
     """
 
     ended: Ended
@@ -63,7 +63,7 @@ class RunSummary:
     released: bool = True
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the records, for JSON."""
+        """Return everything but the records, for JSON."""
         return {
             "ended": self.ended.value,
             "reason": self.reason,

@@ -1,7 +1,7 @@
-"""Measure what a tick costs by itself, paced like the real one, against servos in memory.
+"""Benchmark of a tick's own cost, at the control period, against servos in memory.
 
-Paced matters: between two ticks the caches go cold and the same work costs two to three times
-what a hot loop would show (docs/sources.md, "Dynamixel SDK").
+The period matters: between two ticks the caches go cold, and the same work takes two to three times
+as long as in a hot loop (docs/sources.md, "Dynamixel SDK").
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from firmware_py.signals import STAGES
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 
 LIMIT_NS = 1_500_000
-"""Of the tick's own cost, 99th percentile; the verdict."""
+"""Limit of the 99th percentile of the tick's own cost, for the verdict."""
 
 _MODEL = "H54-200-S500-R"
 
@@ -51,13 +51,17 @@ class _NoModels:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bundle", type=Path, help="with its estimator and predictor")
-    parser.add_argument("--dof", type=int, choices=(1, 2), default=2, help="without a bundle")
+    parser.add_argument(
+        "--bundle", type=Path, help="bundle whose estimator and predictor run (default: neither)"
+    )
+    parser.add_argument(
+        "--dof", type=int, choices=(1, 2), default=2, help="number of joints without a bundle"
+    )
     parser.add_argument("--seconds", type=float, default=20.0)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure; the verdict is negative where the own cost breaks its limit."""
+    """Measure; the verdict is negative where the own cost exceeds its limit."""
     dof, models = _models(args)
     config = RobotConfig(
         bundle="", bus=BusConfig(port="memory"), motion=MotionConfig(rest_s=0.0),

@@ -1,4 +1,4 @@
-"""Say what on this PC would spoil the loop's timing, and how to mend it.
+"""Checks of this PC for settings that spoil the loop's timing, with remedies.
 
 With --bus: the transmission time of a tick of the configured robot, for every plan that its servos
 might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
@@ -23,12 +23,12 @@ _MARKS = {Verdict.GOOD: "  ", Verdict.NOTE: "? ", Verdict.SPOILS: "! "}
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bus", action="store_true", help="the bus's budget instead of the PC")
-    parser.add_argument("--config", type=Path, metavar="ROBOT.toml", help="robot that --bus is for")
+    parser.add_argument("--bus", action="store_true", help="print the bus's time budget instead")
+    parser.add_argument("--config", type=Path, metavar="ROBOT.toml", help="configuration for --bus")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine; the verdict is negative where something would spoil the timing."""
+    """Run the checks; the verdict is negative where a setting spoils the timing."""
     if args.bus != (args.config is not None):
         raise InputError("doctor", "needs --bus and --config together", f"like '{EXAMPLE}'")
     return _bus(args, read_config(args.config)) if args.bus else _machine(args)
@@ -42,7 +42,7 @@ def _machine(args: argparse.Namespace) -> int:
         lines.append(f"{_MARKS[finding.verdict]}{finding.name}: {finding.found}")
         if finding.remedy:
             lines.append(f"      {finding.remedy}")
-    lines.append("nothing here spoils the timing" if good else "mend what is marked with !")
+    lines.append("nothing here spoils the timing" if good else "correct what is marked with !")
     rows = [finding._asdict() | {"verdict": finding.verdict.value} for finding in findings]
     emit(args, {"good": good, "findings": rows}, "\n".join(lines))
     return DONE if good else NEGATIVE

@@ -1,4 +1,4 @@
-"""Write a systemd unit that may be real-time and a udev rule for the adapter's latency timer."""
+"""Installation of a systemd service with real-time rights and of a udev rule for USB adapters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RULE_PATH: Final = "etc/udev/rules.d/99-dropstitch.rules"
 _SERVICE: Final = """\
 [Unit]
 Description=Control loop of the inflatable link
-# A robot does not start to move by itself: no [Install] section, no restart.
+# A robot must not start to move by itself: no [Install] section, no restart.
 
 [Service]
 # Started once the servos have passed every check and the first tick has run.
@@ -32,8 +32,8 @@ Restart=no
 User={user}
 SupplementaryGroups=dialout
 ExecStart={command} run --config {config}
-# The loop says from its log stage that it is alive. A process that hangs or is killed cannot
-# release the servos itself: this does it, however the loop ended.
+# The loop notifies systemd that it is alive. A process that hangs or is killed cannot switch the
+# torque off: ExecStopPost does it after every end of the loop.
 WatchdogSec=2
 WatchdogSignal=SIGKILL
 ExecStopPost={command} release --config {config}
@@ -50,7 +50,7 @@ CPUAffinity={affinity}
 """
 
 _RULE: Final = """\
-# FTDI adapters (U2D2, USB2Dynamixel) hold bytes back for 16 ms unless told otherwise.
+# FTDI adapters (U2D2, USB2Dynamixel) hold received bytes for up to 16 ms by default.
 ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
 """
 
@@ -60,14 +60,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
     parser.add_argument(
         "--user", default=os.environ.get("SUDO_USER") or getpass.getuser(),
-        help="who the service runs as (default: who calls sudo)",
+        help="user of the service (default: the one who called sudo)",
     )  # fmt: skip
-    parser.add_argument("--root", type=Path, default=Path("/"), help="where to write")
-    parser.add_argument("--dry-run", action="store_true", help="show the files, write nothing")
+    parser.add_argument(
+        "--root", type=Path, default=Path("/"), help="root of the file system to write to"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="print the files, write nothing")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write both files, or show them."""
+    """Write both files, or print them."""
     path = args.config.resolve()
     files = {SERVICE_PATH: service_file(read_config(path), path, args.user), RULE_PATH: _RULE}
     if args.dry_run:
@@ -94,19 +96,19 @@ def run(args: argparse.Namespace) -> int:
 def service_file(
     config: RobotConfig, path: Path, user: str, processors: frozenset[int] | None = None
 ) -> str:
-    """Text of the systemd unit.
+    """Return the text of the systemd service file.
 
     Parameters
     ----------
     config : RobotConfig
-        With `real_time.cpu` the loop has that processor for itself: the loop's thread goes there,
-        and the unit's affinity keeps everything else of the service away from it.
+        With `real_time.cpu` the loop's thread has that processor to itself: the affinity of the
+        service excludes it for everything else.
     path : Path
         The configuration's absolute path.
     user : str
-        Who the service runs as.
+        User of the service.
     processors : frozenset of int, optional
-        What the machine has; by default it is asked.
+        Processors of the machine; by default those that the kernel reports.
     """
     processors = processors or frozenset(range(os.cpu_count() or 1))
     own = config.real_time.cpu
@@ -123,7 +125,7 @@ def service_file(
 
 
 def _quoted(path: Path | str) -> str:
-    """Write a path as one word of a command line of systemd (systemd.service(5))."""
+    """Return a path as one word of a systemd command line (systemd.service(5))."""
     text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{text}"' if set(text) & set(" \t'\"") else text
 

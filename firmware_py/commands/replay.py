@@ -1,6 +1,6 @@
-"""Replay a log through a bundle and compare DI and tip with what the robot recorded.
+"""Replay of a log through a bundle: DI, payload and tip compared with the recorded ones.
 
-Without a log the bundle's golden ticks are replayed, which is what the robot does at start-up.
+Without a log the bundle's golden ticks are replayed, as the robot does at start-up.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _bundle_of(path: Path, log: Recording) -> Path:
 
 
 def _assumed_payload_kg(log: Recording) -> float | None:
-    """What the run had told its estimator (`payload_kg` of its robot.toml)."""
+    """Return the payload that the run's robot.toml gave to the estimator, or None."""
     payload_kg: float | None = json.loads(log.metadata.get("config", "{}")).get("payload_kg")
     return payload_kg
 
@@ -83,10 +83,17 @@ def _assumed_payload_kg(log: Recording) -> float | None:
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     """Run a log's measurements through a bundle's estimator and predictor.
 
+    Parameters
+    ----------
+    log : Recording
+        Log of a run.
+    bundle : ModelBundle
+        Bundle for the same number of joints.
+
     Returns
     -------
     dict of str to float
-        Largest absolute difference by column; where only one side has a value it is infinite.
+        Largest absolute difference by column; infinite where only one side has a value.
 
     Raises
     ------
@@ -96,7 +103,9 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     dof = bundle.manifest.dof
     if log.dof != dof:
         raise InputError(
-            bundle.directory, f"is for {dof} joints, the log for {log.dof}", "name the fitting one"
+            bundle.directory,
+            f"is for {dof} joints, the log for {log.dof}",
+            "name one for as many joints",
         )
     columns = log.columns
     angle_rad = np.column_stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)])

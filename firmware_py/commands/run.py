@@ -42,18 +42,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
     parser.add_argument(
-        "--seconds", type=float, help="repeat the motion for so long (default: run it once)"
+        "--seconds", type=float, help="repeat the motion for this time (default: run it once)"
     )
-    parser.add_argument("--motion", choices=KINDS, help="instead of the configured one")
-    parser.add_argument("--amplitude-deg", type=float, help="instead of the configured one")
+    parser.add_argument(
+        "--motion", choices=KINDS, help="kind of motion instead of the configured one"
+    )
+    parser.add_argument(
+        "--amplitude-deg", type=float, help="amplitude instead of the configured one"
+    )
     parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
     parser.add_argument(
-        "--live", action="store_true", help="serve the ticks to Foxglove, see [live] in the file"
+        "--live", action="store_true", help="serve the ticks to Foxglove at the address in [live]"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run once; raise SafetyTrip, after the summary, where the supervisor stopped the robot."""
+    """Run the loop and report its summary.
+
+    Raises
+    ------
+    SafetyTrip
+        After the summary, if the supervisor stopped the robot.
+    """
     config = _overridden(read_config(args.config), args)
     bundle = load_bundle(config, args.config)
     goals_rad = config.goals_rad(repeated=args.seconds is not None)
@@ -118,18 +128,26 @@ def _telemetry(
 
 
 def describe(summary: RunSummary, log: Path | None) -> str:
-    """Summary of a run for people."""
+    """Return the summary of a run as text.
+
+    Parameters
+    ----------
+    summary : RunSummary
+        The run.
+    log : Path or None
+        Its log, where one was written.
+    """
     busy, own = (summary.timing.stages[name].summary() for name in ("busy", "own"))
     faults = ", ".join(f"{n} {name}" for name, n in summary.bus_faults.items()) or "none"
     lines = [
         f"{summary.ended.value}: {summary.reason}",
         f"{summary.ticks} ticks, {summary.timing.misses} slots missed, bus faults: {faults}",
         f"tick p50 {busy['p50_ns'] / 1e3:.0f} µs, p99 {busy['p99_ns'] / 1e3:.0f} µs, "
-        f"max {busy['max_ns'] / 1e3:.0f} µs; of its own p50 {own['p50_ns'] / 1e3:.0f} µs, "
+        f"max {busy['max_ns'] / 1e3:.0f} µs; own cost p50 {own['p50_ns'] / 1e3:.0f} µs, "
         f"p99 {own['p99_ns'] / 1e3:.0f} µs",
     ]
     if summary.replugs:
-        lines.append(f"went on {summary.replugs} times after the port had been gone")
+        lines.append(f"continued {summary.replugs} times after the port had gone")
     if not summary.released:
         lines.append("not every servo confirmed torque off: switch its power off")
     if summary.out_of_range:

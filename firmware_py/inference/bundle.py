@@ -1,18 +1,18 @@
-"""The bundle: one directory that holds all that the robot needs to predict.
+"""Bundle: the directory with everything that the robot needs to predict.
 
 ::
 
-    manifest.json     what this is, with units, ranges, hashes of every other file
+    manifest.json     contents, units, ranges, hashes of every other file
     predictor.onnx    features -> tip_m, in_range, half_width_m
     lagged.onnx       lagged regressor of DI (the fallback estimator)
     observer.fmu      plant observer of DI (added by `python -m fmu build --unit observer`)
     plant.json        the plant that the observer was built from
     study.json        the paper's tables on these trials
     golden.npz        ticks that the robot replays before it moves
-    MODEL_CARD.md     for people
+    MODEL_CARD.md     description for people
 
-`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads it and refuses what
-does not match.
+`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads it and refuses
+files that do not match.
 """
 
 from __future__ import annotations
@@ -34,7 +34,17 @@ MANIFEST: Final = "manifest.json"
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A feature or output of the predictor: name, unit and the range seen in training."""
+    """Feature or output of the predictor.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal.
+    unit : str
+        SI unit; "1" for none.
+    minimum, maximum : float
+        Range in the training data.
+    """
 
     name: str
     unit: str
@@ -43,22 +53,32 @@ class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`manifest.json`; see `read_manifest`.
+    """Contents of `manifest.json`.
 
     Attributes
     ----------
+    dof : int
+        Number of joints.
+    period_s : float
+        Control period of the training data.
     features, outputs : tuple of Quantity
         In the order of the graph's input columns and output rows.
     estimator : str
-        Where DI comes from on the robot: "observer", "lagged" or "none".
+        Source of the DI on the robot: "observer", "lagged" or "none".
     degree : int
-        Of the polynomial, chosen by cross-validation on the training trials.
+        Degree of the polynomial, chosen by cross-validation on the training trials.
+    lag_ticks : tuple of int
+        Ages of the samples that the lagged estimator uses.
+    training_data_sha256, plant_sha256 : str
+        Hashes of the training trials and of the plant.
+    libraries : dict
+        Versions of the libraries, by name.
     metrics : dict
-        Held-out figures by name, SI units in the names.
+        Errors on held-out trials by name, SI units in the names.
     coefficients : dict
-        Monomial (like "angle_1_rad^2 di") to its coefficient per output: readable, not used.
+        Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only.
     files : dict
-        File name to SHA-256.
+        SHA-256 by file name.
     """
 
     schema: int = SCHEMA
@@ -78,12 +98,17 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
+    """Return the SHA-256 of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_manifest(directory: Path | str) -> Manifest:
     """Read `manifest.json` and verify the hash of every file that it names.
+
+    Parameters
+    ----------
+    directory : Path or str
+        The bundle.
 
     Raises
     ------
@@ -116,7 +141,15 @@ def read_manifest(directory: Path | str) -> Manifest:
 
 
 def write_manifest(directory: Path, manifest: Manifest) -> None:
-    """Replace `manifest.json` atomically, hashing every other file of the directory anew."""
+    """Replace `manifest.json` atomically, with the hashes of every other file of the directory.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+    manifest : Manifest
+        Manifest to write; its `files` are replaced.
+    """
     files = {
         p.name: sha256_of(p)
         for p in sorted(directory.iterdir())
@@ -130,18 +163,18 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
 
 @dataclass(frozen=True)
 class ModelBundle:
-    """A bundle that was verified and is ready to predict.
+    """Bundle that was verified and is ready to predict.
 
     Attributes
     ----------
     directory : Path
-        Where it was loaded from.
+        Directory that it was loaded from.
     manifest : Manifest
-        What it is.
+        Contents of `manifest.json`.
     estimator : DeformationEstimator
-        The one that the manifest names, reset.
+        Estimator that the manifest names, reset.
     predictor : OnnxPredictor
-        `predictor.onnx`.
+        Predictor from `predictor.onnx`.
     """
 
     directory: Path
@@ -150,12 +183,17 @@ class ModelBundle:
     predictor: OnnxPredictor
 
     def assume_payload(self, payload_kg: float | None) -> None:
-        """Tell the estimator the payload where it is known (not None) and it has a use for it.
+        """Give the payload to an estimator that uses it; others are not changed.
+
+        Parameters
+        ----------
+        payload_kg : float or None
+            Mass at the tip; None has it estimated.
 
         Raises
         ------
         InputError
-            If it is beyond what the observer takes.
+            If the observer refuses the value.
         """
         if isinstance(self.estimator, ObserverEstimator):
             self.estimator.assume_payload(payload_kg)
@@ -164,11 +202,16 @@ class ModelBundle:
     def load(cls, directory: Path | str) -> ModelBundle:
         """Verify every hash, load, and replay the golden ticks.
 
+        Parameters
+        ----------
+        directory : Path or str
+            The bundle.
+
         Raises
         ------
         InputError
-            If a file is missing or damaged, or this machine answers otherwise than the one that
-            made the bundle did.
+            If a file is missing or damaged, or the results on this machine differ from those on the
+            machine that made the bundle.
         """
         directory = Path(directory)
         manifest = read_manifest(directory)

@@ -1,7 +1,7 @@
-"""The Deformation Index without motion capture: estimators behind one protocol.
+"""Estimators of the Deformation Index (DI) without motion capture.
 
-`ObserverEstimator` runs the identified plant (an FMI unit) on the measured angle and current,
-`LaggedEstimator` a regression on their recent past, `NoEstimator` answers zero: the paper's
+`ObserverEstimator` runs the identified plant (an FMU) on the measured angle and current,
+`LaggedEstimator` a regression on their recent past. `NoEstimator` returns zero, the study's
 baseline without DI.
 """
 
@@ -22,18 +22,18 @@ from firmware_py.inference.predictor import OnnxGraph
 Array = NDArray[np.float64]
 
 _KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
-"""Of the observer unit; negative, as it starts, has the payload estimated."""
+"""Parameter of the observer FMU; a negative value, its start value, has the payload estimated."""
 
 
 class Estimate(NamedTuple):
-    """What an estimator believes after a sample.
+    """Estimate after a sample.
 
     Attributes
     ----------
     di : float
         Deformation Index, dimensionless.
     payload_kg : float
-        NaN where the estimator has no opinion.
+        Mass at the tip; NaN where the estimator does not estimate it.
     """
 
     di: float
@@ -41,10 +41,10 @@ class Estimate(NamedTuple):
 
 
 class DeformationEstimator(Protocol):
-    """Anything that estimates the Deformation Index from the servo's own signals."""
+    """Interface of an estimator of the Deformation Index from the servos' signals."""
 
     def reset(self) -> None:
-        """Forget the past: the next sample is the first of a run that starts at rest."""
+        """Discard the past: the next sample is the first of a run that starts at rest."""
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample.
@@ -55,32 +55,43 @@ class DeformationEstimator(Protocol):
             As measured at the end of the step.
         step_s : float
             Time since the previous sample.
+
+        Returns
+        -------
+        Estimate
+            DI and payload at this sample.
         """
 
 
 class NoEstimator:
-    """DI = 0 whatever happens: the paper's "without DI"."""
+    """Estimator that returns DI = 0, the study's baseline "without DI".
+
+    Examples
+    --------
+    >>> NoEstimator().update(np.array([0.1]), np.array([0.5]), 0.017).di
+    0.0
+    """
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing."""
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Answer zero."""
+        """Return zero; the payload is NaN."""
         return Estimate(0.0, math.nan)
 
 
 class LaggedEstimator:
     """Regression on angle and current now and some ticks ago (`lagged.onnx`).
 
-    It has no notion of time: it is right at the period that it was trained at. Before the first
-    sample the link is taken to have stood where that sample finds it.
+    It does not use the time: it is valid only at the period of its training data. Before the first
+    sample the link is assumed to have rested at that sample.
 
     Parameters
     ----------
     path : Path or str
         The graph: input "lagged", for each lag angles then currents; output "di".
     lag_ticks : sequence of int
-        Ages of the samples that it looks at, in ticks; the manifest has them.
+        Ages of the samples that it uses, in ticks; from the manifest.
     dof : int
         Number of joints.
 
@@ -100,7 +111,7 @@ class LaggedEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard the past."""
         self._next, self._empty = 0, True
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
@@ -118,21 +129,21 @@ class LaggedEstimator:
 
 
 class ObserverEstimator:
-    """The plant observer: the identified link on the measured angle and current (`observer.fmu`).
+    """Observer: the identified plant driven by measured angle and current (`observer.fmu`).
 
-    Before the first sample the link is taken to have rested where that sample finds it.
+    Before the first sample the link is assumed to have rested at that sample.
 
     Parameters
     ----------
     fmu : FmuInstance
-        With the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
+        FMU with the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
     dof : int
         Number of joints.
 
     Raises
     ------
     InputError
-        If the unit has not these variables.
+        If the FMU lacks one of these variables.
     """
 
     def __init__(self, fmu: FmuInstance, dof: int) -> None:
@@ -145,12 +156,17 @@ class ObserverEstimator:
         self.reset()
 
     def assume_payload(self, payload_kg: float | None) -> None:
-        """Take the payload as known, or have it estimated again (None); forget the past.
+        """Set the payload as known, or have it estimated again; discard the past.
+
+        Parameters
+        ----------
+        payload_kg : float or None
+            Mass at the tip; None has it estimated.
 
         Raises
         ------
         InputError
-            If it is beyond what the unit takes.
+            If the FMU refuses the value.
         """
         self._payload_kg = payload_kg
         try:
@@ -162,7 +178,7 @@ class ObserverEstimator:
             ) from None  # fmt: skip
 
     def reset(self) -> None:
-        """Forget the past; what was assumed still holds."""
+        """Discard the past; an assumed payload is kept."""
         self._fmu.reset()
         if self._payload_kg is not None:
             self._fmu.set([_KNOWN_PAYLOAD], [self._payload_kg])
@@ -170,7 +186,7 @@ class ObserverEstimator:
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample; see `DeformationEstimator.update`.
 
-        A sample that the unit refuses (not a number) leaves it as it was and answers NaN.
+        A sample that the FMU refuses (NaN) leaves its state unchanged; the estimate is NaN.
         """
         self._inputs.values[: self._dof] = angle_rad
         self._inputs.values[self._dof :] = current_a
@@ -191,18 +207,18 @@ def load_estimator(
     Parameters
     ----------
     name : str
-        "observer", "lagged" or "none", as the manifest says.
+        "observer", "lagged" or "none", from the manifest.
     directory : Path
         The bundle.
     dof : int
         Number of joints.
     lag_ticks : sequence of int
-        As the manifest says.
+        Ages of the samples for the lagged estimator, from the manifest.
 
     Raises
     ------
     InputError
-        If the name is not known or the file cannot be used.
+        If the name is unknown or the file cannot be used.
     """
     if name == "observer":
         return ObserverEstimator(FmuInstance(directory / "observer.fmu"), dof)

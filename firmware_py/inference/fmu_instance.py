@@ -1,7 +1,7 @@
-"""Step an FMI 3.0 Co-Simulation unit through ctypes: the observer of the bundle.
+"""Instance of an FMI 3.0 co-simulation FMU, called through ctypes: the observer of the bundle.
 
-Lean on purpose: numbers and truths, scalars only, one instance a unit. The loop uses a `Channel`,
-whose buffers are made once; `set` and `get` by name are for everybody else.
+It supports scalars of type Float64 and Boolean and one instance per FMU. The loop uses a `Channel`,
+whose buffers are allocated once; `set` and `get` by name serve all other purposes.
 """
 
 from __future__ import annotations
@@ -31,13 +31,29 @@ _FUNCTIONS: Final = (
     "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
     "fmi3FreeInstance",
 )  # fmt: skip
-"""What is called of the standard."""
+"""Functions of the standard that are called."""
 _FMI_WARNING: Final = 1
-"""Above this status a call has failed."""
+"""A call has failed where its status is above this."""
 
 
 class InstanceVariable(NamedTuple):
-    """A scalar variable of a unit, as its model description declares it."""
+    """Scalar variable of an FMU, as its model description declares it.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    reference : int
+        Value reference.
+    type : str
+        Type, like "Float64".
+    causality : str
+        Causality, like "input".
+    unit : str
+        SI unit; "1" for none.
+    start : float or None
+        Start value of a Float64.
+    """
 
     name: str
     reference: int
@@ -48,12 +64,19 @@ class InstanceVariable(NamedTuple):
 
 
 class Channel:
-    """A fixed set of variables of a unit, moved together through one buffer.
+    """Fixed set of variables of an FMU, transferred together through one buffer.
+
+    Parameters
+    ----------
+    fmu : FmuInstance
+        The FMU.
+    names : sequence of str
+        Variables of type Float64.
 
     Attributes
     ----------
     values : ndarray, shape (n,)
-        Write here before `send`; read here after `receive`. Always the same memory.
+        Values to write before `send`, and to read after `receive`; always the same memory.
     """
 
     def __init__(self, fmu: FmuInstance, names: Sequence[str]) -> None:
@@ -71,15 +94,15 @@ class Channel:
         self._fmu.call("fmi3SetFloat64", *self._arguments)
 
     def receive(self) -> None:
-        """Bring `values` up to date."""
+        """Read the variables into `values`."""
         self._fmu.call("fmi3GetFloat64", *self._arguments)
 
 
 class FmuInstance:
-    """An FMI 3.0 Co-Simulation unit.
+    """Instance of an FMI 3.0 co-simulation FMU.
 
-    A unit starts in initialization: what is set then shapes its first state. The first step, or
-    `start`, ends that.
+    It starts in initialization mode: values set then determine its first state. The first step, or
+    `start`, ends this mode.
 
     Parameters
     ----------
@@ -91,13 +114,13 @@ class FmuInstance:
     variables : dict of str to InstanceVariable
         By name, in the order of the file.
     time_s : float
-        Where the unit stands.
+        Time that the FMU has reached.
 
     Raises
     ------
     InputError
-        If the file is missing or damaged, is of another FMI version or kind, or holds no binary
-        for this machine.
+        If the file is missing or damaged, is of another FMI version or kind, or has no binary for
+        this machine.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -122,7 +145,7 @@ class FmuInstance:
         )  # fmt: skip
         if not instance:
             raise InputError(
-                self.path, f"refuses to start ({self._message})", "build the unit again"
+                self.path, f"refuses to start ({self._message})", "build the FMU again"
             )
         return ctypes.c_void_p(instance)
 
@@ -136,7 +159,14 @@ class FmuInstance:
         self.time_s = 0.0
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call a function of the FMI on this instance.
+        """Call an FMI function on this instance.
+
+        Parameters
+        ----------
+        name : str
+            Name of the function.
+        *arguments
+            Arguments after the instance, as ctypes objects.
 
         Raises
         ------
@@ -147,12 +177,19 @@ class FmuInstance:
             raise FmuRefusal(f"{self.path}: {self._message or name + ' failed.'}")
 
     def variable(self, name: str, kind: str | None = None) -> InstanceVariable:
-        """Look a variable up.
+        """Return a variable.
+
+        Parameters
+        ----------
+        name : str
+            Name of the variable.
+        kind : str, optional
+            Type that it must have, like "Float64".
 
         Raises
         ------
         InputError
-            If the unit has no variable of the name, or it is not of the type `kind`.
+            If the FMU has no variable of this name and type.
         """
         found = self.variables.get(name)
         if found is None or kind not in (None, found.type):
@@ -163,17 +200,17 @@ class FmuInstance:
         return found
 
     def channel(self, names: Sequence[str]) -> Channel:
-        """Prepare variables that the loop moves together; do this once."""
+        """Return a channel for variables that are transferred together."""
         return Channel(self, names)
 
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
-        """Set variables by name."""
+        """Set variables by name; `values` has the shape (n,)."""
         channel = self.channel(names)
         channel.values[:] = values
         channel.send()
 
     def get(self, names: Sequence[str]) -> Array:
-        """Return the values of variables by name, shape (n,); a truth is 1 or 0."""
+        """Return the values of variables by name, shape (n,); a Boolean is 1 or 0."""
         return np.array([self._get(self.variable(name)) for name in names])
 
     def _get(self, variable: InstanceVariable) -> float:
@@ -187,12 +224,12 @@ class FmuInstance:
         return value.value
 
     def start(self) -> None:
-        """End the initialization: the first state follows from what is set now."""
+        """End the initialization mode: the first state follows from the values set so far."""
         self.call("fmi3ExitInitializationMode")
         self._initializing = False
 
     def step(self, step_s: float) -> None:
-        """Advance by `step_s` with the inputs as they are set."""
+        """Advance by `step_s` with the inputs that are set."""
         if self._initializing:
             self.start()
         self.call(
@@ -202,12 +239,12 @@ class FmuInstance:
         self.time_s = self._reached_s.value
 
     def reset(self) -> None:
-        """Begin anew: start values, time zero, initialization."""
+        """Restart: start values, time zero, initialization mode."""
         self.call("fmi3Reset")
         self._enter_initialization()
 
     def close(self) -> None:
-        """Free the instance; the unit cannot be used afterwards."""
+        """Free the instance; it cannot be used afterwards."""
         if self._instance:
             self._library.fmi3FreeInstance(self._instance)
             self._instance = ctypes.c_void_p()
@@ -220,14 +257,16 @@ class FmuInstance:
 
 
 def _open(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
-    """Read the description and its variables, and load the binary for this machine."""
+    """Read the model description with its variables, and load the binary for this machine."""
     remedy = "build it again with 'python -m fmu build' or copy it again"
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
             if astray:
-                raise InputError(path, f"holds a file outside itself ({astray[0]})", remedy)
+                raise InputError(
+                    path, f"holds a file with a path outside the archive ({astray[0]})", remedy
+                )
             root = ET.fromstring(archive.read("modelDescription.xml"))
             variables = {v.name: v for v in _variables(root)}
             name = _binary(path, root, names)
@@ -236,18 +275,18 @@ def _open(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.P
         raise InputError(path, "is missing", remedy) from None
     except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
             ValueError, RuntimeError) as error:  # fmt: skip
-        raise InputError(path, f"is no FMI unit ({error})", remedy) from None
-    with TemporaryDirectory(prefix="dropstitch-unit-") as private:
+        raise InputError(path, f"is no FMU ({error})", remedy) from None
+    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
         library = Path(private) / PurePosixPath(name).name
         library.write_bytes(binary)
         try:
-            # PyDLL keeps the interpreter's lock: a step takes microseconds, and giving the lock
-            # away could cost the loop's thread a switch interval to get it back.
-            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is gone
+            # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
+            # could cost the loop's thread a switch interval to get it back.
+            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is deleted
         except OSError as error:
             raise InputError(
                 path, f"its binary does not load ({error})",
-                "set TMPDIR to a directory from which programs may run, or build the unit again",
+                "set TMPDIR to a directory from which programs may run, or build the FMU again",
             ) from None  # fmt: skip
     absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
     if absent:
@@ -256,7 +295,7 @@ def _open(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.P
 
 
 def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
-    """Name of the binary for this machine inside the archive."""
+    """Return the name of the binary for this machine inside the archive."""
     version = root.get("fmiVersion", "?")
     if not version.startswith("3."):
         raise InputError(path, f"is of FMI {version}", "build it with --fmi 3")
@@ -270,7 +309,7 @@ def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
         offered = sorted({n.split("/")[1] for n in names if n.startswith("binaries/")})
         raise InputError(
             path, f"holds no binary for {here}, only for {', '.join(offered) or 'none'}",
-            "build the unit for this platform",
+            "build the FMU for this platform",
         )  # fmt: skip
     return name
 

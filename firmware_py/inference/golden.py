@@ -1,7 +1,7 @@
-"""Golden ticks: what estimator and predictor answered where the bundle was made.
+"""Golden ticks: results of estimator and predictor on the machine that made the bundle.
 
-The robot replays them before it moves: other libraries, another processor or a file swapped
-behind the manifest's back show here and not in the air.
+The robot replays them before it moves, so that other library versions or another processor are
+detected before the start.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from firmware_py.inference.predictor import Predictor
 Array = NDArray[np.float64]
 GOLDEN: Final = "golden.npz"
 TOLERANCE: Final = 1e-9
-"""Largest difference allowed, in the unit of each quantity."""
+"""Largest permitted difference, in the SI unit of each quantity."""
 
 
 class Golden(NamedTuple):
-    """A run and its answers, one row a tick.
+    """Measurements and results, one row per tick.
 
     Attributes
     ----------
     angle_rad, current_a : ndarray, shape (n, dof)
-        As measured, from rest.
+        Measurements from rest.
     step_s : float
-        Period.
+        Control period.
     di, payload_kg : ndarray, shape (n,)
-        Answers of the estimator.
+        Results of the estimator.
     tip_m : ndarray, shape (n, 3)
-        Answers of the predictor on that estimate.
+        Results of the predictor with that DI.
     """
 
     angle_rad: Array
@@ -53,7 +53,19 @@ def record_golden(
     current_a: Array,
     step_s: float,
 ) -> Golden:
-    """Run a motion through estimator and predictor; the estimator is reset before and after."""
+    """Run a motion through estimator and predictor; the estimator is reset before and after.
+
+    Parameters
+    ----------
+    estimator : DeformationEstimator
+        Estimator of the bundle.
+    predictor : Predictor
+        Predictor of the bundle.
+    angle_rad, current_a : ndarray, shape (n, dof)
+        Measurements from rest.
+    step_s : float
+        Control period.
+    """
     count = len(angle_rad)
     di, payload_kg, tip_m = np.empty(count), np.empty(count), np.empty((count, 3))
     estimator.reset()
@@ -65,12 +77,19 @@ def record_golden(
 
 
 def write_golden(path: Path, golden: Golden) -> None:
-    """Write the ticks; the same ticks give the same bytes."""
+    """Write the golden ticks; equal ticks give equal bytes."""
     np.savez(path, allow_pickle=False, **golden._asdict())
 
 
 def read_golden(path: Path, dof: int) -> Golden:
-    """Read the ticks.
+    """Read the golden ticks.
+
+    Parameters
+    ----------
+    path : Path
+        The file `golden.npz`.
+    dof : int
+        Number of joints.
 
     Raises
     ------
@@ -95,12 +114,23 @@ def read_golden(path: Path, dof: int) -> Golden:
 def verify(
     golden: Golden, estimator: DeformationEstimator, predictor: Predictor, where: Path
 ) -> None:
-    """Replay the ticks and compare.
+    """Replay the golden ticks and compare.
+
+    Parameters
+    ----------
+    golden : Golden
+        The ticks.
+    estimator : DeformationEstimator
+        Estimator of the bundle.
+    predictor : Predictor
+        Predictor of the bundle.
+    where : Path
+        Subject of the message.
 
     Raises
     ------
     InputError
-        If an answer differs by more than `TOLERANCE`; it names the worst.
+        If a result differs by more than `TOLERANCE`; it names the first.
     """
     replayed = record_golden(
         estimator, predictor, golden.angle_rad, golden.current_a, golden.step_s

@@ -1,4 +1,4 @@
-"""Where the end effector is, from what the servo measures and the Deformation Index."""
+"""Predictor of the end effector from angle, current and Deformation Index."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ AXES: Final = 3
 
 
 class Prediction:
-    """The latest prediction: views of buffers that the next call overwrites; copy what you keep.
+    """Latest prediction, in buffers that the next call overwrites.
 
     Attributes
     ----------
     tip_m : ndarray, shape (3,)
-        End effector in the world frame, at inputs clipped into the training range.
+        End effector in the world frame, for inputs clipped to the training range.
     half_width_m : ndarray, shape (3,)
         Half width of the 95 % prediction interval; grows outside the training data.
     """
@@ -33,12 +33,12 @@ class Prediction:
 
     @property
     def in_range(self) -> bool:
-        """Every input lay in the training range; False where one was NaN."""
+        """Whether every input lay in the training range; False where one was NaN."""
         return bool(self._in_range[0] > 0.5)
 
 
 class Predictor(Protocol):
-    """Anything that predicts the end effector."""
+    """Interface of a predictor of the end effector."""
 
     def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
         """Predict from one sample.
@@ -49,27 +49,32 @@ class Predictor(Protocol):
             As measured; positive current pushes its angle positive.
         di : float
             Deformation Index, dimensionless.
+
+        Returns
+        -------
+        Prediction
+            Tip and prediction interval; overwritten by the next call.
         """
 
 
 class OnnxGraph:
-    """A graph of one float64 input row, run through buffers that are bound once.
+    """ONNX graph with one float64 input row, run with buffers that are bound once.
 
     Parameters
     ----------
     path : Path or str
         ONNX file.
     inputs : int
-        Width that the input must have.
+        Required width of the input.
     outputs : sequence of (name, width)
-        Outputs that the graph must have, in order.
+        Required outputs, in order.
 
     Attributes
     ----------
     row : ndarray, shape (inputs,)
-        Write the input here, then call `run`.
+        Input; write it before `run`.
     results : tuple of ndarray
-        Outputs after `run`, shapes (width,).
+        Outputs of the latest `run`, shapes (width,).
 
     Raises
     ------
@@ -90,7 +95,7 @@ class OnnxGraph:
         options = ort.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-        options.log_severity_level = 4  # a damaged file is reported by us, in one sentence
+        options.log_severity_level = 4  # a damaged file is reported below, in one sentence
         try:
             session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception:  # onnxruntime raises its own types, which differ between versions
@@ -114,7 +119,7 @@ class OnnxGraph:
         self._binding.bind_input(name, "cpu", 0, np.float64, (1, inputs), self.row.ctypes.data)
         for (output, width), buffer in zip(outputs, self.results, strict=True):
             self._binding.bind_output(output, "cpu", 0, np.float64, (1, width), buffer.ctypes.data)
-        self.run()  # the first call allocates inside onnxruntime; never in the loop
+        self.run()  # the first call allocates inside onnxruntime: not in the loop
 
     def run(self) -> None:
         """Evaluate the graph on `row` into `results`."""
@@ -122,7 +127,7 @@ class OnnxGraph:
 
 
 class OnnxPredictor:
-    """The bundle's `predictor.onnx`.
+    """Predictor from the bundle's `predictor.onnx`.
 
     Parameters
     ----------
@@ -145,7 +150,7 @@ class OnnxPredictor:
         self._angle_rad, self._current_a, self._di = row[:dof], row[dof:-1], row[-1:]
 
     def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
-        """Predict from one sample (see `Predictor.predict`); allocates nothing that stays."""
+        """Predict from one sample, without net allocation; see `Predictor.predict`."""
         self._angle_rad[:] = angle_rad
         self._current_a[:] = current_a
         self._di[0] = di

@@ -1,1 +1,1 @@
-"""The log of a run: the ring of ticks, the recorder process and the files that it writes."""
+"""Log of a run: tick ring, telemetry, recorder process, and the files that it writes."""

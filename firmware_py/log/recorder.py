@@ -1,14 +1,14 @@
-"""The recorder: a process beside the loop that writes its ticks to a file and shows them live.
+"""Recorder: a process beside the loop that writes its ticks to a file and serves them live.
 
 ::
 
-    loop ── SEQPACKET, one packed record a tick ──► receiving thread ── queue ──► writing thread
+    loop ── SEQPACKET, one packed record per tick ► receiving thread ── queue ──► writing thread
                                                                     viewers ◄──┘ └──► MCAP file
 
 The kernel queues only a few packets for a socket (`net.unix.max_dgram_qlen`, often 10), so one
-thread does nothing but receive, and a slow disk fills memory here instead of dropping ticks there.
-The process ends when the loop's end of the socket closes, however the loop died, and leaves a
-complete file behind. Run as `python -m firmware_py.log.recorder`, it reads its task from stdin.
+thread only receives: a slow disk fills the memory of this process and drops no ticks. The process
+ends when the loop's end of the socket closes, for whatever reason, and leaves a complete file.
+Started as `python -m firmware_py.log.recorder`, it reads its task from stdin.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _NICENESS: Final = 5
 
 
 class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the loop's process asks of the recorder.
+    """Task of the recorder process.
 
     Attributes
     ----------
@@ -51,11 +51,11 @@ class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     live : tuple of str and int, or None
         Host and port of the live view.
     dof : int
-        Number of joints, which fixes the record.
+        Number of joints, which determines the layout of a record.
     start_ns : int
-        Wall time of the run's start: `time_s` of a tick is added to it.
+        Wall time of the start of the run; `time_s` of a tick is added to it.
     metadata : dict of str to str
-        Written into the file as it is.
+        Metadata of the file.
     """
 
     fd: int
@@ -79,25 +79,25 @@ def recording(
     Parameters
     ----------
     path : Path or None
-        File to write; its directory is made.
+        File to write, with its directory; None writes no file.
     dof : int
         Number of joints.
     start_ns : int
-        Wall time of the run's start.
+        Wall time of the start of the run.
     metadata : dict of str to str
-        Written into the file, `dof` is added.
+        Metadata of the file; `dof` is added.
     live : tuple of str and int, optional
-        Host and port at which to serve the ticks to Foxglove.
+        Host and port of the live view for Foxglove.
 
     Yields
     ------
     SocketTelemetry
-        For the loop.
+        Telemetry for the loop.
 
     Raises
     ------
     InputError
-        If the packages are missing, the file cannot be written or the port not be listened at.
+        If a package is missing, the file cannot be written or the port cannot be listened at.
     """
     if path is not None:
         require_packages()
@@ -113,14 +113,14 @@ def recording(
         [sys.executable, "-m", "firmware_py.log.recorder"],
         stdin=subprocess.PIPE,
         pass_fds=(theirs.fileno(),),
-        start_new_session=True,  # a Ctrl-C in the terminal is for the loop alone
+        start_new_session=True,  # a Ctrl-C in the terminal must reach the loop only
     )
     theirs.close()
     try:
-        assert process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            process.stdin.write(msgspec.json.encode(task))
-            process.stdin.close()
+        if process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.write(msgspec.json.encode(task))
+                process.stdin.close()
         _await_start(ours)
         yield SocketTelemetry(ours)
     finally:
@@ -139,7 +139,7 @@ def _make_directory(path: Path) -> None:
 
 
 def _await_start(ours: socket.socket) -> None:
-    """Wait until the recorder is ready, or raise what it refuses."""
+    """Wait until the recorder is ready, or raise its refusal."""
     ours.settimeout(_START_TIMEOUT_S)
     try:
         answer = ours.recv(_ANSWER_BYTES)
@@ -152,9 +152,9 @@ def _await_start(ours: socket.socket) -> None:
 
 
 def main() -> int:
-    """Pass one run on, until the loop closes its end; 1 where a file could not be finished."""
+    """Pass one run on until the loop closes its end; return 1 if a file could not be finished."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # it outlives the loop by design
+        signal.signal(number, signal.SIG_IGN)  # it ends after the loop
     os.nice(_NICENESS)
     task = msgspec.json.decode(sys.stdin.buffer.read(), type=RecorderTask)
     end = socket.socket(fileno=task.fd)
@@ -170,7 +170,7 @@ def main() -> int:
 
 
 def _sinks(task: RecorderTask) -> Iterator[Sink]:
-    """Where the ticks go; the live view first, for it never waits."""
+    """Open the sinks of a task; the live view first, because it never waits."""
     if task.live is not None:
         live = LiveSink(*task.live, task.dof)
         print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
@@ -180,7 +180,7 @@ def _sinks(task: RecorderTask) -> Iterator[Sink]:
 
 
 def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
-    """Put packets into the queue; an empty one, as the closed socket gives, ends the run."""
+    """Put packets into the queue; an empty one, from a closed socket, ends the run."""
     record = b"-"
     while record:
         try:
@@ -191,7 +191,7 @@ def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
 
 
 def _pass_on(packets: queue.SimpleQueue[bytes], sinks: list[Sink], encode: TickEncoder) -> int:
-    """Give every tick to every sink; one that fails (a full disk) is left out from then on."""
+    """Give every tick to every sink; drop a sink that fails (a full disk)."""
     code = 0
     while (record := packets.get()) and sinks:
         message = encode(record)

@@ -1,8 +1,8 @@
-"""The log of a run: an MCAP file with one wide message per tick.
+"""Log file of a run: an MCAP file with one message per tick.
 
-`firmware_py.log.recorder` writes it from another process; `read_recording` reads it, also one that
-was cut off (up to its last whole chunk). The packages mcap and lz4 are imported only here and
-there, never by the loop's process while it runs.
+`firmware_py.log.recorder` writes it from another process. `read_recording` reads it; a file that
+was cut off is read up to its last complete chunk. The packages mcap and lz4 are not imported by the
+process of the loop while it runs.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"
 CHUNK_BYTES: Final = 16 * 1024
-"""A third of a second of two joints: what is lost with the recorder or the power. Chunks four times
-as long make the file 9 % smaller, half as long 10 % larger."""
+"""Size of a chunk: a third of a second of two joints, the largest loss if recorder or power fail.
+Chunks of four times the length make the file 9 % smaller, of half the length 10 % larger."""
 
 _DAMAGE: Final = (
     EOFError, LookupError, OverflowError, RuntimeError, ValueError, struct.error,
     msgspec.MsgspecError,
 )  # fmt: skip
-"""What is raised, beside mcap's own errors, where a file ends or holds litter."""
+"""Errors beside mcap's own that a truncated or damaged file raises."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A log that was read.
+    """Contents of a log file.
 
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        By name, as `firmware_py.signals.tick_signals` lists them, to the bit; NaN where the log
+        Values by name of the signal (`firmware_py.signals.tick_signals`), exact; NaN where the log
         has null. Integers are integers.
     metadata : dict of str to str
-        What the run wrote about itself: `dof`, `started_utc`, `bundle_sha256`, `config` (JSON) …
+        Facts about the run, see `firmware_py.robot.log_metadata`; `dof` is added.
     complete : bool
         False where the file was cut off.
     """
@@ -62,7 +62,7 @@ class Recording:
 
 
 def tick_schema(dof: int) -> dict[str, Any]:
-    """JSON schema of a tick, with unit and meaning of every column."""
+    """Return the JSON Schema of a tick, with unit and meaning of every column."""
     return {
         "title": SCHEMA_NAME,
         "type": "object",
@@ -74,7 +74,7 @@ def tick_schema(dof: int) -> dict[str, Any]:
 
 
 def require_packages() -> None:
-    """Refuse to record or read a log where its packages are not installed.
+    """Check that the packages of the log file are installed.
 
     Raises
     ------
@@ -90,19 +90,24 @@ def require_packages() -> None:
 
 
 def _number(value: int | float | str | None) -> int | float:
-    """Undo `firmware_py.log.sinks.TickEncoder`: null is NaN, an infinity a string."""
+    """Invert `firmware_py.log.sinks.TickEncoder`: null is NaN, an infinity a string."""
     if value is None:
         return np.nan
     return float(value) if isinstance(value, str) else value
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a log.
+    """Read a log file.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
 
     Raises
     ------
     InputError
-        If the packages are missing, or the file is, or is no log of ours, or holds no tick.
+        If a package or the file is missing, or it is no log of this project, or holds no tick.
     """
     require_packages()
     from mcap.exceptions import McapError
@@ -116,7 +121,7 @@ def read_recording(path: Path | str) -> Recording:
     metadata: dict[str, str] = {}
     complete = False
     decode = msgspec.json.Decoder(dict[str, int | float | str | None]).decode
-    # From memory, where litter that asks for more bytes than any machine has gets what is left.
+    # From memory: a damaged length then gets the bytes that are left, however large it is.
     stream = io.BytesIO(path.read_bytes())
     with contextlib.suppress(McapError, *_DAMAGE):
         for record in StreamReader(stream, validate_crcs=True).records:
@@ -126,7 +131,9 @@ def read_recording(path: Path | str) -> Recording:
                 metadata = dict(record.metadata)
         complete = True
     if "dof" not in metadata:
-        raise InputError(path, "is not a log of ours", "name one that 'dropstitch run' has written")
+        raise InputError(
+            path, "is not a log of dropstitch", "name one that 'dropstitch run' has written"
+        )
     if not rows:
         raise InputError(path, "holds no whole chunk of ticks", "record for longer")
     return Recording(

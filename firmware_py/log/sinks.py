@@ -1,6 +1,6 @@
-"""Where the recorder's process puts a tick: an MCAP file, a live view, both as the same message.
+"""Sinks of the recorder process: an MCAP file and a live view, with the same messages.
 
-The packages are imported here, in the sidecar, when a sink is made, never by the loop's process.
+Their packages are imported when a sink is made, in the recorder process only.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from firmware_py.signals import tick_dtype
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
 _VIEWER_BACKLOG: Final = 256
-"""Messages kept for a viewer that is behind; then the oldest go, whatever the viewer does."""
+"""Messages kept for a viewer that is behind; beyond them the oldest are dropped."""
 
 
 class Sink(Protocol):
-    """Takes ticks, one after the other."""
+    """Receiver of ticks in the recorder process."""
 
     def write(self, time_ns: int, data: bytes) -> None:
-        """Take one tick: its wall time and its JSON."""
+        """Take one tick: its wall time in ns and its JSON."""
 
     def finish(self) -> None:
-        """Nothing more will come."""
+        """Complete the output after the last tick."""
 
 
 class TickEncoder:
-    """Packed record to JSON, to the bit: NaN becomes null, an infinity a string.
+    """Encoder of packed records as JSON, exact; NaN becomes null, an infinity a string.
 
     Parameters
     ----------
     dof : int
-        Number of joints, which fixes the record.
+        Number of joints, which determines the layout of a record.
     start_ns : int
-        Wall time of the run's start: `time_s` of a tick is added to it.
+        Wall time of the start of the run; `time_s` of a tick is added to it.
     """
 
     def __init__(self, dof: int, start_ns: int) -> None:
@@ -60,7 +60,7 @@ class TickEncoder:
 
 
 class McapSink:
-    """The MCAP file: small LZ4 chunks, each on the disk as soon as it is full.
+    """MCAP file: small LZ4 chunks, each on the disk as soon as it is full.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class McapSink:
     dof : int
         Number of joints.
     metadata : dict of str to str
-        Written into the file as it is.
+        Metadata of the file.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class McapSink:
         from mcap.writer import CompressionType, Writer
 
         try:
-            self._stream = open(path, "wb")  # noqa: SIM115 (open as long as ticks come)
+            self._stream = open(path, "wb")  # noqa: SIM115 (open until finish)
         except OSError as error:
             raise InputError(
                 path, f"cannot be written ({error.strerror})", "name another file for the log"
@@ -114,7 +114,7 @@ class McapSink:
 
 
 class LiveSink:
-    """A WebSocket server for Foxglove, in threads of its own; a slow viewer loses old ticks.
+    """WebSocket server for Foxglove, in its own threads; a slow viewer loses old ticks.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class LiveSink:
     Attributes
     ----------
     url : str
-        What a viewer connects to.
+        Address for the viewer.
 
     Raises
     ------
@@ -150,21 +150,21 @@ class LiveSink:
         except RuntimeError as error:
             raise InputError(
                 "live", f"{host}:{port} cannot be listened at ({error})",
-                "correct [live] in robot.toml, or end what holds the port",
+                "correct [live] in robot.toml, or end the program that uses the port",
             ) from None  # fmt: skip
         self.url = f"ws://{host}:{self._server.port}"
 
     def write(self, time_ns: int, data: bytes) -> None:
-        """Send one tick to whoever looks."""
+        """Send one tick to the viewers."""
         self._channel.log(data, log_time=time_ns)
 
     def finish(self) -> None:
-        """Let the viewers go."""
+        """Stop the server."""
         self._server.stop()
 
 
 def require_live_package() -> None:
-    """Refuse to serve a live view where its package is not installed.
+    """Check that the package of the live view is installed.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The way of a tick out of the loop: one packed record to another process, or to nobody.
+"""Telemetry: hand-over of packed tick records to another process.
 
-Logging inside the loop would cost it 8–13.5 ms at worst, in a thread beside it 30–63 ms; a record
-through a non-blocking socket to another process costs 50 µs (docs/sources.md, "Fixed-rate loop"). A
-record that does not fit at once is dropped and counted: the loop waits for nobody.
+Writing a log in the tick delays it by 8–13.5 ms at worst, in another thread by 30–63 ms; a record
+through a non-blocking socket to another process takes 50 µs (docs/sources.md, "Fixed-rate loop"). A
+record that the socket does not accept at once is dropped and counted, so the loop never waits.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Protocol
 
 
 class Telemetry(Protocol):
-    """Takes finished tick records.
+    """Receiver of finished tick records.
 
     Attributes
     ----------
     drops : int
-        Records that nobody got.
+        Records that were not delivered.
     """
 
     drops: int
@@ -28,7 +28,7 @@ class Telemetry(Protocol):
 
 
 class NoTelemetry:
-    """Takes records and forgets them."""
+    """Telemetry that discards the records."""
 
     drops = 0
 
@@ -37,12 +37,12 @@ class NoTelemetry:
 
 
 class SocketTelemetry:
-    """Sends records over a SEQPACKET socket.
+    """Telemetry over a SEQPACKET socket.
 
     Parameters
     ----------
     end : socket
-        The loop's end of a connected `AF_UNIX`, `SOCK_SEQPACKET` pair.
+        Loop's end of a connected `AF_UNIX`, `SOCK_SEQPACKET` pair.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -51,7 +51,7 @@ class SocketTelemetry:
         self.drops = 0
 
     def put(self, record: memoryview) -> None:
-        """Send one record, or count it as dropped (the recorder is behind, or gone)."""
+        """Send one record, or count it as dropped if the recorder is behind or gone."""
         try:
             self._send(record)
         except OSError:

@@ -1,4 +1,4 @@
-"""The last ticks of a run: a preallocated ring of records."""
+"""Tick ring: preallocated memory of the last records of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FIELD_BYTES: Final = 8
 
 
 class TickRing:
-    """Keeps the last records; writing one allocates nothing that stays.
+    """Ring of the last records, written without net allocation.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class TickRing:
     def __init__(self, dof: int, keep: int) -> None:
         dtype = tick_dtype(dof)
         names = dtype.names or ()
-        # One call packs the whole record, five times faster than a column at a time.
+        # One call packs the whole record, five times faster than packing by column.
         self._pack = struct.Struct(
             "=" + "".join(_FORMATS[dtype[name].kind] for name in names)
         ).pack_into

@@ -1,1 +1,1 @@
-"""Real time: the clock, the timing of a tick, the checks of doctor and the systemd service."""
+"""Real time: clocks, timing statistics, doctor checks and notification of systemd."""

@@ -1,4 +1,4 @@
-"""Time for the loop: a clock that waits for absolute deadlines, real or simulated.
+"""Clocks of the loop, real and simulated, and real-time scheduling of its thread.
 
 Waiting for absolute deadlines keeps the phase: 600 ticks of 17 ms drift by 3 ms in all, against
 1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). `SCHED_FIFO` is worth more
@@ -24,30 +24,45 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
 class Clock(Protocol):
-    """Where the loop, the port and the emulated line take their time from."""
+    """Clock of loop, port and emulated line."""
 
     def now_ns(self) -> int:
-        """Monotonic time."""
+        """Return the monotonic time."""
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at `deadline_ns` or, where that has passed, at once."""
+        """Return at `deadline_ns`; at once if that has passed."""
         ...
 
 
 class DeadlineClock:
-    """The machine's monotonic clock."""
+    """Monotonic clock of the machine."""
 
     now_ns = staticmethod(time.monotonic_ns)
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until an absolute time (`clock_nanosleep` under `time.sleep` since Python 3.11)."""
+        """Sleep until an absolute time (`time.sleep` uses `clock_nanosleep` since Python 3.11)."""
         while (remaining_ns := deadline_ns - time.monotonic_ns()) > 0:
             time.sleep(remaining_ns * 1e-9)
 
 
 class SimClock:
-    """Simulated time: it moves only when somebody waits for it, so a run is deterministic."""
+    """Simulated clock: time passes only where somebody waits, so a run is deterministic.
+
+    Parameters
+    ----------
+    start_ns : int
+        Time at the start.
+
+    Examples
+    --------
+    >>> clock = SimClock()
+    >>> clock.sleep_until(17_000_000)
+    >>> clock.advance(500_000)
+    >>> clock.sleep_until(10_000_000)  # has passed
+    >>> clock.now_ns()
+    17500000
+    """
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -57,27 +72,27 @@ class SimClock:
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Jump to a later time; an earlier one changes nothing."""
+        """Advance to `deadline_ns`; do nothing if that has passed."""
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance(self, duration_ns: int) -> None:
-        """Let time pass, as a computation or a transmission does."""
+        """Advance by `duration_ns`, as a computation or a transmission does."""
         self._now_ns += duration_ns
 
 
 class RealTimeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What to ask of the kernel (table `[real_time]` of robot.toml).
+    """Requests to the kernel (table `[real_time]` of robot.toml).
 
     Attributes
     ----------
     priority : int
-        SCHED_FIFO priority of the loop's thread, 1–99; 0 leaves the normal scheduler.
+        SCHED_FIFO priority of the loop's thread, 1–99; 0 keeps the normal scheduler.
     lock_memory : bool
-        Keep every page in memory.
+        Lock every page in memory.
     freeze_gc : bool
-        Collect once, then keep the garbage collector out of the loop.
+        Collect garbage once, then disable the collector during the loop.
     cpu : int or None
-        Pin the loop's thread to this processor.
+        Processor to pin the loop's thread to; None does not pin it.
     """
 
     priority: int = 50
@@ -88,17 +103,22 @@ class RealTimeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 @contextlib.contextmanager
 def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
-    """Make the calling thread real-time as far as the kernel allows, and restore it afterwards.
+    """Make the calling thread real-time as far as the kernel permits; restore it afterwards.
+
+    Parameters
+    ----------
+    options : RealTimeOptions
+        Requests to the kernel.
 
     Yields
     ------
     list of str
-        What was refused and how to mend it, one sentence each; empty where all was granted.
+        Refused requests with remedies, one sentence each; empty where all were granted.
     """
     refused: list[str] = []
     affinity, collecting = os.sched_getaffinity(0), gc.isenabled()
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; only the normal scheduler heeds it
+    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; effective under the normal scheduler only
     if options.freeze_gc:
         gc.collect()
         gc.freeze()
@@ -133,7 +153,7 @@ def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
 
 
 def _lock_memory(libc: ctypes.CDLL) -> bool:
-    # Under a finite limit MCL_FUTURE would make a later allocation fail: better no lock at all.
+    # Under a finite limit MCL_FUTURE would make a later allocation fail: do not lock then.
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != resource.RLIM_INFINITY and os.geteuid() != 0:
         return False

@@ -1,4 +1,4 @@
-"""What on this PC would spoil the loop's timing, and how to mend it.
+"""Doctor checks: settings of this PC that spoil the loop's timing, with remedies.
 
 Ranked by what was measured (docs/sources.md, "Fixed-rate loop"): the USB latency timer costs up to
 16 ms of 17, the normal scheduler up to 43 ms under load, paging and the collector hundreds; the
@@ -26,28 +26,28 @@ _TEST_PRIORITY: Final = 50
 
 
 class Verdict(Enum):
-    """How a finding bears on the timing."""
+    """Effect of a finding on the timing."""
 
     GOOD = "good"
     NOTE = "note"
-    """Not ideal, or cannot be told here; the loop will do."""
+    """Not ideal, or not known here; the loop runs well enough."""
     SPOILS = "spoils"
     """Deadlines will be missed."""
 
 
 class Finding(NamedTuple):
-    """One thing looked at.
+    """Result of one check.
 
     Attributes
     ----------
     name : str
-        What.
+        Name of the check.
     verdict : Verdict
-        How it bears on the timing.
+        Effect on the timing.
     found : str
         What was found.
     remedy : str
-        What to do about it; empty where all is good.
+        Remedy; empty where the finding is good.
     """
 
     name: str
@@ -59,14 +59,14 @@ class Finding(NamedTuple):
 def examine(
     root: Path = Path("/"), may_be_real_time: Callable[[], bool] | None = None
 ) -> list[Finding]:
-    """Look at everything that matters.
+    """Run every check.
 
     Parameters
     ----------
     root : Path
-        Where /proc and /sys are found; a test gives its own.
+        Root of /proc and /sys; tests give their own.
     may_be_real_time : callable, optional
-        Says whether SCHED_FIFO is granted; by default it is tried.
+        Returns whether SCHED_FIFO is granted; by default it is tried.
     """
     return [
         _latency_timer(root),
@@ -104,12 +104,12 @@ def _latency_timer(root: Path) -> Finding:
         )  # fmt: skip
     if not files:
         return Finding(name, Verdict.NOTE, "no USB serial adapter is plugged in",
-                       "plug it in and ask again")  # fmt: skip
+                       "plug it in and repeat the check")  # fmt: skip
     return Finding(name, Verdict.GOOD, f"at most {_LATENCY_LIMIT_MS} ms")
 
 
 def try_fifo() -> bool:
-    """Try SCHED_FIFO in a thread of its own, which ends with it."""
+    """Return whether a thread may use SCHED_FIFO, by trying it in a short-lived one."""
     granted = []
 
     def attempt() -> None:
@@ -149,7 +149,7 @@ def _swap(root: Path) -> Finding:
     if not lines:
         return Finding("swap", Verdict.GOOD, "off")
     return Finding("swap", Verdict.NOTE, f"on ({lines[0].split()[0]})",
-                   "sudo swapoff -a, where memory cannot be locked")  # fmt: skip
+                   "sudo swapoff -a, if memory cannot be locked")  # fmt: skip
 
 
 def _governor(root: Path) -> Finding:
@@ -169,7 +169,7 @@ def _clock_source(root: Path) -> Finding:
     folder = root / "sys/devices/system/clocksource/clocksource0"
     current = _read(folder / "current_clocksource")
     if current is None or current in _GOOD_CLOCKS:
-        return Finding("clock source", Verdict.GOOD, current or "not told")
+        return Finding("clock source", Verdict.GOOD, current or "unknown")
     return Finding(
         "clock source", Verdict.SPOILS, f"{current}, slow to read and coarse",
         f"boot with clocksource=tsc (available: {_read(folder / 'available_clocksource')})",
@@ -187,7 +187,7 @@ def _preemption(root: Path) -> Finding:
 
 
 def _python() -> Finding:
-    # From 3.11 on, which is the oldest that installs, time.sleep waits until an absolute time.
+    # From 3.11 on, the oldest supported version, time.sleep waits until an absolute time.
     return Finding("Python", Verdict.GOOD, platform.python_version())
 
 

@@ -1,8 +1,8 @@
-"""Tell systemd how the loop is: started, alive, stopping (the protocol of sd_notify(3)).
+"""Notification of systemd: started, alive, stopping (the protocol of sd_notify(3)).
 
-A datagram to the socket that the environment names is all there is to it, so no library is
-needed. The loop says that it is alive from its log stage; if it ever hangs, systemd ends it and
-runs `dropstitch release` (see the unit that `dropstitch install-service` writes).
+The protocol is a datagram to the socket that the environment names. The loop notifies systemd from
+its log stage; if it hangs, systemd ends it and runs `dropstitch release`, as the service file of
+`dropstitch install-service` says.
 """
 
 from __future__ import annotations
@@ -15,32 +15,33 @@ from typing import Final, Protocol
 
 from firmware_py.realtime.clock import Clock
 
-_SIGNS_PER_TIMEOUT: Final = 4
+_NOTIFICATIONS: Final = 4
+"""Notifications within the timeout of systemd."""
 
 
 class Service(Protocol):
-    """Whoever watches over the process."""
+    """Watchdog of the process."""
 
     def alive(self) -> None:
-        """Say that the loop goes on; never blocks, never raises."""
+        """Notify that the loop is running; never blocks, never raises."""
 
 
 class NoService:
-    """Nobody watches."""
+    """No watchdog."""
 
     def alive(self) -> None:
         """Do nothing."""
 
 
 class SystemdService:
-    """Notifies systemd; does nothing where it has not asked for that.
+    """Watchdog of systemd; does nothing where the environment names no socket.
 
     Parameters
     ----------
     clock : Clock
-        Tells when the next sign of life is due, four in the time that systemd waits for one.
+        Clock of the notifications; there are four within the timeout of systemd.
     environment : mapping of str to str, optional
-        With NOTIFY_SOCKET and WATCHDOG_USEC; by default the process's own.
+        Environment with NOTIFY_SOCKET and WATCHDOG_USEC; by default that of the process.
     """
 
     def __init__(self, clock: Clock, environment: Mapping[str, str] = os.environ) -> None:
@@ -50,29 +51,28 @@ class SystemdService:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
         self._address = address.replace("@", "\0", 1) if address[:1] == "@" else address
-        self._interval_ns = int(environment.get("WATCHDOG_USEC", 0)) * 1000 // _SIGNS_PER_TIMEOUT
+        self._interval_ns = int(environment.get("WATCHDOG_USEC", 0)) * 1000 // _NOTIFICATIONS
         self._now_ns, self._due_ns = clock.now_ns, 0
         self._started = False
 
     def alive(self) -> None:
-        """Say READY the first time, then now and then that the loop is alive."""
+        """Notify READY the first time, afterwards WATCHDOG when it is due."""
         if self._socket is None or (self._started and not self._interval_ns):
             return
         now_ns = self._now_ns()
         if self._started and now_ns < self._due_ns:
             return
         self._due_ns = now_ns + self._interval_ns
-        self._say(b"WATCHDOG=1" if self._started else b"READY=1")
+        self._notify(self._socket, b"WATCHDOG=1" if self._started else b"READY=1")
         self._started = True
 
     def close(self) -> None:
-        """Say that the loop has ended; the recorder may take a while longer."""
+        """Notify that the loop has ended; the recorder may still be writing."""
         if self._socket is not None:
-            self._say(b"STOPPING=1")
+            self._notify(self._socket, b"STOPPING=1")
             self._socket.close()
             self._socket = None
 
-    def _say(self, message: bytes) -> None:
-        assert self._socket is not None
-        with contextlib.suppress(OSError):  # a full queue: the next sign will do
-            self._socket.sendto(message, self._address)
+    def _notify(self, end: socket.socket, message: bytes) -> None:
+        with contextlib.suppress(OSError):  # a full queue: the next notification will do
+            end.sendto(message, self._address)

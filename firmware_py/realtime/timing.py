@@ -1,4 +1,4 @@
-"""Where the time of a tick goes: constant-memory histograms and the kernel's own counters."""
+"""Timing statistics of the ticks: histograms, the kernel's counters, misses and their causes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from firmware_py.signals import STAGES
 _SUB_BITS: Final = 6
 _SUB_BUCKETS: Final = 1 << _SUB_BITS
 _OCTAVES: Final = 40
-"""Durations up to 2**40 ns, a quarter of an hour, are told apart."""
+"""Durations up to 2**40 ns, 18 minutes, are distinguished."""
 
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 _STEAL_FIELD: Final = 8
@@ -26,9 +26,26 @@ _NEGLIGIBLE: Final = 1e-16
 
 
 class Histogram:
-    """Counts of durations in buckets at most 1/64 wide, relative; nothing is allocated to count.
+    """Histogram of durations in constant memory, with a relative bucket width of at most 1/64.
 
-    The layout is that of an HDR histogram: exact below 128 ns, then 64 buckets an octave.
+    The layout is that of an HDR histogram: exact below 128 ns, then 64 buckets per octave.
+
+    Attributes
+    ----------
+    counts : array
+        Durations by bucket.
+    count : int
+        Number of durations.
+    max_ns : int
+        The longest.
+
+    Examples
+    --------
+    >>> histogram = Histogram()
+    >>> for duration_ns in (10, 20, 30, 100):
+    ...     histogram.add(duration_ns)
+    >>> histogram.percentile_ns(0.5), histogram.max_ns
+    (20, 100)
     """
 
     def __init__(self) -> None:
@@ -46,9 +63,9 @@ class Histogram:
         if value > self.max_ns:
             self.max_ns = value
 
-    def percentile_ns(self, share: float) -> int:
-        """Smallest bucket's upper end that at least `share` of the durations do not exceed."""
-        needed, seen = share * self.count, 0
+    def percentile_ns(self, fraction: float) -> int:
+        """Return the lowest upper end of a bucket that this fraction does not exceed."""
+        needed, seen = fraction * self.count, 0
         for bucket, count in enumerate(self.counts):
             seen += count
             if count and seen >= needed:
@@ -56,7 +73,7 @@ class Histogram:
         return 0
 
     def summary(self) -> dict[str, int]:
-        """Count, percentiles and maximum, as `timing.json` writes them."""
+        """Return count, percentiles and maximum, as `timing.json` has them."""
         return {
             "n": self.count,
             "p50_ns": self.percentile_ns(0.5),
@@ -74,34 +91,34 @@ def _upper_end_ns(bucket: int) -> int:
 
 
 class Counters(Protocol):
-    """What the kernel says about the loop's thread and the machine."""
+    """Counters of the kernel for the loop's thread and the machine."""
 
     def run_delay_ns(self) -> int:
-        """Time that the thread was ready to run and did not."""
+        """Return the time for which the thread was ready to run and did not."""
         ...
 
     def steal_ns(self) -> int:
-        """Time that the hypervisor kept from this machine, over all processors."""
+        """Return the time that the hypervisor withheld, over all processors."""
         ...
 
 
 class NoCounters:
-    """For simulated time, where nobody is preempted."""
+    """Counters for simulated time, in which nothing is preempted."""
 
     def run_delay_ns(self) -> int:
-        """Nothing."""
+        """Return zero."""
         return 0
 
     def steal_ns(self) -> int:
-        """Nothing."""
+        """Return zero."""
         return 0
 
 
 class KernelCounters:
-    """The kernel's counters for the thread that makes this object.
+    """Counters of the kernel for the thread that creates this object.
 
     The files stay open, so that a reading is one system call: 1 µs for the run-queue delay, 7 µs
-    for steal time (in steps of 10 ms). Where one of them does not exist it reads as zero.
+    for steal time (in steps of 10 ms). A counter that does not exist reads as zero.
     """
 
     def __init__(self) -> None:
@@ -136,7 +153,7 @@ def _open(path: str) -> int | None:
 
 
 class Cause(Enum):
-    """Why a deadline was missed."""
+    """Cause of a missed deadline."""
 
     OWN_COMPUTE = "own compute"
     BUS_WAIT = "bus wait"
@@ -146,11 +163,22 @@ class Cause(Enum):
 def cause_of_miss(
     busy_ns: int, bus_wait_ns: int, lateness_ns: int, preempted_ns: int, steal_ns: int
 ) -> Cause:
-    """Name what took the largest part of a tick that ended after its slot.
+    """Return the cause with the largest part of a tick that ended after its slot.
 
-    Lateness that the run queue does not explain is time in which the whole machine stood still;
-    steal time is counted by the machine in steps and may show a tick late, so the larger of both
-    accounts of the host counts.
+    Lateness that the run queue does not explain is time in which the whole machine stood still.
+    Steal time is counted in steps and may appear a tick late. The larger of the two counts for the
+    host.
+
+    Parameters
+    ----------
+    busy_ns : int
+        Time from wake-up to the end of the tick.
+    bus_wait_ns : int
+        Part of it spent waiting for the servos.
+    lateness_ns : int
+        Wake-up behind the deadline.
+    preempted_ns, steal_ns : int
+        Run-queue delay and steal time during the period.
     """
     host_ns = max(preempted_ns + steal_ns, lateness_ns)
     own_ns = busy_ns - bus_wait_ns - max(host_ns - lateness_ns, 0)
@@ -159,12 +187,12 @@ def cause_of_miss(
 
 
 class Timing:
-    """Timing of a run in constant memory: a histogram per stage, and every miss with its cause.
+    """Timing of a run in constant memory: a histogram per stage, and the misses by cause.
 
     Attributes
     ----------
     stages : dict of str to Histogram
-        By stage, and "lateness", "busy" (the whole tick) and "own" (busy without waiting for the
+        By stage, and "lateness", "busy" (the whole tick) and "own" (busy less the wait for the
         servos).
     misses : int
         Slots missed.
@@ -183,7 +211,19 @@ class Timing:
     def add(
         self, stages_ns: Iterable[int], lateness_ns: int, busy_ns: int, bus_wait_ns: int
     ) -> None:
-        """Count one tick; `stages_ns` in the order of `STAGES`."""
+        """Count one tick.
+
+        Parameters
+        ----------
+        stages_ns : iterable of int
+            Durations in the order of `firmware_py.signals.STAGES`.
+        lateness_ns : int
+            Wake-up behind the deadline.
+        busy_ns : int
+            Time from wake-up to the end of the tick.
+        bus_wait_ns : int
+            Part of it spent waiting for the servos.
+        """
         for add, duration_ns in zip(self._stage_adders, stages_ns, strict=True):
             add(duration_ns)
         self.stages["lateness"].add(lateness_ns)
@@ -191,13 +231,13 @@ class Timing:
         self.stages["own"].add(busy_ns - bus_wait_ns)
 
     def miss(self, slots: int, cause: Cause) -> None:
-        """Count slots missed in a row."""
+        """Count slots missed in a row, with their cause."""
         self.misses += slots
         self.longest_run = max(self.longest_run, slots)
         self.causes[cause] += slots
 
     def summary(self) -> dict[str, Any]:
-        """Everything, as `timing.json` writes it."""
+        """Return everything, as `timing.json` has it."""
         ticks = self.stages["busy"].count
         return {
             "stages": {name: histogram.summary() for name, histogram in self.stages.items()},

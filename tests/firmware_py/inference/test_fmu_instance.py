@@ -151,10 +151,10 @@ def _lacking(files):
         (_edit(b'fmiVersion="3.0"', b'fmiVersion="2.0"'), "is of FMI 2.0"),
         (_edit(b'instantiationToken="{', b'instantiationToken="{0'), "token is of another FMU"),
         (_edit(b"<CoSimulation", b"<ModelExchange"), "not for Co-Simulation"),
-        (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMI unit"),
-        (lambda files: files.pop("modelDescription.xml"), "is no FMI unit"),
-        (lambda files: files.update({"../../evil.so": b""}), "outside itself"),
-        (_edit(b'valueReference="1"', b'valueReference="one"'), "is no FMI unit"),
+        (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMU"),
+        (lambda files: files.pop("modelDescription.xml"), "is no FMU"),
+        (lambda files: files.update({"../../evil.so": b""}), "path outside the archive"),
+        (_edit(b'valueReference="1"', b'valueReference="one"'), "is no FMU"),
         (_no_elf, "does not load"),
         (_lacking, "lacks fmi3DoStep"),
     ],
@@ -168,7 +168,7 @@ def test_a_missing_file_and_a_truncated_one_are_refused(path, tmp_path):
     with pytest.raises(InputError, match="is missing"):
         FmuInstance(tmp_path / "none.fmu")
     (tmp_path / "half.fmu").write_bytes(path.read_bytes()[:4000])
-    with pytest.raises(InputError, match="is no FMI unit"):
+    with pytest.raises(InputError, match="is no FMU"):
         FmuInstance(tmp_path / "half.fmu")
 
 
@@ -179,7 +179,7 @@ def test_a_flipped_byte_is_refused(path, tmp_path):
     data = bytearray(path.read_bytes())
     data[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF
     (tmp_path / "flipped.fmu").write_bytes(data)
-    with pytest.raises(InputError, match="is no FMI unit"):
+    with pytest.raises(InputError, match="is no FMU"):
         FmuInstance(tmp_path / "flipped.fmu")
 
 
