@@ -36,6 +36,7 @@ from fmu.stimulus import inputs_from_motion
 __all__ = ["FmuReport", "check_fmu"]
 
 PAYLOAD_KG: Final = 1.0
+"""Payload of a parity run."""
 STEPS: Final = 256
 """Steps of a parity run: one cycle of the study's motion."""
 
@@ -55,7 +56,7 @@ class FmuReport:
     parity : dict of str to float
         Largest difference from the interpreted model by output, over fixed and varying steps.
     step_us : dict of str to float
-        Median time of a step in FMPy: "bare", and "with_sets_and_gets" of all inputs and outputs.
+        Median time of a step in FMPy, as `fmu.parity.step_times_us` measures it.
     """
 
     path: Path

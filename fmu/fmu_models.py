@@ -28,6 +28,7 @@ __all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
 
 Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
+"""Kinds of FMU."""
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
 """Files in the resources of an FMU: the parts that it was built from, and its kind and dof."""
 

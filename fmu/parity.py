@@ -18,7 +18,7 @@ from models.plant.step_model import StepModel, names
 Array = NDArray[np.float64]
 
 PARITY: Final = 1e-9
-"""Largest allowed difference from the interpreted model, in the SI unit of each output."""
+"""Largest allowed difference from the interpreted model, in the SI unit of each output; assumed."""
 
 
 class FmuCheck(NamedTuple):

@@ -21,7 +21,9 @@ from models.trials.trial import Trial
 __all__ = ["LAG_TICKS", "LaggedRegressor", "lagged_features"]
 
 LAG_TICKS: Final = (0, 4, 8, 16)
+"""Lags in ticks, up to 0.27 s; assumed."""
 DEGREE: Final = 2
+"""Degree of the polynomial in the lagged features."""
 
 
 def lagged_features(

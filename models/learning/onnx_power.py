@@ -37,6 +37,7 @@ __all__ = ["PolynomialGraph", "to_onnx"]
 
 OPSET: Final = 13
 IR_VERSION: Final = 7
+"""Versions of operators and file format that onnxruntime 1.16 and later load."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Row numbers to train on and to test on."""
 
 DEGREES: Final = (1, 2, 3, 4, 5, 6)
+"""Degrees that the study compares (paper, Figs. 12 to 15)."""
 COVERAGE: Final = 0.95
 """Nominal coverage of the prediction interval."""
 LEVERAGE_RIDGE: Final = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import shutil
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import onnx
@@ -27,9 +27,14 @@ from models.study.study_document import StudyDocument, write_study
 __all__ = ["ParityError", "check_parity", "monomial", "write_bundle"]
 
 GATE_POINTS: Final = 10_000
+"""Points of the parity gate."""
 GATE_M: Final = 1e-9
+"""Largest difference at the parity gate: rounding of float64 gives up to 3e-14 m
+(docs/sources.md, "ONNX")."""
 GOLDEN_TICKS: Final = 256
+"""Golden ticks after the rest rows: one cycle of the study's motion."""
 LIBRARIES: Final = ("numpy", "scikit-learn", "skl2onnx", "onnx", "onnxruntime", "casadi")
+"""Libraries whose versions the manifest records."""
 
 
 class ParityError(DropstitchError):
@@ -199,7 +204,7 @@ def _quantities(names: tuple[str, ...], low: Array, high: Array) -> tuple[Quanti
     )
 
 
-def _described(quantities: tuple[Quantity, ...]) -> list[dict[str, Any]]:
+def _described(quantities: tuple[Quantity, ...]) -> list[dict[str, str | float]]:
     return [
         {"name": q.name, "unit": q.unit, "minimum": q.minimum, "maximum": q.maximum}
         for q in quantities

@@ -25,7 +25,7 @@ from models.study.tables import Fitted
 from models.trials.trial import Trial
 
 POINTS: Final = 256
-"""Points of a curve: one cycle of the study's motion at its period of 17 ms."""
+"""Largest number of points of a curve: every second row of the study's 512."""
 POSES: Final = 9
 """Shapes of the link in one cycle: every eighth of it."""
 

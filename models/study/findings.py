@@ -18,7 +18,7 @@ from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
 PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
-"""Degree of least distance by dof (paper, Fig. 14)."""
+"""Degree of least distance by dof, as the paper reports it."""
 NOISE_FACTOR: Final = 3.0
 """Width of a DI loop, relative to the width from marker noise alone, that counts as hysteresis;
 assumed."""

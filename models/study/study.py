@@ -102,8 +102,7 @@ def run_study(
     folds = _folds(samples)
     cross_validation = _cross_validation(samples, folds, progress)
     degree = _best_degree(cross_validation["estimated_di"])
-    predictor = _deployed_predictor(degree, samples, folds)
-    fitted = _fit_every_predictor(samples)
+    predictor, fitted = _deployed_predictor(degree, samples, folds), _fit_every_predictor(samples)
     progress("fits")
     results: dict[str, StudyTest] = {}
     for name, trials in tests.items():
