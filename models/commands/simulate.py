@@ -1,9 +1,9 @@
-"""Run the virtual laboratory: a MuJoCo robot finer than the plant, with the study's protocol.
+"""Simulation of trials on the rig: a MuJoCo model of the robot, with the study's protocol.
 
 Every trial settles, runs the motion once as a warm-up (discarded), settles again, rests for 60
 rows and then runs the motion that is recorded. The paper gives no phase between the joints of
-2DOF: at --phase-deg 0 both move together, at 90 the tip goes round. Running again with the same
-options renews the same trials; other files in DIR stay.
+2DOF: at --phase-deg 0 both move together, at 90 the tip moves on an ellipse. A second run with the
+same options writes the same trials again; other files in DIR are kept.
 """
 
 from __future__ import annotations
@@ -16,6 +16,11 @@ from pathlib import Path
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
+from models.rig.conditions_record import (
+    RigConditions,
+    record_conditions,
+    refuse_other_conditions,
+)
 from models.rig.rig_parameters import RIG_TOML, RigParameters, read_parameters
 from models.rig.trial_case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, TrialCase
 from models.shared.catalogue import CATALOGUE, parse_strengths
@@ -29,7 +34,7 @@ _LARGEST_TRIALS = 1000
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("--out", type=Path, required=True, metavar="DIR", help="where the trials go")
+    add("--out", type=Path, required=True, metavar="DIR", help="directory of the trials")
     add("--dof", type=int, nargs="+", choices=(1, 2), default=[1], help="driven joints (1)")
     add(
         "--payloads", type=float, nargs="+", default=list(STUDY_PAYLOADS_KG), metavar="KG",
@@ -46,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--phase-deg", type=float, default=0.0, metavar="DEG", help="lead of joint 2 (0)")
     add(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
-        help="add an effect to what the laboratory has; repeatable; " + _effects_help(),
+        help="add an effect to the rig's defaults; repeatable; " + _effects_help(),
     )  # fmt: skip
     add(
         "--pressure-pa", type=float, default=STUDY_PRESSURE_PA, metavar="PA",
@@ -62,23 +67,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run and write the trials, then draw them."""
+    """Run, write and draw the trials."""
     parameters = read_parameters(args.rig)
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
-    from models.rig import trial_runner  # loads MuJoCo, which a mistyped option need not wait for
     from models.rig.trial_overview import draw_overview
+    from models.rig.trial_runner import run_cases  # loads MuJoCo: only once the options are right
 
-    conditions = {
-        "seed": args.seed,
-        "hidden": hidden,
-        "laboratory_sha256": parameters.sha256(),
-    }
-    trial_runner.refuse_other_conditions(cases, conditions, args.out)
-    trial_runner.record_conditions(cases, conditions, args.out)
+    conditions = RigConditions(seed=args.seed, hidden=hidden, rig_sha256=parameters.sha256())
+    refuse_other_conditions(cases, conditions, args.out)
+    record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
-    paths = trial_runner.run_cases(cases, parameters, args.out, args.workers, progress.step)
+    paths = run_cases(cases, parameters, args.out, args.workers, progress.step)
     overview = draw_overview(args.out)
     emit(
         args,

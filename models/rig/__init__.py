@@ -1,1 +1,1 @@
-"""The virtual laboratory: a MuJoCo chain that stands for the real robot, and its protocol."""
+"""Rig: the MuJoCo simulation that stands for the real robot, and the study's protocol."""

@@ -1,11 +1,11 @@
-"""How the hinges of the chain resist bending: elastic, relaxing and hysteretic torque.
+"""Bending torque of the hinges: elastic, relaxing and hysteretic.
 
-All hinge pairs are worked at once. Every part is a torque against one measure of bend u,
+All hinge pairs are computed at once. Every part is a torque against one measure of bend u,
 
     u = S skew(phi - phi_0),     tau = -(du/dphi)^T m(u, history),
 
-so whatever `skew` (directional stiffness) and S (coupling of the planes) do, the power that the
-law takes up is m . du/dt and no part can create energy. m sums up, per hinge pair:
+so that for any `skew` (directional stiffness) and S (coupling of the planes) the power that the
+law absorbs is m . du/dt and no part can create energy. m sums up, per hinge pair:
 
 * a radial elastic torque K tanh(K|u| / M_c) / (K|u| / M_c) u that levels off at the limit moment;
 * three Maxwell branches, ds/dt = g K du/dt - s / tau;
@@ -29,7 +29,7 @@ REFERENCE_BEND_RAD: Final = 0.1
 """Bend (of the root, or of the whole span) at which softening and hardening are given."""
 
 LEAK_TIME_S: Final = 10.0
-"""Time over which a leak's share is given."""
+"""Time over which the leaking fraction is given."""
 
 
 class BendLaw:
@@ -38,7 +38,7 @@ class BendLaw:
     Parameters
     ----------
     parameters : RigParameters
-        Of the laboratory.
+        Of the rig.
     step_s : float
         Integration step.
 
@@ -78,21 +78,31 @@ class BendLaw:
         self._soft = soft / (1.0 - soft) * per_reference
         self._hard = p["stiffness.hardening_share"] * per_reference**2
         self._bend_dependent = bool(self._soft.any() or self._hard.any())
-        self._kept_share = 1.0 - p["stiffness.leak_share"]
+        self._kept_fraction = 1.0 - p["stiffness.leak_share"]
 
         times_s = np.array([p[f"memory.relaxation_{b}_s"] for b in (1, 2, 3)])
-        share = p["memory.relaxing_share"] / len(times_s)
+        fraction = p["memory.relaxing_share"] / len(times_s)
         self._decay = np.exp(-step_s / times_s)[:, None, None]
         # Exact for a bend that grows at a constant rate over the step.
         held = (times_s * -np.expm1(-step_s / times_s) / step_s)[:, None]
-        self._branch_nm_rad = (share * held * self.stiffness_nm_rad)[:, :, None]
+        self._branch_nm_rad = (fraction * held * self.stiffness_nm_rad)[:, :, None]
 
         self._branch_nm = np.zeros((len(times_s), hinges + 1, 2))
         self._z = np.zeros((hinges + 1, 2))
         self._bend = self.measure(np.zeros((hinges + 1, 2)))[0]
 
     def measure(self, angle_rad: Array) -> tuple[Array, Array]:
-        """Measure of bend u and the diagonal of its derivative before mixing, both (9, 2)."""
+        """Measure of bend u and the diagonal of its derivative before mixing.
+
+        Parameters
+        ----------
+        angle_rad : ndarray, shape (9, 2)
+            Hinge angles towards +x and +y.
+
+        Returns
+        -------
+        u, slope : ndarray, shape (9, 2)
+        """
         phi = angle_rad - self._rest_rad
         root = np.sqrt(phi * phi + self._rounding_rad_squared)
         skewed = phi + self._skew * (root - self._rounding_rad)
@@ -103,19 +113,19 @@ class BendLaw:
         return planes @ self._mix if self._coupled else planes
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
-        """Advance the memory to these angles and return the torque on the hinges.
+        """Advance the memory to these angles and compute the torque on the hinges.
 
         Parameters
         ----------
         angle_rad : ndarray, shape (9, 2)
             Hinge angles towards +x and +y, one integration step after the last call's.
         leaking_s : float
-            For how long the pressure has been leaking.
+            Time since the pressure started to leak.
 
         Returns
         -------
         ndarray, shape (9, 2)
-            Torque that drives the hinges back.
+            Restoring torque in N·m.
         """
         u, slope = self.measure(angle_rad)
         du = u - self._bend
@@ -138,5 +148,5 @@ class BendLaw:
         moment += branch_nm[0] + branch_nm[1] + branch_nm[2]
         moment += self._friction_nm * self._z
         if leaking_s:
-            moment *= self._kept_share ** (leaking_s / LEAK_TIME_S)
+            moment *= self._kept_fraction ** (leaking_s / LEAK_TIME_S)
         return -slope * self._mixed(moment)

@@ -1,4 +1,4 @@
-"""The MuJoCo chain: base joints, plate, link of hinge and shear pairs, tip, 16 markers.
+"""MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, 16 markers.
 
 Hinge pairs: one at the root patch and one in the middle of each eighth of the span; a shear pair
 (two slides) goes with every hinge pair of the span. MuJoCo carries inertia, gravity, the linear
@@ -19,14 +19,14 @@ from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
 AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}
-"""Axis about which a positive angle leans the link towards +x and +y."""
+"""Axis about which a positive angle moves the tip towards +x and +y."""
 
 MARKER_ROWS: Final = 4
 
 
 @dataclass(frozen=True)
 class Load:
-    """What hangs at the tip: its mass and where its centre lies off the link's axis."""
+    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
 
     mass_kg: float = 0.0
     offset_x_m: float = 0.0
@@ -35,7 +35,7 @@ class Load:
 
 @dataclass(frozen=True)
 class MujocoLink:
-    """Compiled model and where its parts stand.
+    """Compiled model and the addresses of its parts.
 
     Attributes
     ----------
@@ -58,12 +58,12 @@ class MujocoLink:
 def build_mujoco_link(
     parameters: RigParameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_nm_rad: Array
 ) -> MujocoLink:
-    """Build the chain.
+    """Build the model.
 
     Parameters
     ----------
     parameters : RigParameters
-        Of the laboratory.
+        Of the rig.
     dof : int
         Number of driven joints; with one, joint 2 is rigid.
     load : Load

@@ -1,4 +1,4 @@
-"""Parameters of the virtual laboratory: one TOML file with value, unit and source of each."""
+"""Parameters of the rig: one TOML file with value, unit and source of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
@@ -68,7 +68,7 @@ class RigParameters(Mapping[str, float]):
         return len(self.entries)
 
     def changed(self, **values: float) -> RigParameters:
-        """Return the same parameters with other values, by `group.name`."""
+        """Parameters with other values, by `group.name`."""
         entries = dict(self.entries)
         for name, value in values.items():
             entries[name] = msgspec.structs.replace(entries[name], value=value)
@@ -79,11 +79,11 @@ class RigParameters(Mapping[str, float]):
         return hashlib.sha256(msgspec.json.encode(dict(self))).hexdigest()
 
     def effects(self) -> dict[str, str]:
-        """Effects that have a place in this laboratory, each with its parameter's name."""
+        """Effects that this rig can hide, each with its parameter's name."""
         return {entry.effect: name for name, entry in self.entries.items() if entry.effect}
 
     def hide(self, strengths: Mapping[str, float]) -> RigParameters:
-        """Add effects of the catalogue to what the laboratory has by default.
+        """Add effects of the catalogue to the rig's defaults.
 
         Parameters
         ----------
@@ -93,31 +93,36 @@ class RigParameters(Mapping[str, float]):
         Raises
         ------
         InputError
-            If an effect has no place here, or the sum leaves the parameter's bounds.
+            If the rig lacks an effect, or the sum leaves the parameter's bounds.
         """
-        places = self.effects()
+        names = self.effects()
         values = {}
         for effect, strength in strengths.items():
             option = f"--hide {effect}={strength:g}"
-            if effect not in places:
+            if effect not in names:
                 raise InputError(
-                    option, "has no place in this laboratory", "choose from " + ", ".join(places)
+                    option, "has no place in this rig", "choose from " + ", ".join(names)
                 )
-            entry = self.entries[places[effect]]
+            entry = self.entries[names[effect]]
             value = entry.value + strength
             if not entry.minimum <= value <= entry.maximum:
                 raise InputError(
                     option,
-                    f"makes {places[effect]} {value:g} {entry.unit}, outside {entry.minimum:g} "
+                    f"makes {names[effect]} {value:g} {entry.unit}, outside {entry.minimum:g} "
                     f"to {entry.maximum:g}",
                     f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
                 )
-            values[places[effect]] = value
+            values[names[effect]] = value
         return self.changed(**values)
 
 
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
-    """Read a laboratory's parameters.
+    """Read the parameters of a rig.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file; by default the rig of the project.
 
     Raises
     ------
@@ -144,9 +149,9 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
 
 def _read_entries(path: Path) -> dict[str, Entry]:
     try:
-        document: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:
-        raise InputError(path, "cannot be read", "name a laboratory's TOML file") from None
+        raise InputError(path, "cannot be read", "name the TOML file of a rig") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
     entries = {}

@@ -1,7 +1,7 @@
-"""One servo of the laboratory: rotor, gear, friction and the cascade of its firmware.
+"""Servo of the rig: rotor, gear, friction and the control cascade of its firmware.
 
-The rotor turns on its own (its inertia seen from the output) and drives the joint through a gear
-with play and give; the encoder sits on the rotor. Friction is a LuGre bristle (Canudas de Wit et
+The rotor (its inertia seen from the output) drives the joint through a gear with backlash and
+compliance; the encoder sits on the rotor. Friction is a LuGre bristle (Canudas de Wit et
 al., 1995 [recalled]) whose level grows with the torque that the gear transmits:
 
     dz/dt = w - sigma_0 |w| z / g(w),   F = sigma_0 z + sigma_1 dz/dt + B w,
@@ -24,7 +24,7 @@ class RigServo:
     Parameters
     ----------
     parameters : RigParameters
-        Of the laboratory.
+        Of the rig.
     step_s : float
         Integration step.
 
@@ -45,7 +45,7 @@ class RigServo:
         self._speed_limit = p["servo.speed_limit_rad_s"]
         self._inertia = p["servo.inertia_kg_m2"]
         constant = p["servo.torque_constant_nm_a"]
-        # The firmware's gains count on the rated torque constant; the motor has its own.
+        # The firmware's gains assume the rated torque constant; the motor's may differ.
         self._velocity_gain = p["servo.velocity_bandwidth_rad_s"] * self._inertia / constant
         self._integral_gain = self._velocity_gain * p["servo.velocity_integral_rad_s"]
         self._torque_constant = constant * (1.0 - p["servo.torque_constant_loss"])
@@ -54,7 +54,7 @@ class RigServo:
         self._viscous = p["servo.viscous_friction_nm_s_rad"]
         self._stribeck = p["servo.stribeck_friction_nm"]
         self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
-        self._load_share = p["servo.load_friction_share"]
+        self._load_friction = p["servo.load_friction_share"]
         self._bristle = p["servo.bristle_stiffness_nm_rad"]
         self._bristle_damping = p["servo.bristle_damping_nm_s_rad"]
         self._half_play = 0.5 * p["servo.backlash_rad"]
@@ -68,7 +68,7 @@ class RigServo:
 
     @property
     def encoder_rad(self) -> float:
-        """Angle that the encoder shows, before quantisation: the firmware sees no other."""
+        """Angle that encoder and firmware see, before quantisation."""
         return self.rotor_rad + self._encoder_offset
 
     def send(self, goal_rad: float, time_s: float) -> None:
@@ -105,7 +105,7 @@ class RigServo:
         error = speed - self.rotor_rad_s
         wanted = self._velocity_gain * error + self._integral_a
         self.current_a = min(max(wanted, -self._limit_a), self._limit_a)
-        if self.current_a == wanted:  # no wind-up while the limit holds
+        if self.current_a == wanted:  # anti-windup
             self._integral_a += self._step_s * self._integral_gain * error
 
     def _gear(self, twist: float, rate: float) -> float:
@@ -113,11 +113,11 @@ class RigServo:
         if beyond == 0.0:
             return 0.0
         torque = self._gear_stiffness * beyond + self._gear_damping * rate
-        return torque if torque * beyond > 0.0 else 0.0  # teeth push, they never pull
+        return torque if torque * beyond > 0.0 else 0.0  # teeth push only
 
     def _friction(self) -> float:
         rate = self.rotor_rad_s
-        level = self._coulomb + self._load_share * abs(self.gear_nm)
+        level = self._coulomb + self._load_friction * abs(self.gear_nm)
         if self._stribeck:
             level += self._stribeck * math.exp(-((rate / self._stribeck_speed) ** 2))
         before = self._bristle_rad

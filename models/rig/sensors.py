@@ -1,4 +1,4 @@
-"""What the laboratory measures: encoder and current of the servo, markers of the mocap."""
+"""Sensors of the rig: encoder and current of the servo, markers of the motion capture."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ class MarkerLog(NamedTuple):
     markers_m: Array
 
     def at(self, time_s: Array) -> Array:
-        """Markers at any times within the log, linearly interpolated, shape (n, 16, 3)."""
+        """Markers at times within the log, linearly interpolated, shape (n, 16, 3)."""
         position = (time_s - self.start_s) / self.step_s
         before = np.clip(position.astype(int), 0, len(self.markers_m) - 2)
-        share = (position - before)[:, None, None]
+        fraction = (position - before)[:, None, None]
         return np.asarray(
-            self.markers_m[before] * (1.0 - share) + self.markers_m[before + 1] * share
+            self.markers_m[before] * (1.0 - fraction) + self.markers_m[before + 1] * fraction
         )
 
 
 def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
-    """Angle in whole pulses, as the servo reports it."""
+    """Angle in rad rounded to whole pulses, as the servo reports it."""
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
 
 
 def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Generator) -> Array:
-    """Current with its scale, bias and noise, in whole counts as the servo reports it."""
+    """Current in A with scale error, bias and noise, rounded to whole counts."""
     p = parameters
     read = current_a * (1.0 + p["sensor.current_scale_share"]) + p["sensor.current_bias_a"]
     read = read + p["sensor.current_noise_a"] * rng.standard_normal(current_a.shape)
@@ -48,28 +48,28 @@ def read_markers(
     shift_m: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Markers at `time_s` as the mocap gives them after resampling.
+    """Markers at `time_s` as the motion capture gives them after resampling.
 
-    The cameras run freely at 240 Hz; every frame carries noise and its instant jitters. At time t
-    a frame shows what was true one mocap delay before.
+    The cameras run at 240 Hz, not synchronised; every frame has marker noise and timing jitter. A
+    frame at time t shows the markers of one delay before.
 
     Parameters
     ----------
     parameters : RigParameters
-        Of the laboratory, with the delay of this trial.
+        Of the rig, with the delay of this trial.
     log : MarkerLog
-        What was true.
+        True markers.
     time_s : ndarray, shape (n,)
         Uniform times to resample to.
     shift_m : ndarray, shape (3,)
-        Shift of the mocap's frame.
+        Shift of the motion capture's frame.
     rng : numpy.random.Generator
         Of this trial.
 
     Returns
     -------
     ndarray, shape (n, 16, 3)
-        In the world frame as the mocap believes it to be.
+        In the world frame of the motion capture, with its tilt and shift.
     """
     p = parameters
     interval_s = 1.0 / p["sensor.mocap_rate_hz"]

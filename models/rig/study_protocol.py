@@ -1,4 +1,4 @@
-"""The study's protocol: settle, warm-up run (discarded), settle, rest, recorded run."""
+"""Protocol of the study: settle, warm-up run (discarded), settle, rest, recorded run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,17 @@ _MARGIN: Final = 6
 
 @dataclass(frozen=True)
 class Variation:
-    """What differs in this trial from the nominal laboratory."""
+    """Deviation of one trial from the nominal rig.
+
+    Attributes
+    ----------
+    parameters : RigParameters
+        With the pressure, friction and synchronisation of this trial.
+    eccentricity_m : tuple of float
+        Offset of the payload towards +x and +y.
+    frame_shift_m : ndarray, shape (3,)
+        Shift of the motion capture's frame.
+    """
 
     parameters: RigParameters
     eccentricity_m: tuple[float, float]
@@ -36,7 +46,17 @@ class Variation:
 def draw_variation(
     parameters: RigParameters, case: TrialCase, rng: np.random.Generator
 ) -> Variation:
-    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
+    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Nominal, hidden effects included.
+    case : TrialCase
+        The trial.
+    rng : numpy.random.Generator
+        Of this trial.
+    """
     p = parameters
     pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
     values = {
@@ -62,26 +82,26 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     Parameters
     ----------
     parameters : RigParameters
-        Of the laboratory, with what is hidden in it.
+        Of the rig, hidden effects included.
     case : TrialCase
-        What to run.
+        The trial to run.
 
     Raises
     ------
     InputError
-        If the link folds under what is asked of it, or the step does not fit the period.
+        If the link folds, or the integration step is no whole fraction of the control period.
     """
     rng = case.rng()
     variation = draw_variation(parameters, case, rng)
     p = variation.parameters
-    lab = Rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
-    substeps = round(PERIOD_S / lab.step_s)
-    if abs(substeps * lab.step_s - PERIOD_S) > 1e-9:
+    rig = Rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
+    substeps = round(PERIOD_S / rig.step_s)
+    if abs(substeps * rig.step_s - PERIOD_S) > 1e-9:
         raise InputError(
-            p.path, f"world.step_s is {lab.step_s}", f"choose a whole fraction of {PERIOD_S} s"
+            p.path, f"world.step_s is {rig.step_s}", f"choose a whole fraction of {PERIOD_S} s"
         )
 
-    # The motion rests before its start and glides back after its end: that is the whole warm-up.
+    # The motion rests before its start and returns to rest after its end: that is the warm-up.
     warm_up_s = np.arange(
         -p["world.settle_s"], case.motion.duration_s + GLIDE_S + p["world.pause_s"], PERIOD_S
     )
@@ -94,20 +114,20 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     log = []
     for tick, goal in enumerate(np.concatenate([before, goals, after])):
         if tick == first:
-            lab.start_leak()
+            rig.start_leak()
         if first <= tick < last:
-            encoder_rad[tick - first] = [s.encoder_rad for s in lab.servos]
-            current_a[tick - first] = [s.current_a for s in lab.servos]
-        lab.send(goal)
+            encoder_rad[tick - first] = [s.encoder_rad for s in rig.servos]
+            current_a[tick - first] = [s.current_a for s in rig.servos]
+        rig.send(goal)
         for _ in range(substeps):
-            lab.step()
+            rig.step()
             if tick >= first - _MARGIN:
-                log.append(lab.markers_m.copy())
-        _check_shape(lab, case)
+                log.append(rig.markers_m.copy())
+        _check_shape(rig, case)
 
     time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
     markers_m = read_markers(
-        p, MarkerLog(-_MARGIN * PERIOD_S, lab.step_s, np.array(log)), time_s,
+        p, MarkerLog(-_MARGIN * PERIOD_S, rig.step_s, np.array(log)), time_s,
         variation.frame_shift_m, rng,
     )  # fmt: skip
     angle_rad = read_encoder(p, encoder_rad)
@@ -115,11 +135,11 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
 
 
-def _check_shape(lab: Rig, case: TrialCase) -> None:
-    if lab.folded:
+def _check_shape(rig: Rig, case: TrialCase) -> None:
+    if rig.folded:
         raise InputError(
             case.name,
-            f"the link folds {lab.time_s:.1f} s after power-up",
+            f"the link folds {rig.time_s:.1f} s after power-up",
             "choose a smaller payload, amplitude or strength, or a longer period",
         )
 

@@ -1,4 +1,4 @@
-"""One trial to run: its conditions, its name and its random numbers."""
+"""Trial case: the conditions, the name and the random numbers of one trial."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class TrialCase:
 
     @property
     def name(self) -> str:
-        """Name of the trial; conditions other than the study's are spelled out."""
+        """Name of the trial; it lists the conditions that differ from the study's."""
         m = self.motion
         parts = [
             f"dof{m.dof}",
@@ -66,5 +66,5 @@ class TrialCase:
         return "_".join(parts)
 
     def rng(self) -> np.random.Generator:
-        """Random numbers of this trial alone, whatever else runs and wherever."""
+        """Random numbers of this trial, independent of other trials and of the process."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])

@@ -26,8 +26,8 @@ _LABELS = (
 def draw_overview(directory: Path) -> Path:
     """Draw `overview.svg` from the first simulated trial of every payload in a directory.
 
-    Rows: how far the tip is from where a rigid link would have it, over time; the part of that
-    along x, current and Deformation Index over angle 1. One column per motion.
+    Rows: distance of the tip from that of a rigid link over time; its component along x, current
+    and Deformation Index over angle 1. One column per motion.
     """
     columns = _first_of_each_payload(read_trials(directory).where(lambda t: t.meta.source == "rig"))
     path = directory / "overview.svg"

@@ -1,26 +1,18 @@
-"""Run many trials on several processes and write them; a case's result depends on it alone."""
+"""Runner of many trials on several processes; the result of a case depends on the case alone."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, Final
 
-import msgspec
-
-from firmware_py.errors import InputError
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import write_trial
-
-CONDITIONS_FILE: Final = "laboratory.json"
-"""What was run, by trial: kept beside the trials and read by `refuse_other_conditions` only, so
-that what is hidden stays out of the trials themselves."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -37,11 +29,11 @@ def run_cases(
     Parameters
     ----------
     cases : sequence of TrialCase
-        What to run.
+        To run.
     parameters : RigParameters
-        Of the laboratory, with what is hidden in it.
+        Of the rig, hidden effects included.
     directory : Path
-        Where the trials go.
+        Where the trials are written.
     workers : int
         Number of processes; 1 runs in this one.
     on_done : callable
@@ -51,6 +43,11 @@ def run_cases(
     -------
     list of Path
         CSV files in the order of the cases.
+
+    Raises
+    ------
+    InputError
+        If the link folds in a trial.
     """
     paths = {}
     if workers == 1 or len(cases) == 1:
@@ -58,9 +55,9 @@ def run_cases(
             paths[case.name] = _run_and_write(parameters, case, directory)
             on_done(case.name)
     else:
-        os.environ.update(dict.fromkeys(_THREADS, "1"))  # before the processes load numpy
+        os.environ.update(dict.fromkeys(_THREADS, "1"))  # set before the processes load numpy
         context = multiprocessing.get_context("spawn")
-        ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is this process's to handle
+        ignore = (signal.SIGINT, signal.SIG_IGN)  # this process handles Ctrl-C
         with ProcessPoolExecutor(min(workers, len(cases)), context, signal.signal, ignore) as pool:
             futures = {
                 pool.submit(_run_and_write, parameters, case, directory): case.name
@@ -76,45 +73,5 @@ def run_cases(
     return [paths[case.name] for case in cases]
 
 
-def refuse_other_conditions(
-    cases: Sequence[TrialCase], conditions: Mapping[str, Any], directory: Path
-) -> None:
-    """Refuse to overwrite a trial that was run under other conditions, or measured.
-
-    Raises
-    ------
-    InputError
-        If a name is taken.
-    """
-    record = _read_record(directory)
-    for case in cases:
-        if (directory / f"{case.name}.csv").exists() and record.get(case.name) != conditions:
-            raise InputError(
-                directory / f"{case.name}.csv",
-                "holds a trial that was run under other conditions",
-                "choose another --out, or remove it",
-            )
-
-
-def record_conditions(
-    cases: Sequence[TrialCase], conditions: Mapping[str, Any], directory: Path
-) -> None:
-    """Add the conditions of these trials to the directory's record, before they are run."""
-    directory.mkdir(parents=True, exist_ok=True)
-    record = _read_record(directory) | {case.name: dict(conditions) for case in cases}
-    text = msgspec.json.format(msgspec.json.encode(dict(sorted(record.items()))), indent=1)
-    (directory / CONDITIONS_FILE).write_bytes(text + b"\n")
-
-
 def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
     return write_trial(run_case(parameters, case), directory)
-
-
-def _read_record(directory: Path) -> dict[str, Any]:
-    path = directory / CONDITIONS_FILE
-    if not path.exists():
-        return {}
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-    except msgspec.DecodeError as error:
-        raise InputError(path, f"is damaged ({error})", "remove it and its trials") from None

@@ -1,7 +1,7 @@
-"""Drives: from a goal, or a command, to the torque on a joint and the current that it costs.
+"""Drives: torque on a joint and motor current from a goal or a command.
 
-The joint's own inertia and friction are apart: every drive has a reflected `inertia`, friction is
-an effect. Each drive holds for the joints of a plant alike; parameters are per joint.
+Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
+of drive, each with parameters of its own.
 """
 
 from __future__ import annotations
@@ -18,7 +18,17 @@ SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
 
 
 class Drive(Protocol):
-    """What turns commands into torque."""
+    """Interface of a drive.
+
+    Attributes
+    ----------
+    kind : str
+        Name in a plant document.
+    features : tuple of str
+        What effects may act on (`models.plant.effects.Need`).
+    has_presliding : bool
+        Whether dry friction has bristles and depends on the drive's torque on the gear.
+    """
 
     kind: ClassVar[str]
     features: ClassVar[tuple[str, ...]]
@@ -29,11 +39,11 @@ class Drive(Protocol):
         ...
 
     def declare(self, scope: Scope) -> None:
-        """Add inputs and states; wire `goal`."""
+        """Add inputs and states; set `goal` and `start`."""
         ...
 
     def apply_control(self, scope: Scope) -> None:
-        """Wire `current` and `motor_torque`."""
+        """Set `current` and `motor_torque` by the control law."""
         ...
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
@@ -45,12 +55,12 @@ class Drive(Protocol):
         ...
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step that costs `scope.current` on the mean."""
+        """Current at the end of a step whose mean current is `scope.current`."""
         ...
 
 
 def declare_goal(scope: Scope, joint: int) -> None:
-    """Make the goal of a joint an input, and where the joint starts."""
+    """Add the goal of a joint as an input; set `goal` and `start`."""
     angle = scope.suffix["angle"]
     goal = scope.input(
         Variable(
@@ -62,7 +72,7 @@ def declare_goal(scope: Scope, joint: int) -> None:
 
 
 def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
-    """Return where a joint without a stiff loop stands at first, from its goal or from zero."""
+    """Return the offset of the first position, for a joint without a stiff position loop."""
     angle = scope.suffix["angle"]
     return Parameter(
         name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
@@ -73,7 +83,7 @@ def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
 
 
 def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
-    """Return the speed that regularises dry friction of a drive."""
+    """Return the speed that regularises the dry friction of a drive."""
     angle = scope.suffix["angle"]
     return Parameter(
         name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
@@ -126,13 +136,13 @@ class Cascade:
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Goals as inputs, the integral of the velocity error as a state."""
+        """Add goals as inputs and the integral of the velocity error as a state."""
         for j in scope.joints:
             declare_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
     def apply_control(self, scope: Scope) -> None:
-        """Run both loops."""
+        """Set current and torque by both loops."""
         for j in scope.joints:
             integral = scope.states[f"velocity_integral_{j}_rad"]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
@@ -158,12 +168,12 @@ class Cascade:
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step: the goal's staircase makes it a saw-tooth.
+        """Current at the end of a step; the staircase of the goal makes the current a saw-tooth.
 
-        Each step the goal jumps by q̇h and the current by k_v k_p q̇h; from there it decays with
-        the velocity loop, τ = J / (k_t k_v). What the end of the step shows differs from the mean
-        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ): less than the mean by a share of the rate,
-        which looks like negative viscous friction.
+        Each step the goal jumps by q̇h and the current by k_v k_p q̇h, which then decays with the
+        velocity loop, τ = J / (k_t k_v). The current at the end of the step differs from its mean
+        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ). The difference is negative and
+        proportional to the rate, like negative viscous friction.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
         decay_s = self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)
@@ -173,22 +183,22 @@ class Cascade:
 
 
 BRISTLE_DAMPING_S: Final = 5e-3
-"""Time by which a joint that sticks is damped: it rings no longer than some periods."""
+"""Damping time of the bristles: a joint that sticks oscillates for a few periods only."""
 
 BRISTLE_REVERSAL_S: Final = 5e-4
-"""Shortest time in which bristles turn over; half an internal step."""
+"""Shortest time in which the bristles reverse; half an internal step."""
 
 
 def declare_presliding(scope: Scope, joint: int) -> None:
-    """Wire what the friction of a small gear depends on beside the load and the rate.
+    """Add the torque of the drive on a small gear and the presliding of its friction.
 
-    The drive presses the teeth as the load does (BAM), so its torque is made known; and dry
-    friction holds a joint that stands, by bristles that bend before they slide (Dahl 1968)::
+    The drive loads the teeth as the load does (BAM), so friction depends on its torque. Dry
+    friction holds a joint at rest by bristles that bend before they slide (Dahl 1968)::
 
         ż = (q̇ − |q̇| z) / (δ + |q̇| T),   direction = z + T_d ż
 
-    z goes to sign(q̇) within the distance δ and stays what it is at rest, where a smooth sign of
-    the rate alone lets the joint creep. T bounds the rate of change for the sake of the integrator.
+    z reaches sign(q̇) within the distance δ and is constant at rest, where a smooth sign of the
+    rate alone would let the joint creep. T bounds the rate of change for the integrator.
     """
     scope.gear_drive_torque[joint] = ca.SX.sym(f"drive_torque_{joint}")
     z = scope.state(Variable(f"bristle_{joint}", "1"))
@@ -199,12 +209,12 @@ def declare_presliding(scope: Scope, joint: int) -> None:
 
 
 class Duty:
-    """DC motor under a proportional duty cycle, as small Dynamixels run position control (BAM).
+    """DC motor with a proportional duty cycle, the position control of small Dynamixels (BAM).
 
         d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
-    The supply voltage V is an input: a sagging supply imitates friction (data README). With its
-    torque disabled (`enabled` is 0) the winding is open: no current, so no braking either.
+    The supply voltage V is an input: a drop of it resembles friction (README of the data). With
+    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking.
     """
 
     kind: ClassVar[str] = "duty"
@@ -218,7 +228,7 @@ class Duty:
             result += [
                 Parameter(name=f"duty_gain_{j}", unit="1/rad", value=1.15, low=0.01, high=50.0,
                           description="duty per radian of error",
-                          source="kp · 651.9 / (256 · 885) for kp = 400 (data README)"),
+                          source="kp · 651.9 / (256 · 885) for kp = 400 (README of the data)"),
                 start_offset_parameter(scope, j),
                 Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
                           high=50.0, role="nuisance", description="resistance of the winding",
@@ -233,13 +243,13 @@ class Duty:
                           description="rated current limit",
                           source="assumed: twice the stall current at 5 V"),
                 Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
-                          description="distance in which dry friction turns over",
+                          description="distance in which dry friction reverses",
                           source="assumed: two steps of the encoder"),
             ]  # fmt: skip
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Goal, supply voltage and whether there is torque as inputs."""
+        """Add goal, supply voltage and torque enable as inputs."""
         for j in scope.joints:
             declare_goal(scope, j)
             scope.start[j] += scope.p("start_offset_{j}_{angle}", j)
@@ -247,7 +257,7 @@ class Duty:
             scope.input(Variable(f"enabled_{j}", "1", 1.0, "1 where torque is enabled", 0.0, 1.0))
 
     def apply_control(self, scope: Scope) -> None:
-        """Current through the winding."""
+        """Set the current through the winding, and its torque."""
         for j in scope.joints:
             duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.measured_angle(j))
             duty = ca.fmin(ca.fmax(duty, -1), 1)
@@ -269,12 +279,12 @@ class Duty:
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Without a velocity loop the current follows the motion: its mean."""
+        """Mean current of the step: without a velocity loop there is no saw-tooth."""
         return scope.current[joint]
 
 
 class Force:
-    """A commanded voltage that is a force (EMPS): F = k u, nothing else in between."""
+    """Force in proportion to a commanded voltage (EMPS): F = k u."""
 
     kind: ClassVar[str] = "force"
     features: ClassVar[tuple[str, ...]] = ()
@@ -288,14 +298,15 @@ class Force:
             result += [
                 Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
                           value=35.1507, low=0.01, high=1e3,
-                          description="force per volt of command", source="EMPS, data README"),
+                          description="force per volt of command",
+                          source="EMPS, README of the data"),
                 start_offset_parameter(scope, j),
                 friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Take the command voltage as an input."""
+        """Add the command voltage as an input."""
         for j in scope.joints:
             scope.goal[j] = scope.input(
                 Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
@@ -303,7 +314,7 @@ class Force:
             scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
     def apply_control(self, scope: Scope) -> None:
-        """Force in proportion to the command; there is no current to report."""
+        """Set the force in proportion to the command; no current is measured."""
         for j in scope.joints:
             scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
@@ -312,13 +323,13 @@ class Force:
         return ca.SX(0)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Force per volt: the command stands for the current."""
+        """Force per volt; the command takes the place of the current."""
         return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Without a velocity loop the current follows the motion: its mean."""
+        """Mean current of the step: without a velocity loop there is no saw-tooth."""
         return scope.current[joint]
 
 
 DRIVES: Final[dict[str, type[Drive]]] = {d.kind: d for d in (Cascade, Duty, Force)}
-"""Drives by the name that a plant document gives them."""
+"""Drives by their name in a plant document."""

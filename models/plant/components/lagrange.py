@@ -1,4 +1,4 @@
-"""Equations of motion of point masses on coordinates (Lagrange, second kind).
+"""Equations of motion of point masses in generalised coordinates (Lagrange, second kind).
 
 M(c) a + h(c, v) = tau,   M = sum m J'J,   h = sum m J'(dJ/dt v - g),   J = dr/dc
 """
@@ -12,11 +12,11 @@ import casadi as ca
 from models.plant.scope import Expr
 
 PointMass = tuple[Expr, Expr]
-"""Mass and position (3,) of a point."""
+"""Mass in kg and position (3,) in m of a point."""
 
 
 def rod_points(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
-    """Points with the mass, centre and inertia of a uniform slender rod (Simpson's rule)."""
+    """Point masses with the mass, centre and inertia of a uniform slender rod (Simpson's rule)."""
     return [
         (mass_kg / 6, start_m),
         (mass_kg * 2 / 3, (start_m + end_m) / 2),
@@ -27,7 +27,22 @@ def rod_points(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
 def lagrange_equations(
     points: Sequence[PointMass], coordinates: Expr, rates: Expr, gravity_m_s2: Expr
 ) -> tuple[Expr, Expr]:
-    """Mass matrix M (n, n) and force h (n,) of velocity and gravity terms."""
+    """Mass matrix and force of velocity and gravity terms.
+
+    Parameters
+    ----------
+    points : sequence of (SX, SX)
+        Mass and position of each point.
+    coordinates, rates : SX, shape (n,)
+        c and v.
+    gravity_m_s2 : SX, shape (3,)
+        g in the world frame.
+
+    Returns
+    -------
+    mass_matrix : SX, shape (n, n)
+    force : SX, shape (n,)
+    """
     count = coordinates.numel()
     mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
     for mass_kg, position_m in points:
@@ -40,13 +55,13 @@ def lagrange_equations(
 
 
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
-    """Solution of a symmetric positive definite system."""
+    """Solution of a symmetric positive definite system, by LDL decomposition."""
     diagonal, upper, order = ca.ldl(matrix)
     return ca.ldl_solve(right, diagonal, upper, order)
 
 
 def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
-    """R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
+    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
     return ca.vertcat(

@@ -1,20 +1,20 @@
-"""The inflatable link as a pseudo-rigid chain: a root hinge, then a span hinge, per plane.
+"""Inflatable link as a pseudo-rigid body: a root hinge and a span hinge per plane.
 
-The root hinge is the glued patch, which softens towards a limit moment; the span hinge stands for
+The root hinge is the glued patch, which softens towards a limit moment; the span hinge represents
 bending and shear of the span. Both bend in two planes (docs/sources.md, "The link")::
 
     τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
     τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
 
-The term of φ_f is the folded skin meeting itself; it is below 0.5 % of M_c up to φ_f/3 and keeps a
-link that buckles from turning over. Effects add hysteresis, creep and the rest on the port
+The term in φ_f is the contact of the folded skin with itself; it is below 0.5 % of M_c up to φ_f/3
+and keeps a link that buckles from turning over. Effects add hysteresis, creep and more at the port
 `bend_torque`.
 
 The Deformation Index follows from the bend. Marker rows stand at L/4 … L. The span's bend is
-distributed along it like that of a cantilever under a tip force: the share f(σ) = 2σ − σ² of it
-has been turned at σL, so segment k between two rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ.
-An edge at half the width w/2 from the axis is strained by −(w/2) β / (L/4); markers are read with
-noise n, so that eq. 1 averages E|strain + n|.
+distributed along it like the slope of a cantilever under a tip force: the fraction f(σ) = 2σ − σ²
+is reached at σL, so that segment k between two rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ.
+An edge at half the width w/2 from the axis has the strain −(w/2) β / (L/4). Markers are measured
+with noise n, so that equation 1 of the paper averages E|strain + n|.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ SEGMENTS: Final = 4
 
 
 def slope_fraction(position: float) -> float:
-    """Share of the span's bend reached at `position` (0 base, 1 tip) under a tip force."""
+    """Fraction of the span's bend reached at `position` (0 base, 1 tip) under a tip force."""
     return 2 * position - position**2
 
 
 class Link:
-    """The link on a one or two-axis base joint."""
+    """Link on a base joint of one or two axes."""
 
     kind: ClassVar[str] = "link"
     suffix: ClassVar[dict[str, str]] = ROTARY
@@ -76,7 +76,7 @@ class Link:
                       description="bend at which a folded hinge takes the limit moment",
                       source="assumed, far outside the study"),
             Parameter(name="span_position", unit="1", value=0.333, low=0.25, high=0.45,
-                      role="nuisance", description="span hinge from the root, share of length",
+                      role="nuisance", description="span hinge from the root, fraction of length",
                       source="cantilever under a tip force: slope and sag meet at L/3"),
             Parameter(name="edge_gain", unit="1", value=1.0, low=0.3, high=2.0,
                       role="calibration", description="edge strain per strain of a plane section",
@@ -104,7 +104,7 @@ class Link:
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Bend and bend rate of each hinge and plane as states."""
+        """Add bend and bend rate of each hinge and plane as states."""
         for hinge in self.hinges:
             for j in scope.joints:
                 key = (hinge, j)
@@ -118,10 +118,10 @@ class Link:
                 scope.stiffness[key] = scope.p(hinge + "_stiffness_{j}_nm_rad", j)
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Elastic and viscous torque on each bend."""
+        """Set the elastic and viscous torque on each bend."""
         moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
         limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
-        share = sum(m**2 for m in moments) / limit**2
+        loading = sum(m**2 for m in moments) / limit**2
         fold = {
             hinge: sum(scope.bend[hinge, j] ** 2 for j in scope.joints) ** 2 / fold_rad**5
             for hinge in self.hinges
@@ -129,15 +129,15 @@ class Link:
         for (hinge, j), bend in scope.bend.items():
             elastic = scope.stiffness[hinge, j] * bend
             if hinge == "root":
-                elastic = elastic / ca.sqrt(1 + share)
+                elastic = elastic / ca.sqrt(1 + loading)
             elastic = elastic + limit * fold[hinge] * bend
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Wire the torque that the gear transmits: what bends the root, and what acts on the joint.
+        """Set the torque on the gear: other torque on the joint less the torque on the root's bend.
 
-        A torque on the joint that also bends the root counts in both, and cancels here.
+        A torque on the joint that also bends the root is in both terms and cancels.
         """
         for j in scope.joints:
             scope.transmitted_torque[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
@@ -153,7 +153,7 @@ class Link:
         )
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Deformation Index, and end effector in the mocap's world frame."""
+        """Deformation Index, and end effector in the world frame of the motion capture."""
         joint, bend = self._delayed(scope)
         tip_m = (
             symbolic_base_rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
@@ -172,7 +172,7 @@ class Link:
         return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
 
     def _delayed(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
-        """Joint angles and bends as the mocap's clock shows them, to second order in its delay."""
+        """Joint angles and bends as the motion capture shows them, to second order in its delay."""
         delay_s = scope.frame_delay_s
 
         def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
@@ -227,25 +227,25 @@ class Link:
     def _deformation_index(
         self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
     ) -> Expr:
-        """Equation 1 over the 16 edge segments; opposite edges are strained alike.
+        """Equation 1 of the paper over the 16 edge segments; opposite edges have equal strain.
 
-        The base corners are taken where the measured angle puts them, not where the plate is.
+        The base corners are computed from the measured angle, not from the true one.
         """
         segment_m = scope.p("link_length_m") / SEGMENTS
         lever = scope.p("edge_gain") * scope.p("link_width_m") / 2 / segment_m
         total: Expr = 0
         for k in range(SEGMENTS):
-            share = slope_fraction((k + 1) / SEGMENTS) - slope_fraction(k / SEGMENTS)
+            fraction = slope_fraction((k + 1) / SEGMENTS) - slope_fraction(k / SEGMENTS)
             strain = [
                 lever
                 * (
-                    share * (bend["span", j] - scope.rest_bend["span", j])
+                    fraction * (bend["span", j] - scope.rest_bend["span", j])
                     + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
                     + (k == 0) * (joint[j] - scope.angle[j])
                 )
                 for j in scope.joints
             ]
-            noisy_ends = 1 if k == 0 else 2  # the base corner follows from the angle
+            noisy_ends = 1 if k == 0 else 2  # the base corner has no marker
             noise = scope.p("marker_noise_m") * noisy_ends**0.5 / segment_m
             other = strain[1] if len(strain) > 1 else 0
             total += mean_magnitude(strain[0] + other, noise) + mean_magnitude(

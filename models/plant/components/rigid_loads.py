@@ -1,4 +1,4 @@
-"""Loads other than the inflatable link: a rigid pendulum and a plain mass."""
+"""Rigid loads: a pendulum and a mass on a straight guide."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from models.plant.step_model import Variable
 
 
 class _RigidLoad:
-    """A load without bend: its coordinate is the joint's."""
+    """Load without bends: the joints are its only coordinates."""
 
     max_dof: ClassVar[int] = 1
 
     def declare(self, scope: Scope) -> None:
-        """Nothing beyond the joint."""
+        """Add no state."""
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Nothing bends."""
+        """Set nothing: there are no bends."""
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Nothing beyond the joint."""
+        """No output beyond the joint."""
         return {}
 
 
 class Pendulum(_RigidLoad):
-    """A rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
+    """Rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
 
     A point mass m (and the payload m_p) at the end of a uniform arm m_a of length l:
     J = (m + m_p + m_a/3) l².
@@ -42,17 +42,17 @@ class Pendulum(_RigidLoad):
         """Masses, length and gravity."""
         return (
             Parameter(name="mass_kg", unit="kg", value=0.49, low=0.001, high=100.0,
-                      description="mass at the end", source="BAM, data README"),
+                      description="mass at the end", source="BAM, README of the data"),
             Parameter(name="arm_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
                       role="nuisance", description="mass of the arm", source="not recorded"),
             Parameter(name="arm_length_m", unit="m", value=0.1, low=0.001, high=10.0,
-                      description="length of the arm", source="BAM, data README"),
+                      description="length of the arm", source="BAM, README of the data"),
             Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
                       description="gravity", source="standard gravity"),
         )  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Wire the torque of gravity, and what acts on the joint."""
+        """Set the torque on the gear: other torque on the joint less gravity."""
         scope.transmitted_torque[1] = scope.joint_torque[1] - self._gravity(scope)
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
@@ -67,7 +67,7 @@ class Pendulum(_RigidLoad):
 
 
 class Mass(_RigidLoad):
-    """A mass on a straight guide: m q̈ = F."""
+    """Mass on a straight guide: m q̈ = F."""
 
     kind: ClassVar[str] = "mass"
     features: ClassVar[tuple[str, ...]] = ()
@@ -77,13 +77,13 @@ class Mass(_RigidLoad):
         """Declare the moving mass."""
         return (
             Parameter(name="mass_kg", unit="kg", value=95.11, low=0.01, high=1e4, role="nuisance",
-                      description="moving mass", source="EMPS, data README"),
+                      description="moving mass", source="EMPS, README of the data"),
         )  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Wire the transmitted force: what acts on the joint, beside inertia."""
+        """Set the force on the gear: other force on the joint."""
         scope.transmitted_torque[1] = ca.SX(scope.joint_torque[1])
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Mass, and no force of its own."""
+        """Mass and a force of zero."""
         return ca.SX(scope.p("mass_kg") + scope.payload_kg), ca.SX(0)

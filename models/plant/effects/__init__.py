@@ -1,9 +1,9 @@
-"""Effects: what a plant can hold beyond its nominal drive and load.
+"""Effects: physical effects that a plant can have beyond its nominal drive and load.
 
-An effect is one small class in one of the files beside this one: its name in the catalogue, its
-parameters (the first one is its strength: at zero the plant is exactly the one without it), the
-states that it adds, and the wires that it changes at its port. Deriving from `Effect` is all it
-takes to make one known; docs/add-an-effect.md shows how.
+An effect is one small class in a file of this package: its name in the catalogue, its parameters
+(the first one is its strength: at zero the plant is exactly the one without it), the states that it
+adds, and the quantities of the scope that it changes at its port. A class is registered when it
+derives from `Effect`; docs/add-an-effect.md has an example.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from typing import Any, ClassVar, Final, Literal
 import msgspec
 
 from firmware_py.errors import InputError
+from models.plant.components.drives import Drive
+from models.plant.components.load_protocol import PlantLoad
 from models.plant.effects.order import in_order
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
@@ -26,7 +28,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class enters by being defined. They act as `order.in_order` says."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit"]
-"""What an effect may act on that not every drive and load has."""
+"""Features that an effect may need and that not every drive and load has."""
 
 
 class Effect:
@@ -35,15 +37,15 @@ class Effect:
     Attributes
     ----------
     name : str
-        As a plant document calls it.
+        In a plant document.
     port : str
-        Where it acts; taken from the catalogue unless the class says otherwise.
+        Place where it acts; from the catalogue unless the class gives it.
     per_joint : tuple of Parameter
-        With patterns as names ({j}, {angle}, {torque}); one of each for every joint.
+        Names are patterns ({j}, {angle}, {torque}); one of each for every joint.
     shared : tuple of Parameter
         One for all joints.
     needs : tuple of str
-        What the drive or the load must have for the effect to make sense.
+        Features that the drive or the load must have.
     """
 
     name: ClassVar[str]
@@ -61,11 +63,11 @@ class Effect:
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Parameters for the joints of `scope`, the strength first."""
         named = [
-            _fitted_to(q, scope.name(q.name, j), scope)
+            _for_joint_kind(q, scope.name(q.name, j), scope)
             for q in self.per_joint
             for j in scope.joints
         ]
-        return (*named, *(_fitted_to(q, scope.name(q.name), scope) for q in self.shared))
+        return (*named, *(_for_joint_kind(q, scope.name(q.name), scope) for q in self.shared))
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
@@ -76,36 +78,36 @@ class Effect:
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Strength to try first in trials of an effect that shows nothing up to a threshold.
+        """First strength to try, for an effect with a dead zone; zero for all others.
 
         Parameters
         ----------
         known : mapping of str to float
             Values of the plant's parameters.
         trials : sequence of Trial
-            As measured.
+            Measured trials.
 
         Returns
         -------
         float
-            Zero where there is no threshold, or the trials do not tell it.
+            Zero where there is no dead zone, or the trials do not determine it.
         """
         return 0.0
 
     def apply(self, scope: Scope) -> None:
-        """Change the wires of the port."""
+        """Change the quantities of the port."""
         raise NotImplementedError
 
 
 PULLEY_M: Final = 0.1
-"""Radius of the pulley by which a joint that turns is likened to one that slides."""
+"""Pulley radius that converts parameters of a rotary joint to those of a linear one."""
 
 
-def _fitted_to(q: Parameter, name: str, scope: Scope) -> Parameter:
-    """Parameter for a joint of the scope's kind.
+def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
+    """Parameter for a rotary or a linear joint.
 
-    Effects are written for a joint that turns. On a straight guide a torque becomes a force and an
-    angle a way, as if by a belt on a pulley: value and bounds are multiplied accordingly.
+    Effects are written for a rotary joint. On a straight guide a torque becomes a force and an
+    angle a displacement, as by a belt on a pulley: value and bounds are scaled accordingly.
     """
     if scope.suffix["angle"] == "rad":
         return msgspec.structs.replace(q, name=name)
@@ -121,19 +123,30 @@ def _fitted_to(q: Parameter, name: str, scope: Scope) -> Parameter:
     )
 
 
-def applicable(drive: Any, load: Any) -> list[str]:
-    """Names of the effects that a plant of this drive and this load can hold."""
+def applicable(drive: type[Drive], load: type[PlantLoad]) -> list[str]:
+    """Names of the effects that a plant with this drive and this load can have."""
     has = {*drive.features, *load.features}
     return [name for name in in_order(EFFECTS) if has.issuperset(EFFECTS[name].needs)]
 
 
-def check_effects(where: Path | str, names: Iterable[str], drive: Any, load: Any) -> None:
-    """Refuse effects that nobody knows, or that make no sense for a drive and a load.
+def check_effects(
+    where: Path | str, names: Iterable[str], drive: type[Drive], load: type[PlantLoad]
+) -> None:
+    """Refuse effects that are unknown or that the drive and the load do not allow.
+
+    Parameters
+    ----------
+    where : Path or str
+        Plant document, for the message.
+    names : iterable of str
+        Effects of the plant.
+    drive, load : type
+        Classes of its parts.
 
     Raises
     ------
     InputError
-        For the first such name, with the names that can be held.
+        For the first such name, with the names that are allowed.
     """
     known = applicable(drive, load)
     for name in names:
@@ -145,7 +158,7 @@ def check_effects(where: Path | str, names: Iterable[str], drive: Any, load: Any
             raise InputError(
                 where,
                 f"effect {name!r} acts on a {EFFECTS[name].needs[0]}, "
-                f"which a {load.kind} on a {drive.kind} drive has not",
+                f"which a {load.kind} on a {drive.kind} drive does not have",
                 "choose from " + ", ".join(sorted(known)),
             )
 

@@ -15,18 +15,18 @@ REFERENCE_RAD: Final = 0.1
 """Bend of a hinge at which softening and hardening are given."""
 
 EASE_RAD: Final = 2e-3
-"""Bend within which softening starts smoothly."""
+"""Bend within which softening sets in smoothly."""
 
 LEAK_TIME_S: Final = 10.0
-"""Time in which the leak's share is lost."""
+"""Time in which the leaking fraction is lost."""
 
 
 FASTEST_SLIP_PER_S: Final = 300.0
-"""Largest bend rate, in yield bends a second, that hysteresis follows."""
+"""Largest bend rate of the hysteresis, in yield bends per second."""
 
 
 BRANCHES: Final = (1 / 16, 1.0, 24.0)
-"""Relaxation times of creep, as shares of the middle one."""
+"""Relaxation times of creep relative to the middle one."""
 
 
 class Prebend(Effect):
@@ -45,11 +45,11 @@ class Prebend(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Shift where the span is at ease, in its torque and its stiffness."""
+        """Shift the rest shape of the span, in its torque and its stiffness."""
         planes = [("span", j) for j in scope.joints]
-        share = 0.5 / (1 - scope.p("span_position"))
+        gain = 0.5 / (1 - scope.p("span_position"))
         shift = [
-            (scope.bend[key], scope.bend[key] - share * scope.p("prebend_{j}_rad", key[1]))
+            (scope.bend[key], scope.bend[key] - gain * scope.p("prebend_{j}_rad", key[1]))
             for key in planes
         ]
         for key in planes:
@@ -67,12 +67,12 @@ class DirectionalStiffness(Effect):
     needs = ("bend",)
     per_joint = (
         Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="share gained for positive bend, lost else",
+                  role="effect", description="relative gain for positive bend, loss for negative",
                   source='docs/sources.md, "The link": 0.2, negative angles deform more'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness by the side it is bent to."""
+        """Scale each hinge's stiffness by the direction of its bend."""
         for (hinge, j), bend in scope.bend.items():
             side = ca.tanh(bend / 0.01)
             scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
@@ -93,10 +93,10 @@ class StiffnessSoftening(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Divide each hinge's stiffness."""
-        share = scope.p("softening_share")
+        loss = scope.p("softening_share")
         for hinge, j in scope.stiffness:
             size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
-            scope.stiffness[hinge, j] /= 1 + share / (1 - share) * size / REFERENCE_RAD
+            scope.stiffness[hinge, j] /= 1 + loss / (1 - loss) * size / REFERENCE_RAD
 
 
 class StiffnessHardening(Effect):
@@ -111,9 +111,9 @@ class StiffnessHardening(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Multiply each hinge's stiffness."""
-        share = scope.p("hardening_share")
+        gain = scope.p("hardening_share")
         for hinge, j in scope.stiffness:
-            scope.stiffness[hinge, j] *= 1 + share * _square(scope, hinge) / REFERENCE_RAD**2
+            scope.stiffness[hinge, j] *= 1 + gain * _square(scope, hinge) / REFERENCE_RAD**2
 
 
 class PressureLeak(Effect):
@@ -127,7 +127,7 @@ class PressureLeak(Effect):
     needs = ("bend",)
     shared = (
         Parameter(name="leak_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
-                  description="share of stiffness lost per 10 s", source="assumed tight"),
+                  description="fraction of stiffness lost per 10 s", source="assumed tight"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -151,7 +151,7 @@ class Hysteresis(Effect):
     needs = ("bend",)
     per_joint = (
         Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=1.0,
-                  role="effect", description="Bouc-Wen share of the root's stiffness",
+                  role="effect", description="Bouc-Wen fraction of the root's stiffness",
                   source='docs/sources.md, "The link"'),
     )  # fmt: skip
     shared = (
@@ -179,7 +179,7 @@ class Hysteresis(Effect):
 
 
 class Creep(Effect):
-    """Relaxing share of every hinge's stiffness: Maxwell branches (standard linear solids).
+    """Relaxing part of every hinge's stiffness: Maxwell branches (standard linear solids).
 
     τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
@@ -191,7 +191,7 @@ class Creep(Effect):
     needs = ("bend",)
     per_joint = (
         Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
-                  description="relaxing share of the stiffness",
+                  description="relaxing fraction of the stiffness",
                   source='docs/sources.md, "The link": 6 to 10 %'),
     )  # fmt: skip
     shared = (
@@ -203,16 +203,16 @@ class Creep(Effect):
     def apply(self, scope: Scope) -> None:
         """Add the relaxing torque."""
         for (hinge, j), bend in scope.bend.items():
-            share = scope.p("creep_share_{j}", j) / len(BRANCHES)
+            fraction = scope.p("creep_share_{j}", j) / len(BRANCHES)
             for b, ratio in enumerate(BRANCHES, 1):
                 name = f"creep_{hinge}_{j}_{b}_rad"
                 crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
                 scope.states[name].rate = (bend - crept) / (ratio * scope.p("creep_time_s"))
-                scope.bend_torque[hinge, j] -= share * scope.stiffness[hinge, j] * (bend - crept)
+                scope.bend_torque[hinge, j] -= fraction * scope.stiffness[hinge, j] * (bend - crept)
 
 
 class CrossAxisCoupling(Effect):
-    """A bend in one plane strains the other too: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
+    """Coupling of the planes: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
 
     Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
     there is no other plane.

@@ -1,4 +1,4 @@
-"""What happens to the goal, and to the torque that the drive can give for it."""
+"""Effects of the command: delay of the goal, limits of current and torque."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SHORTEST_S: Final = 5e-3
 """Shortest delay whose states an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
 
 HELD: Final = 9
-"""Rows over which a current must be held to be taken for a limit; noise averages out."""
+"""Rows over which a current is averaged before it is taken for a limit, against noise."""
 
 
 class DeadTime(Effect):
-    """The goal takes effect θ later, by the Padé approximant of order 2/3.
+    """Delay θ of the goal, by the Padé approximant of order 2/3.
 
     e^−x ≈ (1 − 2x/5 + x²/20) / (1 + 3x/5 + 3x²/20 + x³/60),  x = s D  [Baker & Graves-Morris 1996]
 
@@ -39,7 +39,7 @@ class DeadTime(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Put the goal's delayed share in its place."""
+        """Replace the goal by its delayed value."""
         for j in scope.joints:
             goal, dead_s = scope.goal[j], scope.p("dead_time_{j}_s", j)
             delay_s = ca.sqrt(dead_s**2 + SHORTEST_S**2)
@@ -56,9 +56,10 @@ class DeadTime(Effect):
 
 
 class CurrentSaturation(Effect):
-    """The limit of the current lies lower than rated: |i| ≤ i_max − Δ.
+    """Current limit below the rated one: |i| ≤ i_max − Δ.
 
-    Nothing changes before the limit is met, and neither do derivatives.
+    A dead-zone effect: as long as the current stays below the limit, neither the output nor its
+    derivatives change.
     """
 
     name = "current_saturation"
@@ -87,7 +88,7 @@ class CurrentSaturation(Effect):
 
 
 class TorqueConstantDrift(Effect):
-    """Less torque per ampere than rated, τ = (1 − d) k_t i: magnets lose flux as they warm up."""
+    """Torque per ampere below the rated one, τ = (1 − d) k_t i: warm magnets lose flux."""
 
     name = "torque_constant_drift"
     per_joint = (

@@ -1,4 +1,4 @@
-"""Friction of the drive, by rate and by load."""
+"""Friction of the drive: dry, viscous, near standstill and by load."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def friction_direction(scope: Scope, joint: int) -> Expr:
 
 
 def gear_load(scope: Scope, joint: int) -> Expr:
-    """Torque that presses the gear's teeth: |τ_load − τ_drive|, or |τ_load| of a stiff large gear.
+    """Torque on the gear's teeth: |τ_load − τ_drive|, or |τ_load| of a large stiff gear.
 
-    A drive that lifts a load presses them from both sides (BAM, eq. of the gearbox torque).
+    A drive that lifts a load adds its own torque on the teeth (BAM, equation of the gearbox).
     """
     return ca.fabs(scope.transmitted_torque[joint] - scope.gear_drive_torque.get(joint, 0))
 
@@ -35,7 +35,7 @@ class CoulombFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the rate with a constant."""
+        """Add a friction of constant size."""
         for j in scope.joints:
             scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * friction_direction(
                 scope, j
@@ -53,7 +53,7 @@ class ViscousFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the rate in proportion."""
+        """Add a friction in proportion to the rate."""
         for j in scope.joints:
             scope.friction[j] += (
                 scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
@@ -63,8 +63,8 @@ class ViscousFriction(Effect):
 class StribeckFriction(Effect):
     """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902].
 
-    μ_s, its share of the transmitted torque τ (BAM, model M4), is zero unless a plant's file frees
-    it: in a gear that slides slowly under load it is the larger part.
+    μ_s, its part per transmitted torque τ (BAM, model M4), is zero unless a plant document frees
+    it; in a gear that slides slowly under load it is the larger part.
     """
 
     name = "stribeck_friction"
@@ -81,7 +81,7 @@ class StribeckFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the rate, the less the faster."""
+        """Add a friction that fades with the rate."""
         for j in scope.joints:
             fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
@@ -101,7 +101,7 @@ class LoadDependentFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the rate in proportion to the load."""
+        """Add a friction in proportion to the load."""
         for j in scope.joints:
-            share = scope.p("load_dependent_friction_{j}", j)
-            scope.friction[j] += share * gear_load(scope, j) * friction_direction(scope, j)
+            coefficient = scope.p("load_dependent_friction_{j}", j)
+            scope.friction[j] += coefficient * gear_load(scope, j) * friction_direction(scope, j)

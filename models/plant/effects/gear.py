@@ -1,4 +1,4 @@
-"""Lost motion in the gear: between the drive's side, where the encoder sits, and the load's."""
+"""Lost motion in the gear, between the drive's side with the encoder and the load's side."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 RIGID_GEAR_TIME_S: Final = 2e-3
-"""Time in which a gear without play or give follows; two integration steps."""
+"""Time constant of a gear without backlash or compliance; two integration steps."""
 
 PLATE_INERTIA = Parameter(
     name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.02, high=1.0,
@@ -21,19 +21,30 @@ PLATE_INERTIA = Parameter(
 )  # fmt: skip
 GEAR_DAMPING = Parameter(
     name="gear_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=10.0, low=0.0, high=30.0,
-    description="damping of the gear while it gives", source="assumed",
+    description="damping of the gear in series with its compliance", source="assumed",
 )  # fmt: skip
 
 
 def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Expr) -> None:
-    """Let the load lag behind the drive by `lost`, as fast as a plate on the gear can move.
+    """Add a lag of the load behind the drive: `lost`, by the dynamics of a plate on the gear.
 
     With a gear of compliance c and damping d, and the plate's inertia J::
 
         (T² + c J) ẅ + (2 T + c d) ẇ + w = w_lost
 
-    ẅ is known from states alone, so the load is carried on an accelerated base exactly and the
-    drive feels its reaction. T keeps the equation regular at c = 0, where w stays zero.
+    ẅ depends on states only, so the load moves on an accelerated base without approximation and
+    its reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
+
+    Parameters
+    ----------
+    scope : Scope
+        Whose wind-up is extended.
+    joint : int
+        Number of the joint.
+    label : str
+        Prefix of the names of the states.
+    lost, compliance : SX
+        w_lost in rad and c in rad/(N·m).
     """
     angle = scope.suffix["angle"]
     windup = scope.state(
@@ -51,7 +62,7 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
 
 class JointElasticity(Effect):
-    """The gear winds up by c per torque (flexible joint [Spong 1987]): w = −c τ_load.
+    """Gear wind-up c per torque (flexible joint [Spong 1987]): w = −c τ_load.
 
     In series with the root's stiffness K: the first mode falls as if K were K / (1 + c K).
     """
@@ -76,10 +87,11 @@ class JointElasticity(Effect):
 
 
 class Backlash(Effect):
-    """Play b: the load hangs at one side of it, by the sign of its torque [Nordin 2002].
+    """Backlash b: the load rests at one side of it, by the sign of its torque [Nordin 2002].
 
-    w = −(b/2) tanh(τ_load / τ_b). The torque τ_b that closes the play makes the dead zone smooth:
-    fits start at a wide one and shrink it. The encoder on the drive's side does not see the play.
+    w = −(b/2) tanh(τ_load / τ_b). The torque τ_b that closes the backlash makes the dead zone
+    smooth: fits start at a wide one and reduce it. The encoder on the drive's side does not
+    measure the backlash.
     """
 
     name = "backlash"
@@ -96,7 +108,7 @@ class Backlash(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Lay the load on the side that its torque presses it to."""
+        """Move the load to the side to which its torque presses it."""
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2
             torque = scope.p("backlash_torque_{j}_{torque}", j)

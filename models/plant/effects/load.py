@@ -1,4 +1,4 @@
-"""What the load is or meets beyond what is declared: mass, constant torque, air."""
+"""Effects of the load: undeclared mass, offset, constant torque and air drag."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class UnmodelledPayload(Effect):
 
 
 class PayloadOffset(Effect):
-    """The payload's centre lies off the axis, towards +x in the tip's frame: a lever o L."""
+    """Offset o L of the payload's centre from the axis, towards +x in the tip's frame."""
 
     name = "payload_offset"
     needs = ("tip",)
     shared = (
         Parameter(name="payload_offset_share", unit="1", value=0.0, low=-0.2, high=0.2,
-                  role="effect", description="offset towards +x, share of the link's length",
+                  role="effect", description="offset towards +x, fraction of the link's length",
                   source="assumed absent; hung by hand within 3 mm"),
     )  # fmt: skip
 
@@ -43,7 +43,7 @@ class PayloadOffset(Effect):
 
 
 class LoadOffset(Effect):
-    """A constant torque (or force) on the joint: a cable or a spring that pulls."""
+    """Constant torque (or force) on the joint, of a cable or a spring."""
 
     name = "load_offset"
     per_joint = (
@@ -59,11 +59,11 @@ class LoadOffset(Effect):
 
 
 class AerodynamicDrag(Effect):
-    """Quadratic drag of the air, c |ω| ω on the joint, with ω = q̇ + Σ s_h φ̇_h.
+    """Quadratic air drag, c |ω| ω on the joint, with ω = q̇ + Σ s_h φ̇_h.
 
     The drag on a link grows with the square of the distance from the joint, so that a hinge at
-    the share ρ of its reach is bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The same
-    shares in ω make its power −c |ω|³: air only ever takes energy (½ρC_d b ω² L⁴/4;
+    the fraction ρ of its reach is bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The
+    same weights in ω make its power −c |ω|³, which is never positive (½ρC_d b ω² L⁴/4;
     docs/sources.md, "The link").
     """
 
@@ -76,17 +76,17 @@ class AerodynamicDrag(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Oppose the motion of joint and bends."""
-        shares = _drag_fractions(scope) if scope.bend else {}
+        fractions = _drag_fractions(scope) if scope.bend else {}
         rate = {
-            j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in shares.items())
+            j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in fractions.items())
             for j in scope.joints
         }
         speed = ca.sqrt(sum(r**2 for r in rate.values()) + DRAG_ROUNDING_RAD_S**2)
         for j in scope.joints:
             torque = scope.p("aerodynamic_drag_{torque}") * speed * rate[j]
             scope.joint_torque[j] -= torque
-            for hinge, share in shares.items():
-                scope.bend_torque[hinge, j] -= share * torque
+            for hinge, fraction in fractions.items():
+                scope.bend_torque[hinge, j] -= fraction * torque
 
 
 DRAG_ROUNDING_RAD_S: Final = 1e-6
@@ -94,7 +94,7 @@ DRAG_ROUNDING_RAD_S: Final = 1e-6
 
 
 def _drag_fractions(scope: Scope) -> dict[str, Expr]:
-    """Share of the drag's torque about the joint that bends each hinge of the link."""
+    """Fraction of the drag's torque about the joint that bends each hinge of the link."""
     offset_m, length_m = scope.p("base_offset_m"), scope.p("link_length_m")
     place_m = {"root": offset_m, "span": offset_m + scope.p("span_position") * length_m}
     reaches = {hinge: place / (offset_m + length_m) for hinge, place in place_m.items()}

@@ -1,4 +1,4 @@
-"""Errors of what is measured: encoder, current, and the mocap's frame and clock."""
+"""Sensor errors: encoder, current, and frame and clock of the motion capture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from models.plant.scope import Scope
 
 
 class EncoderOffset(Effect):
-    """The encoder shows q + δ; the servo's own loop sees no other angle and holds q + δ."""
+    """Encoder offset: the servo measures and controls q + δ."""
 
     name = "encoder_offset"
     per_joint = (
@@ -18,13 +18,13 @@ class EncoderOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add it to what is seen."""
+        """Add it to the measured value."""
         for j in scope.joints:
             scope.encoder_error[j] += scope.p("encoder_offset_{j}_{angle}", j)
 
 
 class CurrentBias(Effect):
-    """The measured current is off by a constant: i_seen = i + b."""
+    """Constant error of the measured current: i + b."""
 
     name = "current_bias"
     needs = ("current",)
@@ -35,13 +35,13 @@ class CurrentBias(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add it to what is seen."""
+        """Add it to the measured value."""
         for j in scope.joints:
             scope.current_bias[j] += scope.p("current_bias_{j}_a", j)
 
 
 class CurrentScale(Effect):
-    """The measured current is off by a factor: i_seen = (1 + s) i."""
+    """Relative error of the measured current: (1 + s) i."""
 
     name = "current_scale"
     needs = ("current",)
@@ -52,13 +52,13 @@ class CurrentScale(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale what is seen."""
+        """Scale the measured current."""
         for j in scope.joints:
             scope.current_scale[j] += scope.p("current_scale_{j}", j)
 
 
 class MarkerFrameTilt(Effect):
-    """The mocap's frame is tilted about y: r_seen = R_y(α) r. Distances, so DI, stay."""
+    """Tilt of the motion capture's frame about y, R_y(α) r; distances, hence DI, do not change."""
 
     name = "marker_frame_tilt"
     needs = ("tip",)
@@ -74,10 +74,10 @@ class MarkerFrameTilt(Effect):
 
 
 class SyncOffset(Effect):
-    """The mocap lags behind the servo's clock by δ: at time t it shows what was at t − δ.
+    """Lag δ of the motion capture behind the servo's clock: at time t it shows the state at t − δ.
 
-    q(t − δ) ≈ q − δ q̇ + δ²/2 q̈ of joints and bends, for a mocap ahead of the servo too (δ < 0).
-    What is left is (ωδ)³/6: 2e-5 of the study's motion at 40 ms, 5 % of a vibration at 2.5 Hz.
+    q(t − δ) ≈ q − δ q̇ + δ²/2 q̈ of joints and bends, also for a clock ahead of the servo's (δ < 0).
+    The remainder is (ωδ)³/6: 2e-5 of the study's motion at 40 ms, 5 % of a vibration at 2.5 Hz.
     """
 
     name = "sync_offset"
@@ -89,5 +89,5 @@ class SyncOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Delay the mocap."""
+        """Delay the motion capture."""
         scope.frame_delay_s += scope.p("sync_offset_s")

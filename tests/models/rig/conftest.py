@@ -15,7 +15,7 @@ def parameters():
 
 @pytest.fixture(scope="session")
 def short(parameters):
-    """The laboratory with short pauses, for tests that need no rest afterwards."""
+    """The rig with short pauses, for tests that need no rest afterwards."""
     return parameters.changed(**{"world.settle_s": 0.3, "world.pause_s": 0.3})
 
 

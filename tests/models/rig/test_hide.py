@@ -48,7 +48,7 @@ def test_every_effect_of_the_catalogue_has_its_place(parameters):
 
 
 @pytest.mark.parametrize("effect", CATALOGUE)
-def test_strength_adds_to_what_the_laboratory_has(parameters, effect):
+def test_strength_adds_to_what_the_rig_has(parameters, effect):
     place = parameters.effects()[effect]
     assert parameters.hide({effect: STRENGTH[effect]})[place] == pytest.approx(
         parameters[place] + STRENGTH[effect]
@@ -189,7 +189,7 @@ def test_an_effect_without_a_place_is_refused_with_those_that_have_one(tmp_path)
         ("value = 0.24", "value = -0.24", "bounds"),
     ],
 )  # fmt: skip
-def test_a_damaged_laboratory_is_refused(tmp_path, old, new, named):
+def test_a_damaged_rig_file_is_refused(tmp_path, old, new, named):
     text = RIG_TOML.read_text()
     assert old in text
     (tmp_path / "rig.toml").write_text(text.replace(old, new, 1))

@@ -1,4 +1,4 @@
-"""The chain against mechanics that do not need MuJoCo."""
+"""The MuJoCo link against mechanics that do not need MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -11,65 +11,65 @@ MEMORYLESS = {"memory.hysteresis_share": 0.0, "memory.relaxing_share": 0.0}
 EVEN = {"stiffness.directional_share": 0.0, "stiffness.prebend_rad": 0.0}
 
 
-def tip_m(lab):
-    return lab.markers_m[12:].mean(axis=0)
+def tip_m(rig):
+    return rig.markers_m[12:].mean(axis=0)
 
 
-def joint_rad(lab):
-    return lab.data.qpos[lab.chain.joints]
+def joint_rad(rig):
+    return rig.data.qpos[rig.link.joints]
 
 
-def deflection_m(lab):
+def deflection_m(rig):
     """Tip against a rigid link on the same joints."""
-    rigid = rigid_tip_m(joint_rad(lab)[None], 0.06, 0.95)[0]
-    return tip_m(lab) - rigid
+    rigid = rigid_tip_m(joint_rad(rig)[None], 0.06, 0.95)[0]
+    return tip_m(rig) - rigid
 
 
-def run(lab, seconds, goal=None):
+def run(rig, seconds, goal=None):
     if goal is not None:
-        lab.send(np.asarray(goal))
-    for _ in range(round(seconds / lab.step_s)):
-        lab.step()
+        rig.send(np.asarray(goal))
+    for _ in range(round(seconds / rig.step_s)):
+        rig.step()
 
 
-def kinetic_j(lab):
-    """Of chain and rotors."""
-    model, data = lab.chain.model, lab.data
+def kinetic_j(rig):
+    """Of link and rotors."""
+    model, data = rig.link.model, rig.data
     mujoco.mj_energyVel(model, data)
-    return data.energy[1] + sum(0.5 * 0.84 * s.rotor_rad_s**2 for s in lab.servos)
+    return data.energy[1] + sum(0.5 * 0.84 * s.rotor_rad_s**2 for s in rig.servos)
 
 
 def test_markers_at_rest_stand_where_the_contract_puts_them(parameters, rigid_markers):
-    lab = Rig(parameters, 2, 0.0)
-    np.testing.assert_allclose(lab.markers_m, rigid_markers(np.zeros((1, 2)))[0], atol=1e-12)
+    rig = Rig(parameters, 2, 0.0)
+    np.testing.assert_allclose(rig.markers_m, rigid_markers(np.zeros((1, 2)))[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("joint, axis", [(0, 0), (1, 1)])
 def test_positive_angle_leans_towards_plus_x_and_plus_y(parameters, joint, axis):
-    lab = Rig(parameters, 2, 0.5)
+    rig = Rig(parameters, 2, 0.5)
     goal = np.zeros(2)
     goal[joint] = 0.2
-    run(lab, 2.0, goal)
-    assert tip_m(lab)[axis] > 0.15
-    assert abs(tip_m(lab)[1 - axis]) < 0.02
+    run(rig, 2.0, goal)
+    assert tip_m(rig)[axis] > 0.15
+    assert abs(tip_m(rig)[1 - axis]) < 0.02
     # Gravity pulls the leaning link further; the servo holds back, so its current is negative.
-    assert deflection_m(lab)[axis] > 0
-    assert lab.servos[joint].current_a < 0
+    assert deflection_m(rig)[axis] > 0
+    assert rig.servos[joint].current_a < 0
 
 
 def test_energy_never_grows_unforced(parameters):
     """No current, no gravity, a kick: whatever is stored comes from it, and it all dies down."""
     dead = parameters.changed(**{"servo.current_limit_a": 0.0, "world.gravity_m_s2": 0.0,
                                  "stiffness.prebend_rad": 0.0})  # fmt: skip
-    lab = Rig(dead, 2, 1.0)
+    rig = Rig(dead, 2, 1.0)
     rng = np.random.default_rng(1)
-    lab.data.qvel[:] = 0.3 * rng.standard_normal(lab.chain.model.nv)
-    lab.data.qvel[lab.chain.joints] = 0.0
-    before = kinetic_j(lab)
+    rig.data.qvel[:] = 0.3 * rng.standard_normal(rig.link.model.nv)
+    rig.data.qvel[rig.link.joints] = 0.0
+    before = kinetic_j(rig)
     history = []
     for _ in range(4000):
-        lab.step()
-        history.append(kinetic_j(lab))
+        rig.step()
+        history.append(kinetic_j(rig))
     history = np.array(history)
     assert history.max() <= before
     peaks = history.reshape(4, 1000).max(axis=1)
@@ -96,7 +96,7 @@ def test_a_symmetric_link_moves_symmetrically(parameters):
 def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
     """Gravity along x, weak enough to stay linear: Timoshenko's beam on a root spring."""
     gravity, payload = 0.2, 0.5
-    lab = Rig(
+    rig = Rig(
         parameters.changed(
             **MEMORYLESS, **EVEN,
             **{"world.gravity_m_s2": gravity, "stiffness.root_nm_rad": root_nm_rad,
@@ -104,7 +104,7 @@ def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
                "stiffness.damping_s": 0.08},
         ), 1, payload, gravity=(1.0, 0.0, 0.0),
     )  # fmt: skip
-    run(lab, 4.0)
+    run(rig, 4.0)
     length, bending, shear = 0.95, 135.0, 1070.0 + 41300.0 * 0.15**2
     tip_n, line_n_m = (0.25 + payload) * gravity, 0.9 / length * gravity
     sag = (
@@ -113,20 +113,20 @@ def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
         + (tip_n * length + line_n_m * length**2 / 2) / shear
         + (tip_n * length + line_n_m * length**2 / 2) / root_nm_rad * length
     )
-    assert deflection_m(lab)[0] == pytest.approx(sag, rel=0.01)
+    assert deflection_m(rig)[0] == pytest.approx(sag, rel=0.01)
 
 
 def first_mode_hz(parameters, payload_kg):
     """From the turning points of the tip after a small jump of the base."""
-    lab = Rig(parameters, 1, payload_kg)
-    run(lab, 1.0)
-    lab.send(np.array([np.radians(4.0)]))
+    rig = Rig(parameters, 1, payload_kg)
+    run(rig, 1.0)
+    rig.send(np.array([np.radians(4.0)]))
     x = []
     for _ in range(2000):
-        lab.step()
-        x.append(deflection_m(lab)[0])
+        rig.step()
+        x.append(deflection_m(rig)[0])
     x = np.array(x[200:])
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(x)))) * lab.step_s
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x)))) * rig.step_s
     return 0.5 / np.mean(np.diff(turns)[:3])
 
 
@@ -140,8 +140,8 @@ def test_gravity_is_a_direction(parameters):
     even = parameters.changed(**EVEN)
     hanging = Rig(even, 1, 1.0, gravity=(0.0, 0.0, 1.0))
     upright = Rig(even, 1, 1.0)
-    for lab in (hanging, upright):
-        run(lab, 2.0, [0.3])
+    for rig in (hanging, upright):
+        run(rig, 2.0, [0.3])
     # Upright the load bends the link outwards, hanging it straightens it.
     assert deflection_m(upright)[0] > 0.005
     assert deflection_m(hanging)[0] < -0.005
@@ -150,10 +150,10 @@ def test_gravity_is_a_direction(parameters):
 
 def test_drag_slows_by_its_torque(parameters):
     """One radian per second about joint 1: the torque about the axis is the one asked for."""
-    lab = Rig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
+    rig = Rig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
     # Move the pieces as a rigid rotation would, then let the drag look at them.
-    centres = lab.data.xipos[lab.chain.bodies].copy()
-    lab.data.xipos[lab.chain.bodies, 0] += centres[:, 2] * lab.step_s
-    lab._apply_drag()
-    torque = np.sum(lab.data.xfrc_applied[lab.chain.bodies, 0] * centres[:, 2])
+    centres = rig.data.xipos[rig.link.bodies].copy()
+    rig.data.xipos[rig.link.bodies, 0] += centres[:, 2] * rig.step_s
+    rig._apply_drag()
+    torque = np.sum(rig.data.xfrc_applied[rig.link.bodies, 0] * centres[:, 2])
     assert torque == pytest.approx(-5.0, rel=1e-9)

@@ -24,9 +24,9 @@ def settle(servo, joint_rad=0.0, seconds=2.0, goal=None):
 
 def linear_loop(parameters, payload_kg):
     """Loop of the position servo around the linearised robot, upright, broken at the current."""
-    lab = Rig(parameters, 1, payload_kg)
-    model, data, chain = lab.chain.model, lab.data, lab.chain
-    count, joint = model.nv, int(chain.joints[0])
+    rig = Rig(parameters, 1, payload_kg)
+    model, data, link = rig.link.model, rig.data, rig.link
+    count, joint = model.nv, int(link.joints[0])
     mass = np.zeros((count, count))
     mujoco.mj_fullM(model, data, mass)
 
@@ -34,7 +34,7 @@ def linear_loop(parameters, payload_kg):
         data.qpos[:], data.qvel[:] = q, 0.0
         mujoco.mj_forward(model, data)
         total = data.qfrc_passive - data.qfrc_bias
-        total[chain.hinges] += BendLaw(parameters, STEP_S).torque_nm(q[chain.hinges])
+        total[link.hinges] += BendLaw(parameters, STEP_S).torque_nm(q[link.hinges])
         return total.copy()
 
     nudge = 1e-5 * np.eye(count)

@@ -1,4 +1,4 @@
-"""What the laboratory writes, and that it writes the same twice."""
+"""Trials of the rig: the contract, reproducibility and the options of `simulate`."""
 
 import json
 
@@ -67,8 +67,8 @@ def test_markers_follow_the_link_of_the_contract(written, rigid_markers):
 
 def test_the_overview_is_drawn_and_conditions_stay_beside_the_trials(written):
     assert (written / "overview.svg").read_text().startswith("<?xml")
-    record = json.loads((written / "laboratory.json").read_text())
-    assert set(record) == {t.name for t in read_trials(written)}
+    record = json.loads((written / "rig_conditions.json").read_text())
+    assert set(record["trials"]) == {t.name for t in read_trials(written)}
 
 
 def test_same_seed_same_bits_whoever_computes(written, tmp_path):
@@ -123,11 +123,17 @@ def test_trials_of_other_conditions_are_not_overwritten(written, options, capsys
     assert {p.name: p.read_bytes() for p in written.glob("*.csv")} == before
 
 
+def test_a_record_of_an_earlier_version_is_refused(tmp_path, capsys):
+    (tmp_path / "laboratory.json").write_text('{"dof1": {"seed": 0}}')
+    assert run(tmp_path) == BAD_INPUT
+    assert "laboratory.json: is the record of an earlier version" in capsys.readouterr().err
+
+
 def test_what_is_hidden_is_not_told_by_the_trial(tmp_path):
     assert run(tmp_path, "--hide", "backlash=0.01") == DONE
     for path in tmp_path.glob("dof*"):
         assert "backlash" not in path.read_text()
-    assert '"backlash": 0.01' in (tmp_path / "laboratory.json").read_text()
+    assert '"backlash": 0.01' in (tmp_path / "rig_conditions.json").read_text()
 
 
 @pytest.mark.parametrize(

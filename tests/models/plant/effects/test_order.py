@@ -6,7 +6,7 @@ import pytest
 
 from models.plant.effects import EFFECTS, Effect
 from models.plant.effects.order import ORDER, PORTS, in_order
-from models.plant.plant import read_plant
+from models.plant.plant import _composed, read_plant
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE
 
@@ -40,6 +40,7 @@ def test_the_order_of_definition_does_not_change_the_composed_model(
     shuffled_definitions, dof, unit
 ):
     before = composed(tuple(CATALOGUE), dof, unit)
+    _composed.cache_clear()
     shuffled_definitions(1)
     backwards = tuple(reversed(tuple(EFFECTS)))
     assert composed(backwards, dof, unit) == before

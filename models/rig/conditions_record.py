@@ -1,0 +1,110 @@
+"""Record of the conditions under which the rig ran each trial of a directory.
+
+The record lies beside the trials. Nothing but `refuse_other_conditions` reads it, so that hidden
+effects stay out of the trials themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+
+from firmware_py.documents import Document, read_document, write_document
+from firmware_py.errors import InputError
+from models.rig.trial_case import TrialCase
+
+CONDITIONS_FILE: Final = "rig_conditions.json"
+OLD_FILE: Final = "laboratory.json"
+"""Record of versions up to 0.1, which is refused."""
+
+
+class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Conditions of a trial that its own files do not tell.
+
+    Attributes
+    ----------
+    seed : int
+        Of variation and noise.
+    hidden : dict of str to float
+        Strength of each hidden effect, in the unit that the catalogue gives.
+    rig_sha256 : str
+        Hash of the rig's parameters, hidden effects included.
+    """
+
+    seed: int
+    hidden: dict[str, float]
+    rig_sha256: str
+
+
+class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Conditions by trial."""
+
+    MADE_BY: ClassVar[str] = "python -m models simulate"
+
+    trials: dict[str, RigConditions]
+
+
+def refuse_other_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Refuse to overwrite a trial that was measured or was run under other conditions.
+
+    Parameters
+    ----------
+    cases : sequence of TrialCase
+        To be run.
+    conditions : RigConditions
+        Under which they are to be run.
+    directory : Path
+        Where they are to be written.
+
+    Raises
+    ------
+    InputError
+        If a name is taken, or the record of the directory cannot be read.
+    """
+    recorded = _read_trials(directory)
+    for case in cases:
+        path = directory / f"{case.name}.csv"
+        if path.exists() and recorded.get(case.name) != conditions:
+            raise InputError(
+                path,
+                "holds a trial that was run under other conditions",
+                "choose another --out, or remove it",
+            )
+
+
+def record_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Add the conditions of these trials to the record of the directory, before they are run.
+
+    Parameters
+    ----------
+    cases : sequence of TrialCase
+        To be run.
+    conditions : RigConditions
+        Under which they are to be run.
+    directory : Path
+        Where they are to be written; it is made if need be.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    trials = _read_trials(directory) | {case.name: conditions for case in cases}
+    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
+    write_document(directory / CONDITIONS_FILE, record)
+
+
+def _read_trials(directory: Path) -> dict[str, RigConditions]:
+    path = directory / CONDITIONS_FILE
+    if path.exists():
+        return read_document(path, ConditionsRecord).trials
+    if (directory / OLD_FILE).exists():
+        raise InputError(
+            directory / OLD_FILE,
+            "is the record of an earlier version",
+            "choose another --out, or remove it and its trials",
+        )
+    return {}
