@@ -42,6 +42,13 @@ def lagged_features(
     -------
     ndarray, shape (n, len(lag_ticks) * 2 * dof)
         For each lag angles, then currents; the input of `lagged.onnx`.
+
+    Examples
+    --------
+    >>> angle_rad, current_a = np.array([[0.1], [0.2]]), np.array([[1.0], [2.0]])
+    >>> lagged_features(angle_rad, current_a, lag_ticks=(0, 1))
+    array([[0.1, 1. , 0.1, 1. ],
+           [0.2, 2. , 0.1, 1. ]])
     """
     signals = np.hstack([angle_rad, current_a])
     row = np.arange(len(signals))

@@ -123,5 +123,10 @@ def r_squared(actual: Array, estimate: Array) -> float:
     ----------
     actual, estimate : ndarray, shape (n,)
         Values and their estimates.
+
+    Examples
+    --------
+    >>> r_squared(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 2.0]))
+    0.5
     """
     return float(1.0 - np.sum((actual - estimate) ** 2) / np.sum((actual - actual.mean()) ** 2))

@@ -243,6 +243,11 @@ def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
         One per feature.
     names : tuple of str
         Names of the features.
+
+    Examples
+    --------
+    >>> monomial((2, 0, 1), ("angle_1_rad", "current_1_a", "di"))
+    'angle_1_rad^2 di'
     """
     factors = [
         name if power == 1 else f"{name}^{power}"
