@@ -9,30 +9,33 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from firmware_py.documents import Document, schema_of
+from hil.faults.faults_document import FaultsDocument
+from hil.timing.timing_document import TimingDocument
 from models.plant.plant import PlantDocument
+from models.rig.conditions_record import ConditionsRecord
 from models.study.study_document import StudyDocument
 
-DOCUMENTS: Final[tuple[type[Document], ...]] = (PlantDocument, StudyDocument)
-"""Every document that a command writes."""
+DOCUMENTS: Final[dict[str, type[Document]]] = {
+    "rig_conditions": ConditionsRecord,
+    "faults": FaultsDocument,
+    "plant": PlantDocument,
+    "study": StudyDocument,
+    "timing": TimingDocument,
+}
+"""Every document that a command writes, by the name of its file."""
 
 
 def schema_files() -> dict[str, str]:
     """Text of each schema by the name of its file."""
     return {
-        f"{_file_stem(kind)}.schema.json": json.dumps(schema_of(kind), indent=1) + "\n"
-        for kind in DOCUMENTS
+        f"{name}.schema.json": json.dumps(schema_of(kind), indent=1) + "\n"
+        for name, kind in DOCUMENTS.items()
     }
-
-
-def _file_stem(kind: type[Document]) -> str:
-    name = kind.__name__.removesuffix("Document")
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
