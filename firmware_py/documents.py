@@ -67,10 +67,24 @@ def read_document(path: Path, kind: type[T]) -> T:
 
 
 def write_document(path: Path, document: Document) -> None:
-    """Write a document as indented JSON; a float that is no number becomes null."""
+    """Write a document as indented JSON; NaN and infinities become null.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    document : Document
+        The document.
+    """
     path.write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 
 
 def schema_of(kind: type[Document]) -> dict[str, Any]:
-    """The JSON Schema of a document (draft 2020-12)."""
+    """Return the JSON Schema of a document (draft 2020-12).
+
+    Parameters
+    ----------
+    kind : type
+        Struct of the document.
+    """
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | msgspec.json.schema(kind)

@@ -1,16 +1,16 @@
-"""The control loop: read → estimate → predict → command → check → write → log, every 17 ms.
+"""Control loop: read → estimate → predict → command → check → write → log, every 17 ms.
 
-Exactly this class runs on the robot, against an emulated servo and in simulated time; only the
-bus and the clock that it is given differ.
+The same class runs on the robot, against an emulated servo and in simulated time; only bus and
+clock differ.
 
-- Slot k starts at the absolute time `start + k * period`; the motion begins with slot 0, slots
-  below it bring the arm there from where it stands. A tick that ends after its slot makes the loop
-  skip the slots that have begun: phase is kept, and no two ticks run in one slot.
-- The tick's remaining budget bounds every wait for the bus.
-- Nothing is allocated for good in a tick, nothing touches a disk, the garbage collector stays out
+- Slot k starts at the absolute time `start + k * period`. The motion begins with slot 0; in the
+  slots below it the arm approaches its first goal. After a tick that ends late the slots that have
+  begun are skipped: the phase is kept, and no two ticks run in one slot.
+- The remaining time of the tick bounds every wait for the bus.
+- A tick allocates no net memory and touches no disk; the garbage collector is disabled
   (`firmware_py.realtime.clock.real_time`).
-- However `run` ends, the torque goes off. A port that has gone may come back meanwhile: then, where
-  that is wanted, the robot starts anew from where it stands, with every check.
+- Every end of `run` switches the torque off. If a port that has gone comes back in time, the robot
+  starts again from its measured position, with every check.
 """
 
 from __future__ import annotations
@@ -45,42 +45,47 @@ Array = NDArray[np.float64]
 _START_DELAY_NS: Final = 2_000_000
 _REPLUG_POLL_NS: Final = 50_000_000
 _LONGEST_STEP_SLOTS: Final = 100
-"""An estimator is never asked for more at once: a clock that leapt must not keep it busy."""
+"""Largest step of an estimator: after a leap of the clock it must not compute for long."""
 
 
 class ControlLoop:
-    """Drives the servos along a table of goals.
+    """Control loop that drives the servos along a table of goals.
 
     Parameters
     ----------
     bus : ServoBus
-        The servos. The caller closes it.
+        The servos; the caller closes it.
     estimator : DeformationEstimator
         Deformation Index from angle and current.
     predictor : Predictor
         Tip from angle, current and DI.
     supervisor : SafetySupervisor
-        A fresh one.
+        A supervisor in the state STARTING.
     goals_rad : ndarray, shape (n, dof)
         Goal of each slot, see `Motion.table_rad`.
     clock : Clock
         Real or simulated.
     slots : int, optional
-        Slots to run before the controlled stop; the table repeats. None runs it once.
+        Slots to run before the controlled stop; the table repeats. None runs the table once.
     period_s : float
         Control period.
     reply_timeout_s : float
-        Longest wait for the servos' replies within a tick.
+        Longest wait for the servos in a tick.
     replug_s : float
-        How long to wait for a port that has gone to come back, once the robot has stopped.
+        Longest wait for a port that has gone, after the robot has stopped; 0 does not wait.
     telemetry : Telemetry, optional
-        Where finished records go.
+        Receiver of the finished records.
     counters : Counters, optional
-        The kernel's counters, made in the thread that calls `run`.
+        The kernel's counters, created in the thread that calls `run`.
     service : Service, optional
-        Hears in every tick that the loop is alive.
+        Watchdog that is notified in every tick.
     keep : int
         Number of records to keep for the summary.
+
+    Raises
+    ------
+    InputError
+        If the goals have another number of joints than the bus.
     """
 
     def __init__(
@@ -126,21 +131,27 @@ class ControlLoop:
         self._replugs = 0
 
     def stop(self, reason: str) -> None:
-        """Ask for a controlled stop; safe to call from a signal handler or another thread."""
+        """Request a controlled stop, also from a signal handler or another thread.
+
+        Parameters
+        ----------
+        reason : str
+            Cause, for the summary.
+        """
         self._signal = reason
 
     def run(self) -> RunSummary:
-        """Connect, run until the motion is over or something stops it, torque off.
+        """Connect, run until the motion is over or the robot is stopped, switch the torque off.
 
         Raises
         ------
         InputError
-            If the servos are unfit to start.
+            If a servo is unfit, a joint is outside its limits, or the torque cannot be switched on.
         """
         self._bus.connect()
         self._get_ready()
         released = BusStatus.OK
-        with _signals_to(self.stop):  # around the torque, so that no second Ctrl-C can leave it on
+        with _signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it
             try:
                 self._start()
                 self._run_slots()
@@ -153,12 +164,12 @@ class ControlLoop:
         return self._summary(released)
 
     def _get_ready(self) -> None:
-        """Take the position to start from, once the servos are checked, torque off."""
+        """Take the measured position as the first goal, torque off."""
         self._supervisor.arm(self._bus.angle_rad)
         self._estimator.reset()
 
     def _start(self) -> None:
-        """Torque on, where the servos stand; the goals blend from there into the motion."""
+        """Switch the torque on at the measured position."""
         bus, supervisor = self._bus, self._supervisor
         bus.write(supervisor.goal_rad, self._clock.now_ns() + self._period_ns)
         if (status := bus.torque(True)) != BusStatus.OK:
@@ -169,7 +180,7 @@ class ControlLoop:
         supervisor.start()
 
     def _port_is_back(self) -> bool:
-        """After a stop because the port was gone: wait for it, then get the servos ready again."""
+        """After a stop because the port had gone: wait for it and prepare the servos again."""
         clock, deadline_ns = self._clock, self._clock.now_ns() + self._replug_ns
         if self._bus_status is not BusStatus.PORT_GONE or not self._supervisor.tripped:
             return False
@@ -211,7 +222,7 @@ class ControlLoop:
             slot = max(slot + 1, -((start_ns - end_ns) // period_ns))
 
     def _tick(self, slot: int, deadline_ns: int) -> int:
-        """Run one tick; return when it ended."""
+        """Run one tick; return the time of its end."""
         bus, supervisor, goals, now = self._bus, self._supervisor, self._goals, self._clock.now_ns
         wake_ns = now()
         missed = slot - self._previous_slot - 1
@@ -229,7 +240,7 @@ class ControlLoop:
         prediction = self._predictor.predict(bus.angle_rad, bus.current_a, estimate.di)
         predict_ns = now()
 
-        wished_rad = goals[max(slot, 0) % len(goals)]
+        desired_rad = goals[max(slot, 0) % len(goals)]
         if missed:
             supervisor.rebase(goals[max(slot - 1, 0) % len(goals)])
         command_ns = now()
@@ -238,7 +249,7 @@ class ControlLoop:
             status, bus.alert, bus.angle_rad, bus.current_a, prediction.tip_m, estimate.di, missed
         )
         self._heed_requests(slot)
-        goal_rad = supervisor.admit(wished_rad)
+        goal_rad = supervisor.admit(desired_rad)
         check_ns = now()
 
         self._bus_status = status = max(status, bus.write(goal_rad, deadline_ns + self._period_ns))
@@ -258,7 +269,7 @@ class ControlLoop:
         return end_ns
 
     def _heed_requests(self, slot: int) -> None:
-        """Begin the controlled stop where somebody asks for it or the motion is over."""
+        """Begin the controlled stop on request, or when the motion is over."""
         if self._signal:
             self._end(Ended.SIGNALLED, self._signal)
         elif slot >= self._slots:

@@ -1,15 +1,15 @@
-"""Reference motions: goal angles as a pure function of time.
+"""Reference motions: goal angles as a function of time.
 
-The laboratory and the robot run the same motions. Before zero a motion rests at zero; after its
-end it glides back to zero within `GLIDE_S`: a wave that ends at speed runs on while it fades, for
-a dead stop would set the link swinging.
+Rig and robot run the same motions. Before time zero a motion rests at zero. After its end it
+returns to zero within `GLIDE_S`: a wave that ends at speed continues while it is faded out, since
+an abrupt stop would excite the link.
 
 ============ ====================================================================================
 sinusoid     the study's: two cycles 0 -> -A -> 0 -> +A -> 0 of one period each
-multisine    many incommensurate frequencies at once, each joint its own; slower ones are larger
+multisine    several harmonics at once, different ones for each joint; slower ones are larger
 triangle     one slow cycle at constant speed, four periods long: hysteresis without inertia
 steps        lean, hold, lean, hold: creep
-decay        lean, then let go by a fifth of the lean at once and hold: free vibration
+decay        lean, then step back by a fifth of the lean and hold: free vibration
 ============ ====================================================================================
 """
 
@@ -29,10 +29,10 @@ Array = NDArray[np.float64]
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 STUDY_PERIOD_S: Final = 256 * PERIOD_S
-"""One cycle of the study: 256 steps of 17 ms (paper, section IV-A)."""
+"""One cycle of the study: 256 steps of 17 ms (the study, section IV-A; docs/sources.md)."""
 STUDY_AMPLITUDE_RAD: Final = float(np.radians(30.0))
 GLIDE_S: Final = 1.0
-"""Time in which a motion returns to zero after its end."""
+"""Duration of the return to zero after the end of a motion."""
 
 _PERIODS: Final[dict[Kind, float]] = {
     "sinusoid": 2, "multisine": 4, "triangle": 4, "steps": 8, "decay": 6,
@@ -43,30 +43,35 @@ _RUNS_ON: Final = ("sinusoid", "triangle")
 """Motions that are still at speed at their end."""
 
 _HARMONICS: Final = ((2, 5, 9, 14), (3, 7, 11, 16))
-"""Of the joints' multisines, in cycles per four periods: no common frequency."""
+"""Harmonics of each joint's multisine, in cycles per four periods; the joints share none."""
 
 _STEP_LEVELS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0, 0.5, -0.5, 0.0)
 _DECAY_LEVELS: Final = ((-1.0, -0.8, 0.0), (1.0, 0.8, 0.0))
-"""Per lean: where to, how far to let go, and back to upright."""
+"""For each lean: its level, the level after the step back, and upright."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A reference motion of one or two joints.
+    """Reference motion of one or two joints.
 
     Attributes
     ----------
     kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
-        See the module's table.
+        Kind, see the module's table.
     amplitude_rad : float
         Largest goal of each joint.
     period_s : float
         Time of one cycle of the sinusoid; the other motions scale with it.
     phase_2_rad : float
-        By how much joint 2 leads joint 1 (the multisine has no common phase and ignores it).
-        Joint 2 still starts at zero: where it leads it fades in during half a period.
+        Phase by which joint 2 leads joint 1; the multisine ignores it. Joint 2 still starts at
+        zero: it is faded in during half a period.
     dof : int
         Number of joints, 1 or 2.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
     """
 
     kind: Kind = "sinusoid"
@@ -91,11 +96,11 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """Time from the start to the last goal, the glide back to zero not counted."""
+        """Time from the start to the last goal, without the return to zero."""
         return _PERIODS[self.kind] * self.period_s
 
     def goal_rad(self, time_s: ArrayLike) -> Array:
-        """Goals at the given times.
+        """Return the goals at given times.
 
         Parameters
         ----------
@@ -106,6 +111,17 @@ class Motion:
         -------
         ndarray, shape (..., dof)
             Goal angles in rad.
+
+        Examples
+        --------
+        >>> motion = Motion(amplitude_rad=0.5, period_s=4.0)
+        >>> goals_rad = motion.goal_rad([0.0, 1.0, 2.0, 3.0])
+        >>> goals_rad.shape
+        (4, 1)
+        >>> bool(np.allclose(goals_rad[:, 0], [0.0, -0.5, 0.0, 0.5]))
+        True
+        >>> motion.goal_rad(motion.duration_s + GLIDE_S)  # back at zero
+        array([0.])
         """
         time_s = np.asarray(time_s, dtype=np.float64)
         last_s = self.duration_s + (GLIDE_S if self.kind in _RUNS_ON else 0.0)
@@ -115,18 +131,30 @@ class Motion:
         return self.amplitude_rad * np.stack(joints, axis=-1) + 0.0  # no negative zeros
 
     def table_rad(self, step_s: float = PERIOD_S, rest_samples: int = 0) -> Array:
-        """Goals of a whole run with a fixed period, `rest_samples` zeros in front.
+        """Return the goals of a whole run with a fixed period.
+
+        Parameters
+        ----------
+        step_s : float
+            Control period.
+        rest_samples : int
+            Number of zeros in front of the motion.
 
         Returns
         -------
         ndarray, shape (rest_samples + round(duration_s / step_s), dof)
             Row k is the goal to send at k * step_s.
+
+        Examples
+        --------
+        >>> Motion(amplitude_rad=0.5, period_s=4.0, dof=2).table_rad(1.0, rest_samples=2).shape
+        (10, 2)
         """
         moving = round(self.duration_s / step_s)
         return self.goal_rad((np.arange(rest_samples + moving) - rest_samples) * step_s)
 
     def _joint(self, joint: int, time_s: Array) -> Array:
-        """Goal of one joint as a share of the amplitude, inside the motion."""
+        """Goal of one joint as a fraction of the amplitude, inside the motion."""
         if self.kind == "multisine":
             return _multisine(time_s / self.duration_s, _HARMONICS[joint])
         wave, cycles = _WAVES[self.kind]
@@ -137,9 +165,9 @@ class Motion:
         return wave((turn + lead) % 1.0) * _ease(2.0 * time_s / self.period_s)
 
 
-def _ease(share: Array) -> Array:
-    """Half a cosine from 0 to 1 while `share` runs from 0 to 1."""
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0)))
+def _ease(fraction: Array) -> Array:
+    """Half a cosine from 0 to 1 while `fraction` runs from 0 to 1."""
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(fraction, 0.0, 1.0)))
 
 
 def _sinusoid(turn: Array) -> Array:
@@ -151,22 +179,22 @@ def _triangle(turn: Array) -> Array:
 
 
 def _steps(turn: Array) -> Array:
-    """Eight levels; each is reached within a quarter of its share of the time."""
+    """Eight levels of equal duration; each is reached within a quarter of it."""
     return _staircase(turn, _STEP_LEVELS, 0.25)
 
 
-def _staircase(turn: Array, levels: Sequence[float], ease_share: float) -> Array:
-    """Run through `levels` in equal times, easing from one to the next; starts at zero."""
+def _staircase(turn: Array, levels: Sequence[float], ease_fraction: float) -> Array:
+    """Levels of equal duration from zero on, with eased transitions."""
     position = turn * len(levels)
     goal, before = np.zeros_like(position), 0.0
     for k, level in enumerate(levels):
-        goal = goal + (level - before) * _ease((position - k) / ease_share)
+        goal = goal + (level - before) * _ease((position - k) / ease_fraction)
         before = level
     return goal
 
 
 def _decay(turn: Array) -> Array:
-    """Two leans, each of three periods: glide out, let go at once, glide back."""
+    """Two leans of three periods each: eased out, stepped back, eased to zero."""
     position = turn * 6.0
     goal = np.zeros_like(position)
     for start, (lean, released, upright) in zip((0.0, 3.0), _DECAY_LEVELS, strict=True):
@@ -176,22 +204,22 @@ def _decay(turn: Array) -> Array:
     return goal
 
 
-def _multisine(share: Array, harmonics: Sequence[int]) -> Array:
-    """Sum of harmonics over the whole duration, peak 1, faded in and out over a tenth each."""
+def _multisine(fraction: Array, harmonics: Sequence[int]) -> Array:
+    """Sum of harmonics over the whole duration with peak 1, faded in and out in a tenth each."""
     fine = np.linspace(0.0, 1.0, 4097)
     scale = 1.0 / np.max(np.abs(_harmonic_sum(fine, harmonics)))
-    peak_held = np.clip(scale * _harmonic_sum(share, harmonics), -1.0, 1.0)  # between the points
+    peak_held = np.clip(scale * _harmonic_sum(fraction, harmonics), -1.0, 1.0)  # between the points
     return np.asarray(peak_held)
 
 
-def _harmonic_sum(share: Array, harmonics: Sequence[int]) -> Array:
-    # Amplitudes fall so that no harmonic asks for much more acceleration than the study's own
-    # motion; the phases are Schroeder's (quadratic), which keep the peak low.
-    total = np.zeros_like(share)
+def _harmonic_sum(fraction: Array, harmonics: Sequence[int]) -> Array:
+    # The amplitudes fall so that no harmonic needs much more acceleration than the study's motion.
+    # The quadratic phases keep the peak low (Schroeder, IEEE Trans. Inf. Theory 16, 1970).
+    total = np.zeros_like(fraction)
     for k, harmonic in enumerate(harmonics):
         phase = np.pi * k * (k + 1) / len(harmonics)
-        total = total + harmonic**-1.5 * np.sin(2.0 * np.pi * harmonic * share + phase)
-    return np.asarray(-total * _ease(share / 0.1) * _ease((1.0 - share) / 0.1))
+        total = total + harmonic**-1.5 * np.sin(2.0 * np.pi * harmonic * fraction + phase)
+    return np.asarray(-total * _ease(fraction / 0.1) * _ease((1.0 - fraction) / 0.1))
 
 
 _WAVES: Final[dict[Kind, tuple[Callable[[Array], Array], int]]] = {

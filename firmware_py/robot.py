@@ -55,7 +55,20 @@ class LoopModels(Protocol):
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
-    """Load the bundle that a configuration names and check that the two fit together."""
+    """Load the bundle that a configuration names and check that the two fit together.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        The configuration.
+    path : Path
+        Its file; the path of the bundle is relative to it.
+
+    Raises
+    ------
+    InputError
+        If the bundle cannot be used, or is for another number of joints or another period.
+    """
     bundle = ModelBundle.load(path.parent / config.bundle)
     manifest = bundle.manifest
     if manifest.dof != config.dof:
@@ -172,7 +185,17 @@ def build_loop(
 
 
 def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) -> dict[str, str]:
-    """What a log says about the run that it is of."""
+    """Return the facts about a run that its log holds.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Configuration of the run.
+    bundle : ModelBundle
+        Bundle of the run.
+    started : datetime
+        Start of the run, with time zone.
+    """
     return {
         "started_utc": started.isoformat(),
         "software": f"dropstitch {__version__}",

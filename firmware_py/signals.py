@@ -1,7 +1,7 @@
-"""The one table of signals: every name, unit and description that crosses a room's wall.
+"""Table of signals: names, units and descriptions of all that is exchanged between rooms.
 
 From it are derived the tick record, the recorder's schema, the CSV header of a trial and the
-variables of the FMI units. A name ends in its SI unit; `{j}` stands for the joint, 1 or 2.
+variables of the FMUs. A name ends in its SI unit; `{j}` stands for the joint, 1 or 2.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 PERIOD_S: Final = 0.017
-"""Nominal control period: 256 steps of 17 ms make one cycle (paper, section IV-A)."""
+"""Nominal control period: 256 steps of 17 ms make one cycle (the study, section IV-A)."""
 
 UNIT_OF_SUFFIX: Final = {
     "s": "s", "ns": "ns", "rad": "rad", "rad_s": "rad/s", "rad_s2": "rad/s2", "m": "m",
@@ -22,13 +22,23 @@ UNIT_OF_SUFFIX: Final = {
     "a_s_rad": "A.s/rad", "v_s_rad": "V.s/rad", "rad_nm": "rad/(N.m)", "n_s_m": "N.s/m",
     "n_v": "N/V", "v_s_m": "V.s/m", "m_n": "m/N",
 }  # fmt: skip
-"""Unit suffixes that a column or variable may carry, and how FMI writes the unit."""
+"""SI unit in FMI notation by suffix of a column or variable."""
 
 _SUFFIX = re.compile("_(" + "|".join(sorted(UNIT_OF_SUFFIX, key=len, reverse=True)) + ")$")
 
 
 class Signal(NamedTuple):
-    """One physical quantity: its name, its unit ("1" for none) and what it means."""
+    """Physical quantity.
+
+    Attributes
+    ----------
+    name : str
+        Name with the suffix of its unit.
+    unit : str
+        SI unit; "1" for none.
+    description : str
+        Meaning.
+    """
 
     name: str
     unit: str
@@ -36,7 +46,18 @@ class Signal(NamedTuple):
 
 
 def unit_of(name: str) -> str | None:
-    """Return the unit that a name's suffix declares, or None where it declares none."""
+    """Return the SI unit that the suffix of a name declares, or None.
+
+    Parameters
+    ----------
+    name : str
+        Name of a column or variable.
+
+    Examples
+    --------
+    >>> unit_of("angle_1_rad"), unit_of("damping_nm_s_rad"), unit_of("di")
+    ('rad', 'N.m.s/rad', None)
+    """
     match = _SUFFIX.search(name)
     return UNIT_OF_SUFFIX[match.group(1)] if match else None
 
@@ -71,7 +92,7 @@ STAGES: Final = _STAGES
 
 
 def joint_signals(dof: int) -> tuple[Signal, ...]:
-    """Goal, angle and current of each joint, in the trial's column order."""
+    """Return goal, angle and current of each joint, in the trial's column order."""
     return tuple(
         Signal(*(field.format(j=j) for field in signal))
         for j in range(1, dof + 1)
@@ -80,23 +101,23 @@ def joint_signals(dof: int) -> tuple[Signal, ...]:
 
 
 def trial_signals(dof: int) -> tuple[Signal, ...]:
-    """Columns of a trial of the link, in order (docs/architecture.md)."""
+    """Return the columns of a trial of the link, in order (docs/architecture.md)."""
     return (TIME, *joint_signals(dof), *_TIP, *_MARKERS)
 
 
 def feature_names(dof: int) -> tuple[str, ...]:
-    """Inputs of the predictor, in order: angles, currents, DI (paper, equations 2 and 3)."""
+    """Return the inputs of the predictor: angles, currents, DI (the study, equations 2 and 3)."""
     joints = range(1, dof + 1)
     return (*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints), DI.name)
 
 
 def tip_names(prefix: str = "") -> tuple[str, str, str]:
-    """Names of the end effector's coordinates, `predicted_` or nothing in front."""
+    """Return the names of the end effector's coordinates, with a prefix like `predicted_`."""
     return (f"{prefix}tip_x_m", f"{prefix}tip_y_m", f"{prefix}tip_z_m")
 
 
 def tick_signals(dof: int) -> tuple[Signal, ...]:
-    """Every column of the tick record, in order."""
+    """Return every column of the tick record, in order."""
     stages = tuple(
         Signal(f"{stage}_ns", "ns", f"time spent in the stage '{stage}' of the tick")
         for stage in _STAGES
@@ -135,7 +156,7 @@ _INTEGERS = {"tick", "state", "bus_status", "stale_ticks", "alert", "missed", "i
 
 
 def tick_dtype(dof: int) -> np.dtype[np.void]:
-    """Packed record of one tick; integers are 64-bit, everything else is a double."""
+    """Return the type of a packed tick record: 64-bit integers and doubles."""
     return np.dtype(
         [
             (s.name, np.int64 if s.unit == "ns" or s.name in _INTEGERS else np.float64)

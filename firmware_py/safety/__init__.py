@@ -1,1 +1,1 @@
-"""The safety supervisor: its states, its limits and the goals that it lets through."""
+"""Safety: supervisor, its states and limits, and the blending of goals."""

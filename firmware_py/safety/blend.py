@@ -1,18 +1,18 @@
-"""How goals go from where the arm stands over into the motion, without a jump.
+"""Blending of goals into the motion without a jump.
 
-========= ===================================== ===============================================
-way       when                                  how
-========= ===================================== ===============================================
-approach  the run begins                        to where the motion begins, and the motion waits
-absorb    slots were missed                     the motion with an offset that fades away, so
-                                                that its speed is kept
-take up   the motion is in its midst, and the   from rest over into it: a goal lies between the
-          arm at rest (after a replug)          two, so where both keep to the angles it does
-========= ===================================== ===============================================
+========= ====================================== ==============================================
+blend     when                                   how
+========= ====================================== ==============================================
+approach  at the start of the run                to the first goal of the motion, which waits
+absorb    after missed slots                     the motion plus an offset that decays to zero,
+                                                 so that the speed of the motion is kept
+join      the motion runs and the arm is at rest from rest into the motion: every goal lies
+          (after a replug)                       between the two and so within the angle limits
+========= ====================================== ==============================================
 
-Each follows a quintic, which is at rest at both ends, and takes as long as a quarter of the rate
-and of the acceleration allowed asks for. An approach alone is within every limit by itself; the
-others add to the motion's own speed.
+Each follows a quintic, which is at rest at both ends (minimum-jerk polynomial; Flash and Hogan,
+*J. Neuroscience* 5, 1985). Its duration follows from a quarter of the permitted rate and
+acceleration. An approach keeps every limit by itself; the others add to the motion's own speed.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from typing import Final
 
 from firmware_py.safety.limits import Limits
 
-_SHARE: Final = 0.25
-"""Of the limits of rate and acceleration that a blend may use."""
+_FRACTION: Final = 0.25
+"""Fraction of the limits of rate and acceleration that a blend may use."""
 _PEAK_RATE: Final = 1.875
-"""Steepest slope of the quintic, at its middle, in mean slopes."""
+"""Largest slope of the quintic, in the middle, over its mean slope."""
 _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
-"""Largest second derivative of the quintic over the unit interval."""
+"""Largest second derivative of the quintic on the interval from 0 to 1."""
 
 
 class Blend:
-    """One way over at a time; see the module's text.
+    """Blend in progress; see the module's table.
 
     Parameters
     ----------
     limits : Limits
-        What the goals have to keep to.
+        Limits of the goals.
     dof : int
         Number of joints.
     period_s : float
@@ -51,33 +51,39 @@ class Blend:
         self._offset = [0.0] * dof
 
     def approach(self, goal: Sequence[float], start: Sequence[float]) -> int:
-        """Go to a place and rest there; return how many ticks that takes.
+        """Start an approach to a position; return its duration in ticks.
 
         Parameters
         ----------
         goal, start : sequence of float
-            Where the goals stand and where the motion begins, in rad.
+            Latest goals and first goals of the motion, in rad.
         """
         self._leave(goal, max(abs(to - at) for to, at in zip(start, goal, strict=True)))
         return self._ticks
 
-    def absorb(self, goal: Sequence[float], wished_before: Sequence[float]) -> None:
-        """Let the last goal stand for what the motion wished then; the difference fades away.
+    def absorb(self, goal: Sequence[float], desired_before: Sequence[float]) -> None:
+        """Start an offset that keeps the latest goals and then decays to zero.
 
         Parameters
         ----------
-        goal, wished_before : sequence of float
-            The last goal, and the motion one period before the goal to come, in rad.
+        goal, desired_before : sequence of float
+            Latest goals, and the motion one period before the next goals, in rad.
         """
         if self._from_rest and self._tick < self._ticks:
-            self.take_up(goal)
+            self.join(goal)
             return
         self._from_rest = False
-        self._offset[:] = (at - to for at, to in zip(goal, wished_before, strict=True))
+        self._offset[:] = (at - to for at, to in zip(goal, desired_before, strict=True))
         self._begin(max(map(abs, self._offset)))
 
-    def take_up(self, goal: Sequence[float]) -> None:
-        """Go over into the motion, wherever it is within the limits."""
+    def join(self, goal: Sequence[float]) -> None:
+        """Start a blend from rest into the motion, wherever it is within the limits.
+
+        Parameters
+        ----------
+        goal : sequence of float
+            Latest goals, in rad.
+        """
         low, high = self._limits.angle_rad
         self._leave(goal, max(max(high - at, at - low) for at in goal))
 
@@ -90,23 +96,23 @@ class Blend:
         limits = self._limits
         least_s = max(
             limits.blend_s,
-            _PEAK_RATE * distance / (_SHARE * limits.rate_rad_s),
-            math.sqrt(_PEAK_ACCELERATION * distance / (_SHARE * limits.acceleration_rad_s2)),
+            _PEAK_RATE * distance / (_FRACTION * limits.rate_rad_s),
+            math.sqrt(_PEAK_ACCELERATION * distance / (_FRACTION * limits.acceleration_rad_s2)),
         )
         self._tick, self._ticks = 0, math.ceil(least_s / self._period_s) if distance else 0
 
-    def next(self, wished: list[float]) -> list[float]:
-        """Return the goals one tick on, where the motion wishes for others; both in rad."""
+    def next(self, desired: list[float]) -> list[float]:
+        """Return the goals of the next tick from those of the motion, both in rad."""
         if self._tick == self._ticks:
-            return wished
+            return desired
         left = self._left()
         if self._from_rest:
-            pairs = zip(wished, self._anchor, strict=True)
+            pairs = zip(desired, self._anchor, strict=True)
             return [to + left * (anchor - to) for to, anchor in pairs]
-        return [to + left * offset for to, offset in zip(wished, self._offset, strict=True)]
+        return [to + left * offset for to, offset in zip(desired, self._offset, strict=True)]
 
     def _left(self) -> float:
-        """Share of the way that is left: a quintic from 1 to 0, at rest at both ends."""
+        """Return the remaining fraction of the distance: a quintic from 1 to 0."""
         self._tick += 1
         x = self._tick / self._ticks
         return 1.0 - x * x * x * (10.0 + x * (6.0 * x - 15.0))

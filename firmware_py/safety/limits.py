@@ -1,7 +1,7 @@
-"""What the robot may do, and which word of complaint a sample or a goal beyond it gets.
+"""Limits of goals and measurements, and the checks against them.
 
-A limit is the last value allowed: at the limit all is well. What a complaint leads to is the
-supervisor's affair (`firmware_py.safety.supervisor`).
+A limit is the last permitted value. `firmware_py.safety.supervisor` decides what follows from a
+violation.
 """
 
 from __future__ import annotations
@@ -13,39 +13,40 @@ from typing import Final
 import msgspec
 
 _ROUNDING: Final = 1.0 + 1e-9
-"""A goal at the limit must not trip over the rounding of a difference quotient."""
+"""Tolerance for the rounding of a difference quotient of goals at the limit."""
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the robot may do (table `[limits]` of robot.toml); the same for every joint.
+    """Limits of the robot (table `[limits]` of robot.toml), the same for every joint.
 
     Attributes
     ----------
     angle_rad : (float, float)
-        Range of goals, and with `following_error_rad` on either side of measured angles.
+        Range of the goals; measured angles may exceed it by `following_error_rad`.
     rate_rad_s, acceleration_rad_s2 : float
-        Of the goals. The study's motion starts at full speed: 0.76 rad/s within one period.
+        Largest rate and acceleration of the goals. The study's motion starts at full speed: 0.76
+        rad/s within one period.
     current_a : float
-        Magnitude of the motor current.
+        Largest magnitude of the motor current.
     following_error_rad : float
-        Distance of the measured angle from the goal sent before it.
+        Largest distance of a measured angle from the goal sent before it.
     jump_rad : float
-        Change of the measured angle from one sample to the next; more is an encoder fault.
+        Largest change of a measured angle between samples; more is an encoder fault.
     tip_min_m, tip_max_m : (float, float, float)
-        Box in the world frame that the predicted tip must stay in.
+        Box in the world frame for the predicted tip.
     persistence_ticks : int
-        Samples in a row that must break a limit before the robot stops.
+        Samples in a row that must violate a limit before the robot stops.
     stale_ticks : int
-        Ticks in a row without fresh data, or slots missed in a row, before the robot stops.
+        Ticks in a row without fresh data, or slots missed in a row, at which the robot stops.
     missed_slots : int
-        Slots that may be missed over a time, each punctual tick making up for one, before the
-        robot stops: a loop that is too slow for its period is no loop.
+        Largest count of missed slots, reduced by one with each tick that is on time; beyond it the
+        loop is too slow for its period and the robot stops.
     blend_s : float
-        Least time in which the goals go from where the arm stands over into the motion.
+        Shortest duration of a blend into the motion.
     stop_deceleration_rad_s2 : float
-        With which goals come to rest in a controlled stop.
+        Deceleration of the goals in a controlled stop.
     hold_s : float
-        How long the last goal is held, torque on, before the torque goes off.
+        Time for which the last goal is held before the torque goes off.
     """
 
     angle_rad: tuple[float, float] = (-0.6, 0.6)
@@ -63,7 +64,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     stop_deceleration_rad_s2: float = 6.0
     hold_s: float = 0.5
 
-    def complaint_about_sample(
+    def sample_violation(
         self,
         angle: Sequence[float],
         current: Sequence[float],
@@ -73,18 +74,18 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         goal: Sequence[float],
         angle_before: Sequence[float],
     ) -> str:
-        """Name the first limit that a measurement breaks, or nothing.
+        """Return the first limit that a measurement violates, as a sentence; empty for none.
 
         Parameters
         ----------
         angle, current : sequence of float
-            As measured, in rad and A, one of each joint.
+            Measured angles in rad and currents in A, one per joint.
         tip : sequence of three floats
-            As predicted from them, in m.
+            Predicted tip, in m.
         di : float
-            As estimated from them.
+            Estimated Deformation Index.
         goal, angle_before : sequence of float
-            The goals sent before the sample, and the sample before it, in rad.
+            Goals sent before the sample, and angles of the sample before it, in rad.
         """
         low, high = self.angle_rad
         margin = self.following_error_rad
@@ -108,7 +109,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                 return f"the predicted tip has {axis} = {tip[k]:.3f} m, outside its box"
         return ""
 
-    def complaint_about_goal(
+    def goal_violation(
         self,
         goal: Sequence[float],
         *,
@@ -116,14 +117,14 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         velocity: Sequence[float],
         period_s: float,
     ) -> str:
-        """Name the first limit that a goal breaks, or nothing.
+        """Return the first limit that a goal violates, as a sentence; empty for none.
 
         Parameters
         ----------
         goal, before : sequence of float
-            Of each joint, in rad: the goal in question, and the one a period before it.
+            Goals in question, and those one period before, in rad.
         velocity : sequence of float
-            In rad/s, with which that one was reached.
+            Rate at which the goals before were reached, in rad/s.
         period_s : float
             Control period.
         """

@@ -1,4 +1,4 @@
-"""The states of the safety supervisor, and the only steps between them.
+"""States of the safety supervisor and the transitions between them.
 
 ::
 
@@ -13,7 +13,7 @@
         │                                ▼
         └─────────────────────────────  OFF: the loop ends and switches the torque off
 
-`TRANSITIONS` is this drawing as data; docs/safety.md is drawn from it.
+`TRANSITIONS` holds this drawing as data; the drawing in docs/safety.md is generated from it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 
 class SafetyState(IntEnum):
-    """States of the supervisor; see the module's drawing."""
+    """State of the supervisor; see the module's drawing."""
 
     STARTING = 0
     READY = 1
@@ -34,7 +34,7 @@ class SafetyState(IntEnum):
 
 
 class Transition(NamedTuple):
-    """A step that the machine may make, and what makes it."""
+    """Permitted transition and its cause."""
 
     source: SafetyState
     target: SafetyState
@@ -63,7 +63,7 @@ TRANSITIONS: Final = (
     ),
     Transition(SafetyState.OFF, SafetyState.STARTING, "the port is back within `bus.replug_s`"),
 )  # fmt: skip
-"""The whole machine; the module's drawing shows it."""
+"""Every permitted transition with its cause."""
 
 ALLOWED: Final = frozenset((t.source, t.target) for t in TRANSITIONS)
-"""Every step from one state to another that the machine may make."""
+"""Every permitted pair of source and target."""

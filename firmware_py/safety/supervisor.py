@@ -1,10 +1,9 @@
-"""The safety supervisor: decides in every tick whether the robot may go on, and with which goal.
+"""Safety supervisor: decision in every tick whether the robot continues, and with which goal.
 
-Its states and the steps between them stand in `firmware_py.safety.states`, what is too much in
-`firmware_py.safety.limits`. Goals are judged at once; measurements must break a limit
-`persistence_ticks`
-times in a row, since a single wild sample is the sensor's fault more often than the arm's. Goals
-never jump, they blend (`firmware_py.safety.blend`).
+States and transitions are in `firmware_py.safety.states`, limits in `firmware_py.safety.limits`. A
+goal that violates a limit stops the robot at once. A measurement must violate a limit
+`persistence_ticks` times in a row, since a single outlier is more often a fault of the sensor than
+of the arm. Goals never jump, they blend (`firmware_py.safety.blend`).
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ Array = NDArray[np.float64]
 
 
 class SafetySupervisor:
-    """The state machine of `firmware_py.safety.states`.
+    """State machine of `firmware_py.safety.states`.
 
     Parameters
     ----------
     limits : Limits
-        What the robot may do.
+        Limits of the robot.
     dof : int
         Number of joints.
     period_s : float
@@ -41,15 +40,15 @@ class SafetySupervisor:
     Attributes
     ----------
     state : SafetyState
-        Where it is.
+        Present state.
     reason : str
-        Why it left RUNNING, one sentence; empty before.
+        Cause of the stop, one sentence; empty before.
     tripped : bool
-        Whether it was a fault, not a request, that stopped the robot.
+        Whether a fault, not a request, stopped the robot.
     stale_ticks : int
         Age of the data in ticks, 0 is fresh.
     goal_rad : ndarray, shape (dof,)
-        The goal admitted last.
+        Goal that was admitted last.
     """
 
     def __init__(self, limits: Limits, dof: int, period_s: float = PERIOD_S) -> None:
@@ -61,7 +60,7 @@ class SafetySupervisor:
         self._velocity = [0.0] * dof
         self._angle = [0.0] * dof
         self._blend = Blend(limits, dof, period_s)
-        self._strikes = 0
+        self._violations = 0
         self._missed_slots = 0
         self._hold_ticks = 0
 
@@ -73,12 +72,17 @@ class SafetySupervisor:
         self.state = state
 
     def arm(self, angle_rad: Array) -> None:
-        """Take the measured position as the goal to start from: STARTING → READY.
+        """Take the measured position as the first goal: STARTING → READY.
+
+        Parameters
+        ----------
+        angle_rad : ndarray, shape (dof,)
+            Measured position.
 
         Raises
         ------
         InputError
-            If a joint stands outside the limits.
+            If a joint is outside `limits.angle_rad`.
         """
         low, high = self._limits.angle_rad
         for joint, angle in enumerate(angle_rad.tolist()):
@@ -92,23 +96,23 @@ class SafetySupervisor:
         self._enter(SafetyState.READY)
 
     def start(self) -> None:
-        """READY → RUNNING, once the torque is on."""
+        """Start, with the torque on: READY → RUNNING."""
         self._enter(SafetyState.RUNNING)
 
     def restart(self) -> None:
-        """OFF → STARTING, for a robot whose port is back: every check is made again."""
+        """Restart after the port has come back: OFF → STARTING."""
         self._enter(SafetyState.STARTING)
         self.reason, self.tripped = "", False
-        self.stale_ticks = self._strikes = self._missed_slots = 0
+        self.stale_ticks = self._violations = self._missed_slots = 0
         for joint in range(self._dof):
             self._velocity[joint] = 0.0
 
     def request_stop(self, reason: str) -> None:
-        """Come to a controlled stop for a reason that is no fault (end of the run, a signal)."""
+        """Begin a controlled stop that no fault causes (end of the motion, a signal)."""
         self._stop(reason, tripped=False)
 
     def trip(self, reason: str) -> None:
-        """Come to a controlled stop for a fault that the loop has found."""
+        """Begin a controlled stop because of a fault that the loop has found."""
         self._stop(reason)
 
     def _stop(self, reason: str, *, tripped: bool = True) -> None:
@@ -129,22 +133,27 @@ class SafetySupervisor:
         di: float,
         missed: int,
     ) -> SafetyState:
-        """Judge what this tick measured and predicted.
+        """Check the measurement and the prediction of a tick; return the state.
 
         Parameters
         ----------
         status : BusStatus
             Result of the read.
         alert : int
-            What the servos complain of, see `firmware_py.bus.registers.describe_alert`.
+            Alert bits of the servos, see `firmware_py.bus.registers.describe_alert`.
         angle_rad, current_a : ndarray, shape (dof,)
-            Latest good measurement.
+            Latest valid measurement.
         tip_m : ndarray, shape (3,)
             Predicted tip.
         di : float
             Estimated Deformation Index.
         missed : int
             Slots missed since the previous tick.
+
+        Returns
+        -------
+        SafetyState
+            State after the check.
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
         self._missed_slots = (
@@ -169,47 +178,47 @@ class SafetySupervisor:
     def _judge(
         self, angle: Sequence[float], current: Sequence[float], tip: Sequence[float], di: float
     ) -> None:
-        complaint = self._limits.complaint_about_sample(
+        violation = self._limits.sample_violation(
             angle, current, tip, di, goal=self._goal, angle_before=self._angle
         )
         self._angle[:] = angle
-        self._strikes = self._strikes + 1 if complaint else 0
-        if complaint and self._strikes >= self._limits.persistence_ticks:
-            self._stop(complaint)
+        self._violations = self._violations + 1 if violation else 0
+        if violation and self._violations >= self._limits.persistence_ticks:
+            self._stop(violation)
 
-    # The way of the goals ----------------------------------------------------------------------
+    # Goals -------------------------------------------------------------------------------------
 
     def approach(self, start_rad: Array) -> int:
-        """Go from where the joints stand to where the motion begins; return the ticks it takes.
+        """Start the approach to the first goal of the motion; return its duration in ticks.
 
         Parameters
         ----------
         start_rad : ndarray, shape (dof,)
-            First goal of the motion, to be wished for in each of these ticks.
+            First goal of the motion, to be passed to `admit` in each of these ticks.
         """
         return self._blend.approach(self._goal, start_rad.tolist())
 
-    def rebase(self, wished_before_rad: Array) -> None:
-        """Absorb a jump: from here on goals follow the motion with an offset that fades away.
+    def rebase(self, desired_before_rad: Array) -> None:
+        """Absorb a jump after missed slots: goals follow the motion with a decaying offset.
 
         Parameters
         ----------
-        wished_before_rad : ndarray, shape (dof,)
-            The motion one period before the goal to come, which the last goal is to stand for;
-            the speed of the motion is then kept without a step.
+        desired_before_rad : ndarray, shape (dof,)
+            The motion one period before the next goal. The latest goal takes its place, so that the
+            speed of the motion is kept.
         """
-        self._blend.absorb(self._goal, wished_before_rad.tolist())
+        self._blend.absorb(self._goal, desired_before_rad.tolist())
 
     def resume(self) -> None:
-        """Go from where the goals stand over into the motion, wherever it is."""
-        self._blend.take_up(self._goal)
+        """Blend from rest into the motion, wherever it is, after a replug."""
+        self._blend.join(self._goal)
 
-    def admit(self, wished_rad: Array) -> Array:
-        """Return the goal to send: the wished one as far as it is allowed, else one that stops.
+    def admit(self, desired_rad: Array) -> Array:
+        """Return the goal to send: the desired one if it is permitted, else one that stops.
 
         Parameters
         ----------
-        wished_rad : ndarray, shape (dof,)
+        desired_rad : ndarray, shape (dof,)
             Goal of the motion in this tick.
 
         Returns
@@ -218,12 +227,12 @@ class SafetySupervisor:
             `goal_rad`, overwritten in place.
         """
         if self.state in (SafetyState.RUNNING, SafetyState.DEGRADED):
-            goal = self._blend.next(wished_rad.tolist())
-            complaint = self._limits.complaint_about_goal(
+            goal = self._blend.next(desired_rad.tolist())
+            violation = self._limits.goal_violation(
                 goal, before=self._goal, velocity=self._velocity, period_s=self._period_s
             )
-            if complaint:
-                self._stop(complaint)
+            if violation:
+                self._stop(violation)
             else:
                 self._accept(goal)
         if self.state is SafetyState.STOPPING:
@@ -235,7 +244,7 @@ class SafetySupervisor:
         return self.goal_rad
 
     def _slowed(self) -> list[float]:
-        """Goals one period on, with the speed brought towards zero, inside the angle limits."""
+        """Return the next goals of a controlled stop, inside the angle limits."""
         low, high = self._limits.angle_rad
         step = self._limits.stop_deceleration_rad_s2 * self._period_s
         goal = []
@@ -251,23 +260,23 @@ class SafetySupervisor:
 
 
 def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) -> None:
-    """Refuse a table of goals that the supervisor would stop.
+    """Refuse a table of goals with which the supervisor would stop the robot.
 
     Parameters
     ----------
     goals_rad : ndarray, shape (n, dof)
-        One row a period, from rest at the first row.
+        One row per period, from rest at the first row.
     limits : Limits
-        What the robot may do.
+        Limits of the robot.
     period_s : float
         Control period.
     where : str
-        What the message calls the motion.
+        Subject of the message.
 
     Raises
     ------
     InputError
-        If a goal breaks a limit; it names the first.
+        If a goal violates a limit; it names the first.
     """
     supervisor = SafetySupervisor(limits, goals_rad.shape[1], period_s)
     supervisor.arm(goals_rad[0])

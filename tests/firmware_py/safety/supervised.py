@@ -18,12 +18,12 @@ LIMITS = Limits(
 EXACT_S = 1 / 64
 
 
-def started(limits=LIMITS, at=0.0, dof=1, period_s=EXACT_S, wished=None):
+def started(limits=LIMITS, at=0.0, dof=1, period_s=EXACT_S, desired=None):
     supervisor = SafetySupervisor(limits, dof, period_s)
     supervisor.arm(np.full(dof, at))
     assert supervisor.state is SafetyState.READY
     supervisor.start()
-    supervisor.rebase(np.full(dof, at if wished is None else wished))
+    supervisor.rebase(np.full(dof, at if desired is None else desired))
     return supervisor
 
 
@@ -33,7 +33,7 @@ def check(supervisor, angle=0.0, current=0.0, status=BusStatus.OK, **changed):
                             given_["tip_m"], given_["di"], given_["missed"])  # fmt: skip
 
 
-def first_goal_after(supervisor, *wished):
-    for value in wished:
+def first_goal_after(supervisor, *desired):
+    for value in desired:
         goal = supervisor.admit(np.array([value]))
     return goal[0]

@@ -19,18 +19,18 @@ angles = st.floats(-0.4, 0.4)
 
 
 @given(angles, angles, st.sampled_from([0.5, 1.0, 2.0]))
-def test_goals_start_where_the_arm_stands_and_end_in_the_motion(stands, wished, limit):
+def test_goals_start_where_the_arm_stands_and_end_in_the_motion(stands, desired, limit):
     limits = msgspec.structs.replace(LIMITS, rate_rad_s=limit)
-    supervisor = started(limits, at=stands, wished=wished)
+    supervisor = started(limits, at=stands, desired=desired)
     before, velocity, ticks = stands, 0.0, 0
-    while abs(supervisor.goal_rad[0] - wished) > 1e-12 or ticks == 0:
-        goal = first_goal_after(supervisor, wished)
+    while abs(supervisor.goal_rad[0] - desired) > 1e-12 or ticks == 0:
+        goal = first_goal_after(supervisor, desired)
         assert supervisor.state is SafetyState.RUNNING
         rate = (goal - before) / EXACT_S
         assert abs(rate) <= 0.25 * limit * (1 + 1e-9)
         assert abs(rate - velocity) / EXACT_S <= LIMITS.acceleration_rad_s2
         before, velocity, ticks = goal, rate, ticks + 1
-        assert ticks <= math.ceil(64 * max(1.0, 7.5 * abs(stands - wished) / limit))
+        assert ticks <= math.ceil(64 * max(1.0, 7.5 * abs(stands - desired) / limit))
 
 
 def test_a_motion_that_starts_where_the_arm_stands_is_followed_to_the_bit():
@@ -70,15 +70,15 @@ def test_a_motion_taken_up_in_its_midst_is_reached_from_rest_within_the_limits(s
     supervisor = started(limits, at=stands)
     supervisor.resume()
     before, velocity = stands, 0.0
-    for wished in goals[slot : slot + 700]:
-        goal = first_goal_after(supervisor, wished)
+    for desired in goals[slot : slot + 700]:
+        goal = first_goal_after(supervisor, desired)
         assert supervisor.state is SafetyState.RUNNING, supervisor.reason
         assert -0.4 <= goal <= 0.4
         assert abs((goal - before) / EXACT_S - velocity) <= 0.02, "no step in the speed"
         velocity, before = (goal - before) / EXACT_S, goal
     ticks = math.ceil(1.875 * (0.4 + abs(stands)) / (0.25 * rate) / EXACT_S)
     if ticks < 700:
-        assert goal == pytest.approx(wished, abs=1e-12)
+        assert goal == pytest.approx(desired, abs=1e-12)
 
 
 def test_a_slot_missed_while_a_motion_is_taken_up_begins_that_anew():
@@ -91,13 +91,13 @@ def test_a_slot_missed_while_a_motion_is_taken_up_begins_that_anew():
     assert supervisor.state is SafetyState.RUNNING
 
 
-@pytest.mark.parametrize(("at", "wished"), [(0.3, -0.4), (-0.3, 0.4)])
-def test_a_motion_far_away_is_taken_up_slowly(at, wished):
+@pytest.mark.parametrize(("at", "desired"), [(0.3, -0.4), (-0.3, 0.4)])
+def test_a_motion_far_away_is_taken_up_slowly(at, desired):
     supervisor = started(at=at)
     supervisor.resume()
     before, ticks = at, 0
-    while before != wished:
-        goal = first_goal_after(supervisor, wished)
+    while before != desired:
+        goal = first_goal_after(supervisor, desired)
         assert abs(goal - before) / EXACT_S <= 0.25 * (1 + 1e-9)
         before, ticks = goal, ticks + 1
         assert ticks < 1000
@@ -116,7 +116,7 @@ def test_once_a_motion_is_taken_up_a_missed_slot_keeps_its_speed():
 
 @pytest.mark.parametrize("tick", [1, 2, 32, 63, 64])
 def test_an_offset_fades_along_a_quintic_from_the_first_tick_to_the_last(tick):
-    supervisor = started(at=0.01, wished=0.0)  # blend_s is 64 ticks
+    supervisor = started(at=0.01, desired=0.0)  # blend_s is 64 ticks
     for _ in range(tick):
         goal = first_goal_after(supervisor, 0.0)
     x = tick / 64
@@ -125,7 +125,7 @@ def test_an_offset_fades_along_a_quintic_from_the_first_tick_to_the_last(tick):
 
 
 def test_without_a_time_to_blend_a_small_offset_is_gone_at_once():
-    supervisor = started(msgspec.structs.replace(LIMITS, blend_s=0.0), at=1e-4, wished=0.0)
+    supervisor = started(msgspec.structs.replace(LIMITS, blend_s=0.0), at=1e-4, desired=0.0)
     assert first_goal_after(supervisor, 0.0) == 0.0
 
 
