@@ -111,7 +111,8 @@ def test_a_module_says_in_a_noun_phrase_what_it_holds(path):
     docstring = ast.get_docstring(tree_of(path)) or ""
     first, second, *_ = [*re.split(r"[\s,:;.]+", docstring.strip(), maxsplit=2), "", ""]
     assert first, "no docstring"
-    forbidden = QUESTIONS if second == "of" else QUESTIONS | VERBS  # "Export of …" is a noun
+    # "Export of …" and "Run in …" are nouns.
+    forbidden = QUESTIONS if second in ("of", "in", "on") else QUESTIONS | VERBS
     assert first.lower() not in forbidden, docstring.splitlines()[0]
 
 
