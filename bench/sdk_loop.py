@@ -1,15 +1,15 @@
-"""The robot's loop against the same loop with dynamixel-sdk as it is shipped, side by side.
+"""Comparison of the robot's loop with the same loop on dynamixel-sdk as shipped.
 
-All drive the same emulated servos (wire time, return delay, latency timer, lost replies) with the
-same bundle at the same pace, turn by turn under the same CPU load. The SDK's contenders read,
-estimate, predict and write; they are spared supervision and logging.
+All variants drive the same emulated servos (transmission time, return delay, latency timer, lost
+replies) with the same bundle and period, in turns, under the same CPU load. The variants with the
+SDK read, estimate, predict and write; they do not supervise or log.
 
-ours, socket   the robot's loop, as timing claims are made with
-ours, pty      the same over a pseudo-terminal, which is all that the SDK as shipped can open
+ours, socket   the robot's loop over a socket, as for timing claims
+ours, pty      the same over a pseudo-terminal, the only port that the SDK as shipped can open
 SDK            group sync read and write as shipped, normal scheduler, absolute deadlines
-SDK, FIFO      the same with the real-time rights of ours
+SDK, FIFO      the same with the real-time rights of the robot's loop
 
-Writes OUT/loop.json; exit 1 if ours misses more slots than the SDK.
+Writes OUT/loop.json; exit 1 if the robot's loop misses more slots than the SDK.
 
     python -m bench.sdk_loop --bundle build/bundle_2dof --fmu build/twin_2dof.fmu --out build/bench
 """
@@ -44,7 +44,7 @@ _PROTOCOL: Final = 2.0
 
 
 class Turn(NamedTuple):
-    """What one contender did in one turn; arrays have one row per tick."""
+    """Measurements of one variant in one turn; arrays have one row per tick."""
 
     taken_ns: np.ndarray
     lateness_ns: np.ndarray
@@ -55,7 +55,7 @@ class Turn(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What all contenders share."""
+    """Settings common to all variants."""
 
     bundle: ModelBundle
     fmu: Path
@@ -78,35 +78,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--model", default="PH54-200-S500-R", help="servo (%(default)s)")
     parser.add_argument("--seconds", type=float, default=8.0, help="of a turn (8)")
     parser.add_argument("--rounds", type=int, default=2, help="turns of each (2)")
-    parser.add_argument("--lost", type=float, default=0.01, help="share of lost replies (0.01)")
+    parser.add_argument("--lost", type=float, default=0.01, help="fraction of lost replies (0.01)")
     parser.add_argument("--load", type=int, default=1, help="processes that load the PC (1)")
     args = parser.parse_args(argv)
-    contenders: dict[str, Callable[[Setting], Turn]] = {
-        "ours, socket": lambda setting: ours(setting, "socket"),
-        "ours, pty": lambda setting: ours(setting, "pty"),
-        "SDK": lambda setting: shipped(setting, priority=0),
-        "SDK, FIFO": lambda setting: shipped(setting, priority=RealTimeOptions().priority),
+    variants: dict[str, Callable[[Setting], Turn]] = {
+        "ours, socket": lambda setting: robot_turn(setting, "socket"),
+        "ours, pty": lambda setting: robot_turn(setting, "pty"),
+        "SDK": lambda setting: sdk_turn(setting, priority=0),
+        "SDK, FIFO": lambda setting: sdk_turn(setting, priority=RealTimeOptions().priority),
     }
-    turns: dict[str, list[Turn]] = {name: [] for name in contenders}
-    progress = Progress("bench", args.rounds * len(contenders))
+    turns: dict[str, list[Turn]] = {name: [] for name in variants}
+    progress = Progress("bench", args.rounds * len(variants))
     with TemporaryDirectory(prefix="dropstitch-bench-") as scratch:
         setting = Setting(
             ModelBundle.load(args.bundle), args.fmu, model_named(args.model), args.seconds,
             args.lost, args.load, Path(scratch),
         )  # fmt: skip
         for _ in range(args.rounds):
-            for name, contender in contenders.items():
-                turns[name].append(contender(setting))
+            for name, variant in variants.items():
+                turns[name].append(variant(setting))
                 progress.step(name)
-    rows = {name: figures_of(each) for name, each in turns.items()}
-    print(table(rows))
+    rows = {name: figures_of_turns(each) for name, each in turns.items()}
+    print(figures_table(rows))
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "loop.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     good = rows["ours, socket"]["missed_slots"] <= rows["SDK"]["missed_slots"]
     return DONE if good else NEGATIVE
 
 
-def ours(setting: Setting, line: LineKind) -> Turn:
+def robot_turn(setting: Setting, line: LineKind) -> Turn:
     """One turn of the robot's loop."""
     options = SilOptions(
         setting.bundle, setting.model, setting.scratch / "ours", fmu=setting.fmu, line=line,
@@ -121,7 +121,7 @@ def ours(setting: Setting, line: LineKind) -> Turn:
     )  # fmt: skip
 
 
-def shipped(setting: Setting, priority: int) -> Turn:
+def sdk_turn(setting: Setting, priority: int) -> Turn:
     """One turn with the SDK as shipped."""
     bundle, loop_cpu, other_cpus = setting.bundle, *assign_processors()
     dof = bundle.manifest.dof
@@ -216,8 +216,8 @@ def _pace(setting: Setting, servos: ShippedServos, dof: int) -> Turn:
     return Turn(np.array(taken), np.array(lateness), max(slot, slots), stale, cpu_s, wall_s)
 
 
-def figures_of(turns: Sequence[Turn]) -> dict[str, Any]:
-    """Figures of all turns of one contender together."""
+def figures_of_turns(turns: Sequence[Turn]) -> dict[str, Any]:
+    """Figures of all turns of one variant."""
     taken_us = np.concatenate([turn.taken_ns for turn in turns]) / 1e3
     late_us = np.concatenate([turn.lateness_ns for turn in turns]) / 1e3
     slots = sum(turn.slots for turn in turns)
@@ -228,19 +228,19 @@ def figures_of(turns: Sequence[Turn]) -> dict[str, Any]:
         **{f"tick_p{q}_us": float(np.percentile(taken_us, q)) for q in (50, 99)},
         "tick_max_us": float(taken_us.max()),
         **{f"lateness_p{q}_us": float(np.percentile(late_us, q)) for q in (50, 99)},
-        "cpu_share": sum(turn.cpu_s for turn in turns) / sum(turn.wall_s for turn in turns),
+        "cpu_fraction": sum(turn.cpu_s for turn in turns) / sum(turn.wall_s for turn in turns),
     }
 
 
-def table(rows: dict[str, dict[str, Any]]) -> str:
-    """The figures for people."""
+def figures_table(rows: dict[str, dict[str, Any]]) -> str:
+    """The figures as text."""
     head = f"{'':14}{'slots':>7}{'missed':>8}{'no data':>9}"
     lines = [head + f"{'tick p50':>10}{'p99':>8}{'max, µs':>9}{'late p99':>10}{'CPU':>7}"]
     for name, row in rows.items():
         counts = f"{row['slots']:7d}{row['missed_slots']:8d}{row['ticks_without_data']:9d}"
         tick = f"{row['tick_p50_us']:10.0f}{row['tick_p99_us']:8.0f}{row['tick_max_us']:9.0f}"
         lines.append(
-            f"{name:14}{counts}{tick}{row['lateness_p99_us']:10.0f}{row['cpu_share']:7.1%}"
+            f"{name:14}{counts}{tick}{row['lateness_p99_us']:10.0f}{row['cpu_fraction']:7.1%}"
         )
     return "\n".join(lines)
 

@@ -1,1 +1,1 @@
-"""Software and hardware in the loop: emulated servo, wire, timing verdict, report."""
+"""Software and hardware in the loop: emulated servos, line, timing verdict, faults, report."""

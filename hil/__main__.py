@@ -1,4 +1,4 @@
-"""The loop against an emulated servo: emulate, sil, faults, gap, report."""
+"""Commands around the loop and emulated servos: emulate, sil, faults, gap, report."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
-    Command("emulate", "hil.commands.emulate", "be a servo for any Dynamixel program"),
+    Command("emulate", "hil.commands.emulate", "emulate servos for any Dynamixel program"),
     Command("sil", "hil.commands.sil", "run the loop in software, judge its timing"),
-    Command("faults", "hil.commands.faults", "inject every fault, judge what happens"),
-    Command("gap", "hil.commands.gap", "write the HTML report of a gap found and closed"),
+    Command("faults", "hil.commands.faults", "inject every fault, check what happens"),
+    Command("gap", "hil.commands.gap", "write the HTML report of a diagnosed gap"),
     Command("report", "hil.commands.report", "write the HTML report of a whole run"),
 )
 

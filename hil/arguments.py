@@ -1,4 +1,4 @@
-"""Arguments that the commands share: servos, wire, and what hangs at the tip."""
+"""Arguments common to several commands: servos, line, and payload at the tip."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hil.emulator.line_faults import FAULT_KINDS
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what describes the emulated line (`hil.emulator.emulator.Specification`)."""
+    """Declare the arguments of the emulated line (`hil.emulator.emulator.Specification`)."""
     models = ", ".join(model.name for model in MODELS.values())
     parser.add_argument(
         "--model", default="H54-200-S500-R", help=f"servo (default: %(default)s): {models}"
@@ -26,6 +26,6 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
-        help="shares of the status packets that are " + ", ".join(FAULT_KINDS),
+        help="fractions of the status packets that are " + ", ".join(FAULT_KINDS),
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random")

@@ -1,1 +1,1 @@
-"""The commands of this room, one module each (see firmware_py.console)."""
+"""Commands of this room, one module each (see firmware_py.console)."""

@@ -1,7 +1,7 @@
-"""Be servos for any Dynamixel program: prints the name of the port to open, until Ctrl-C.
+"""Emulated servos for any Dynamixel program, until Ctrl-C; prints the name of the port to open.
 
-The servos stand on one bus with the plant behind them. A servo that is written to by a program
-moves the plant, and what the program reads comes from there.
+The servos share one bus with the plant behind them. Goals that a program writes move the plant, and
+the measurements that it reads come from the plant.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--line", choices=("pty", "socket"), default="pty")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--plant", type=Path, help="plant document behind the servos")
+    source.add_argument("--plant", type=Path, help="plant file behind the servos")
     source.add_argument("--fmu", type=Path, help="or a twin that was built from one")
     parser.add_argument(
         "--ids", type=int, nargs="+", default=[1], help="one per joint, 1 or 2 (default: 1)"
@@ -53,9 +53,10 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
 
         def announce(name: str) -> None:
-            facts = {"port": name, "model": model.name, "ids": args.ids, "baud": args.baud}
-            who = " and ".join(map(str, args.ids))
-            emit(args, facts, f"{name}\n{model.name}, id {who}, {args.baud} baud; Ctrl-C ends it")
+            announced = {"port": name, "model": model.name, "ids": args.ids, "baud": args.baud}
+            ids = " and ".join(map(str, args.ids))
+            text = f"{name}\n{model.name}, id {ids}, {args.baud} baud; Ctrl-C ends it"
+            emit(args, announced, text)
             sys.stdout.flush()
 
         try:

@@ -1,7 +1,7 @@
-"""The servos of one bus with the plant behind them, carrying out instructions.
+"""Emulated bus: servos that share one line, with the plant behind them.
 
-Time comes from outside with every call and the plant is brought up to it, so the same bus runs
-in real time behind a port and on a virtual clock.
+The caller passes the time with every call and the plant is advanced to it, so the same bus runs in
+real time behind a port and on a virtual clock.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from hil.emulator.emulated_servo import EmulatedServo
 from hil.emulator.packets import BROADCAST, Instruction, Packet, StatusError
 from hil.emulator.physics import Physics
 
+__all__ = ["EmulatedBus", "Reply"]
+
 Array = NDArray[np.float64]
 _SHORTEST_VELOCITY_STEP_S = 5e-4
 _LEVEL_OF_INSTRUCTION: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
@@ -27,14 +29,14 @@ _SYNCHRONOUS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ, Instruction.S
 
 
 class Reply(NamedTuple):
-    """A status packet, not yet on the wire."""
+    """A status packet before transmission."""
 
     servo: EmulatedServo
     frame: bytes
 
 
 class EmulatedBus:
-    """Servos on one bus; see the module's text.
+    """Servos on one bus, which carry out instructions.
 
     Parameters
     ----------
@@ -65,7 +67,7 @@ class EmulatedBus:
         return any(servo.torque_on for servo in self.servos)
 
     def advance(self, now_ns: int) -> None:
-        """Bring plant and watchdogs up to a time."""
+        """Advance plant and watchdogs to a time."""
         while True:
             due = [(t, s) for s in self.servos if (t := s.watchdog_due_ns) is not None]
             trips = [(t, s) for t, s in due if t <= now_ns]
@@ -79,7 +81,7 @@ class EmulatedBus:
                     servo.trip_watchdog()
 
     def resume(self, now_ns: int) -> None:
-        """Go on from `now_ns` as if no time had passed: it stands still while nobody is there."""
+        """Continue from `now_ns` as if no time had passed: time stands still without a program."""
         self._now_ns = max(self._now_ns, now_ns)
         for servo in self.servos:
             servo.feed_watchdog(now_ns)
@@ -96,17 +98,30 @@ class EmulatedBus:
             self._velocity_rad_s = [(b - a) / step_s for a, b in zip(before, after, strict=True)]
 
     def _observe(self) -> None:
-        """Show the servos where the plant is."""
+        """Pass the plant's state to the servos."""
         angles, currents = self.physics.angle_rad.tolist(), self.physics.current_a.tolist()
         for servo, *state in zip(self.servos, angles, self._velocity_rad_s, currents, strict=True):
             servo.observe(*state)
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
-        """Carry out an instruction that the servos have heard by `now_ns`; return the answers."""
+        """Carry out an instruction.
+
+        Parameters
+        ----------
+        packet : Packet
+            The instruction.
+        now_ns : int
+            Time at which the servos have received it.
+
+        Returns
+        -------
+        list of Reply
+            Status packets in the order of transmission.
+        """
         self.advance(now_ns)
         if packet.instruction == Instruction.STATUS:
             return []
-        if packet.instruction != Instruction.SYNC_WRITE:  # which looks at nothing present
+        if packet.instruction != Instruction.SYNC_WRITE:  # it reads no present register
             self._observe()
         if packet.intact:
             for servo in self.servos:
@@ -141,7 +156,7 @@ class EmulatedBus:
                     servo.write(address, parameters[start + 1 : start + 1 + length])
             return []
         asked = [by_id.get(servo_id) for servo_id in parameters[4:]]
-        # Each servo waits for the one in front of it [recalled].
+        # Each servo waits for the one before it (docs/sources.md, "Control tables").
         answering = [s for s in itertools.takewhile(lambda servo: servo is not None, asked) if s]
         if packet.instruction == Instruction.FAST_SYNC_READ:
             return self._together(answering, len(asked), address, length, now_ns)
@@ -150,11 +165,11 @@ class EmulatedBus:
     def _together(
         self, servos: Sequence[EmulatedServo], asked: int, address: int, length: int, now_ns: int
     ) -> list[Reply]:
-        """One packet of all: it leaves after the first servo's return delay, without gaps."""
+        """One packet of all servos, sent without gaps after the first servo's return delay."""
         blocks = []
         for servo in itertools.takewhile(lambda s: s.model.table.fast_sync_read, servos):
             error, data = self._read(servo, address, length, now_ns)
-            # A refusal keeps its place in the packet, filled with zeros [recalled].
+            # Assumed: a refusal keeps its place in the packet, filled with zeros.
             blocks.append((servo.id, error | servo.alert, data or bytes(length)))
         return [Reply(servos[0], packets.fast_status_packet(asked, blocks))] if blocks else []
 

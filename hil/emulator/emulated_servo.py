@@ -1,14 +1,15 @@
-"""One emulated DYNAMIXEL: its registers, their access rights and what they do.
+"""Emulated DYNAMIXEL servo: its registers, their access rights and their effect.
 
-Physics is not here: the servo turns its registers into the goal that the plant gets
-(`goal_rad`), and what the plant answers (`observe`) into registers with the model's resolution.
-Between the two lies the plant's own closed servo loop.
+The servo has no physics. It turns its registers into the goal of the plant (`goal_rad`), and the
+plant's state (`observe`) into registers with the model's resolution. The plant contains the closed
+servo loop.
 
-Semantics follow the e-Manual's control tables and its Protocol 2.0. Where it is silent:
+Semantics follow the e-Manual's control tables and its Protocol 2.0 (docs/sources.md, "Control
+tables"). Assumed where the manual does not say:
 
 - Torque off: the gear holds (502:1, friction above the link's torque), so the goal stays where the
   angle is and the current reads 0.
-- Only the position modes are there (3 position, 4 extended); another mode is a data range error.
+- Only the position modes exist (3 position, 4 extended); another mode is a data range error.
 - Profiles are registers without effect: the loop sends a goal every 17 ms.
 - A reboot takes no time.
 """
@@ -27,12 +28,14 @@ from firmware_py.bus.registers import (
 from firmware_py.bus.servo_models import Model
 from hil.emulator.packets import ALERT, StatusError
 
+__all__ = ["EmulatedServo"]
+
 EXTENDED_POSITION_MODE: Final = 4
 MEMORY_BYTES: Final = 1024
 BAUD_OF_CODE: Final = {
     0: 9600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000,
 }  # fmt: skip
-"""Values of the baud rate register (legacy PRO has 2400 instead of 9600 [recalled])."""
+"""Values of the baud rate register (assumed; the legacy PRO has 2400 in place of 9600)."""
 
 _GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
 _FIRMWARE_VERSION = 46
@@ -52,12 +55,12 @@ _RANGES: Final = {
 
 
 class EmulatedServo:
-    """A servo on the bus.
+    """Servo on the bus.
 
     Parameters
     ----------
     model : Model
-        Which one.
+        Model of the servo.
     servo_id : int
         Its address on the bus.
     baud : int
@@ -72,7 +75,7 @@ class EmulatedServo:
     watchdog_tripped : bool
         Whether the bus watchdog has stopped the servo.
     goal_rad : float
-        Angle that it drives to; where it stands when it may not drive.
+        Angle that it drives to; its present angle where it may not drive.
     """
 
     def __init__(
@@ -120,13 +123,13 @@ class EmulatedServo:
         return cell.decode(self._memory, cell.address) if cell else 0
 
     def put(self, register: Register, raw: int) -> None:
-        """Set a register past all access rights; nothing where the model lacks it."""
+        """Set a register regardless of access rights; no effect where the model lacks it."""
         if register in self._table:
             self._store(self._table[register], raw)
             self._refresh()
 
     def _point_at_themselves(self) -> None:
-        """Factory setting of the indirect addresses: no byte stands for another."""
+        """Restore the indirect addresses to the factory setting: each points at itself."""
         indirect = self._table.indirect
         for k in range(indirect.entries):
             self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
@@ -135,7 +138,7 @@ class EmulatedServo:
         self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def _refresh(self) -> None:
-        """Bring what the physics asks for in every step up to date with the registers."""
+        """Update the attributes that the physics reads in every step."""
         watchdog = self.get(Register.BUS_WATCHDOG)
         self.torque_on = bool(self.get(Register.TORQUE_ENABLE))
         self.watchdog_tripped = watchdog < 0
@@ -166,7 +169,7 @@ class EmulatedServo:
     # --- physics -------------------------------------------------------------------------------
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
-        """Take over the plant's state into the present registers, quantised and clipped."""
+        """Write the plant's state into the present registers, quantised and clipped."""
         model = self.model
         self._angle_rad = angle_rad
         raws = (
@@ -181,7 +184,7 @@ class EmulatedServo:
     # --- protection ----------------------------------------------------------------------------
 
     def fail(self, bits: int) -> None:
-        """Raise hardware errors; those in the shutdown mask switch the torque off for good."""
+        """Raise hardware errors; those in the shutdown mask switch the torque off."""
         self.put(Register.HARDWARE_ERROR, self.get(Register.HARDWARE_ERROR) | bits)
         if self._shut_down:
             self._release()
@@ -192,12 +195,12 @@ class EmulatedServo:
 
     @property
     def alert(self) -> int:
-        """Bit that every status packet carries while there is a hardware error."""
+        """Error bit of every status packet while there is a hardware error."""
         return ALERT if self.get(Register.HARDWARE_ERROR) else 0
 
     @property
     def watchdog_due_ns(self) -> int | None:
-        """When the bus watchdog will trip unless it is fed; None where it is not armed."""
+        """Time at which the bus watchdog trips unless it is fed; None where it is not armed."""
         return self._fed_ns + self._watchdog_ns if self._watchdog_ns else None
 
     def trip_watchdog(self) -> None:
@@ -206,7 +209,7 @@ class EmulatedServo:
         self.put(Register.BUS_WATCHDOG, -1)
 
     def feed_watchdog(self, now_ns: int) -> None:
-        """Note that an instruction was on the bus, whoever it was for."""
+        """Restart the watchdog: an instruction for any servo was on the bus."""
         self._fed_ns = now_ns
 
     def _release(self) -> None:
@@ -214,7 +217,7 @@ class EmulatedServo:
         self.put(Register.TORQUE_ENABLE, 0)
 
     def _boot(self) -> None:
-        """Give the RAM area its start values."""
+        """Set the RAM area to its initial values."""
         self._release()
         if self._table.indirect.address >= self._table.ram_start:
             self._point_at_themselves()
@@ -242,7 +245,7 @@ class EmulatedServo:
         return StatusError.NONE, bytes(self._memory[a] for a in behind)
 
     def covers(self, address: int, length: int, register: Register) -> bool:
-        """Whether a span, looked at through the indirect addresses, begins to show a register."""
+        """Whether a span, read through the indirect addresses, contains a register's first byte."""
         wanted = self._table[register].address
         if not self._shows_others(address, length):
             return address <= wanted < address + length
@@ -253,7 +256,7 @@ class EmulatedServo:
         return address + length > data and address < data + self._table.indirect.entries
 
     def _behind(self, address: int) -> int:
-        """The address that one stands for: its own, or what its indirect entry holds."""
+        """Address that one refers to: itself, or the content of its indirect entry."""
         entry = self._table.indirect.entry_of(address)
         if entry is None:
             return address
@@ -261,7 +264,7 @@ class EmulatedServo:
         return held if held < MEMORY_BYTES else address
 
     def write(self, address: int, data: bytes) -> int:
-        """Write whole registers one after the other; nothing changes where one is refused."""
+        """Write whole registers in order; nothing changes where one is refused."""
         fields = []
         indirect = self._table.indirect
         if indirect.address <= address < indirect.address + 2 * indirect.entries:

@@ -1,7 +1,7 @@
-"""The emulated servos as a whole: line, servos and plant from one specification.
+"""Emulator: line, servos and plant from one specification.
 
-For a virtual run they live in the loop's process; for a run in real time in a process of their own
-(`Emulator`), so that nothing but bytes passes between them and the loop.
+On the virtual line they run in the loop's process; in real time they run in a process of their own
+(`Emulator`), and only bytes pass between them and the loop.
 """
 
 from __future__ import annotations
@@ -33,10 +33,21 @@ from hil.emulator.line_faults import FaultPlan
 from hil.emulator.physics import Physics, RigSource
 from hil.timing.cpu_accounts import Releases
 
+__all__ = [
+    "Emulator",
+    "EmulatorOutcome",
+    "Specification",
+    "Truth",
+    "TruthLog",
+    "build_line",
+    "open_physics",
+    "serve_forever",
+]
+
 PRIORITY: Final = 60
-"""Above the loop's: where both share a processor a reply must not wait for the waiting loop."""
+"""Above the loop's: on a single processor a reply must not wait for the waiting loop."""
 MAX_PAYLOAD_KG: Final = 20.0
-"""Ten times what the link was made for."""
+"""Ten times the largest payload of the study."""
 MAX_LATENCY_S: Final = 0.255
 """The latency timer is one byte of milliseconds."""
 _SPAWN = multiprocessing.get_context("spawn")
@@ -44,12 +55,12 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class Specification:
-    """What to emulate.
+    """Specification of line, servos and plant.
 
     Attributes
     ----------
     source : Path or RigSource
-        Twin to step, one joint per servo, or the laboratory.
+        Twin to step, one joint per servo, or the rig.
     model_number : int
         Model of every servo.
     ids : tuple of int
@@ -95,7 +106,7 @@ class Specification:
 
 
 class Truth(NamedTuple):
-    """What the plant did, one row per measurement that the servos sent.
+    """True state of the plant, one row per measurement that the servos sent.
 
     Attributes
     ----------
@@ -110,26 +121,35 @@ class Truth(NamedTuple):
 
 
 class TruthLog:
-    """Notes the true tip whenever a present position is read."""
+    """Record of the true tip at every reading of a present position."""
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
         self._time_ns, self._tip_m = array("q"), array("d")
 
     def note(self, time_ns: int) -> None:
-        """Note the tip at a time; a second servo's answer to the same instruction adds nothing."""
+        """Record the tip at a time, once for all answers to the same instruction."""
         if self._time_ns and self._time_ns[-1] == time_ns:
             return
         self._time_ns.append(time_ns)
         self._tip_m.extend(self._physics.tip_m.tolist())
 
     def truth(self) -> Truth:
-        """Everything noted so far."""
+        """Everything recorded so far."""
         return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
 
 
 def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) -> Physics:
-    """The twin in a .fmu file, or a rig, in its initial state.
+    """Open the twin in a .fmu file, or a rig, in its initial state.
+
+    Parameters
+    ----------
+    source : Path or RigSource
+        FMU or rig.
+    dof : int
+        Number of joints that it must have.
+    payload_kg : float
+        Mass at the tip.
 
     Raises
     ------
@@ -144,7 +164,23 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
 
 
 def build_line(specification: Specification) -> tuple[Line, TruthLog]:
-    """Put line, servos and plant together; the plant is in its initial state at time zero."""
+    """Build line, servos and plant; the plant is in its initial state at time zero.
+
+    Parameters
+    ----------
+    specification : Specification
+        Line, servos and plant.
+
+    Returns
+    -------
+    (Line, TruthLog)
+        The line, and the record of the true tip.
+
+    Raises
+    ------
+    InputError
+        If the plant cannot be used.
+    """
     spec = specification
     physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
     log = TruthLog(physics)
@@ -157,7 +193,7 @@ def build_line(specification: Specification) -> tuple[Line, TruthLog]:
 
 
 class EmulatorOutcome(NamedTuple):
-    """What an emulator leaves behind."""
+    """Record of an emulator: true tip, punctuality, injected faults by kind."""
 
     truth: Truth
     releases: Releases
@@ -167,7 +203,7 @@ class EmulatorOutcome(NamedTuple):
 def _run(
     pipe: Connection, spec: Specification, kind: Literal["pty", "socket"], path: Path, cpu: int
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal stops the loop
     due, written, delays = array("q"), array("q"), array("q")
     with real_time(RealTimeOptions(priority=PRIORITY, cpu=cpu)), contextlib.ExitStack() as stack:
         counters = KernelCounters()
@@ -199,11 +235,11 @@ class Emulator:
     Parameters
     ----------
     specification : Specification
-        What to emulate.
+        Line, servos and plant.
     kind : {"pty", "socket"}
-        Endpoint to offer.
+        Kind of the port.
     directory : Path
-        Where the socket goes.
+        Directory of the socket.
     cpu : int
         Processor to pin the process to.
 
@@ -222,19 +258,19 @@ class Emulator:
         directory: Path,
         cpu: int,
     ) -> None:
-        # What is wrong with the FMU is said here, where somebody can read it.
+        # An unusable FMU is reported by this process, which has a terminal.
         if isinstance(specification.source, Path):
             FmuPhysics(specification.source, len(specification.ids)).fmu.close()
-        self._ours, theirs = _SPAWN.Pipe()
+        self._pipe, child_end = _SPAWN.Pipe()
         self._process = _SPAWN.Process(
             target=_run,
-            args=(theirs, specification, kind, directory / f"line-{os.getpid()}", cpu),
+            args=(child_end, specification, kind, directory / f"line-{os.getpid()}", cpu),
             daemon=True,
         )
         self._process.start()
-        theirs.close()
+        child_end.close()
         try:
-            self.name: str = self._ours.recv()
+            self.name: str = self._pipe.recv()
         except EOFError:
             raise InputError(
                 "emulator", "did not start", "see its message above; is the disk full?"
@@ -242,14 +278,14 @@ class Emulator:
         self.pid = self._process.pid or 0
 
     def stop(self) -> EmulatorOutcome:
-        """End the process and return what it leaves behind."""
-        self._ours.send(None)
-        outcome: EmulatorOutcome = self._ours.recv()
+        """End the process and return its record."""
+        self._pipe.send(None)
+        outcome: EmulatorOutcome = self._pipe.recv()
         return outcome
 
     def close(self) -> None:
         """End the process if it still runs."""
-        self._ours.close()
+        self._pipe.close()
         self._process.join()
 
 
@@ -259,7 +295,24 @@ def serve_forever(
     path: Path,
     announce: Callable[[str], None],
 ) -> None:
-    """Be the servos in this process until it is interrupted."""
+    """Serve emulated servos in this process until it is interrupted.
+
+    Parameters
+    ----------
+    specification : Specification
+        Line, servos and plant.
+    kind : {"pty", "socket"}
+        Kind of the port.
+    path : Path
+        Name of the socket.
+    announce : callable
+        Called with the name of the port as soon as it is open.
+
+    Raises
+    ------
+    InputError
+        If the plant cannot be used.
+    """
     never, held = os.pipe()
     endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)
     try:

@@ -1,4 +1,4 @@
-"""The twin behind the emulated servos: an FMU, stepped through ctypes."""
+"""Twin behind the emulated servos: an FMU, stepped through ctypes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class FmuPhysics:
-    """A twin as `hil.emulator.physics.Physics`.
+    """Twin as `hil.emulator.physics.Physics`.
 
     Parameters
     ----------

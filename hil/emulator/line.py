@@ -1,15 +1,15 @@
-"""The wire between a program and the emulated servos, and its three ways to be real.
+"""Emulated line between a program and the emulated servos, and its three ports.
 
-`Line` says when which bytes come out of the USB adapter; it is a function of its inputs and knows
-no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faster than real time.
-`serve_line`
-plays it in real time behind a file descriptor, which `pty_endpoint` and `socket_endpoint` provide:
-the first for any Dynamixel program, the second for timing claims (a pseudo-terminal passes through
-a kernel worker that SCHED_FIFO readers starve, docs/sources.md, "Dynamixel SDK").
+`Line` gives the time at which each byte leaves the USB adapter; it is a function of its inputs and
+reads no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faster than real
+time. `serve_line` plays it in real time behind a file descriptor, which `pty_endpoint` and
+`socket_endpoint` provide: the first for any Dynamixel program, the second for timing claims (a
+pseudo-terminal passes through a kernel worker that SCHED_FIFO readers starve, docs/sources.md,
+"Dynamixel SDK").
 
 ::
 
-    host writes ─ wire time by baud ─▶ servo ─ return delay ─ wire time ─▶ adapter ─ latency ─▶ host
+    host ─ transmission ─▶ servo ─ return delay ─ transmission ─▶ adapter ─ latency ─▶ host
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ from typing import Final, NamedTuple
 from firmware_py.realtime.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.line_faults import FaultPlan
-from hil.emulator.packets import Parser
+from hil.emulator.packets import PacketParser
+
+__all__ = ["Arrival", "Line", "VirtualTransport", "pty_endpoint", "serve_line", "socket_endpoint"]
 
 BITS_PER_BYTE: Final = 10
 """Eight data bits between start and stop bit."""
 USB_PACKET_BYTES: Final = 62
-"""What an FTDI adapter sends up without waiting for its latency timer."""
+"""Bytes that an FTDI adapter passes on without waiting for its latency timer (AN232B-04)."""
 _IDLE_S: Final = 0.05
 _READ_SIZE: Final = 4096
 _NO_FAULTS: Final = FaultPlan()
@@ -53,7 +55,7 @@ class Arrival(NamedTuple):
 
 
 class Line:
-    """Half-duplex wire with a USB adapter at the host's end.
+    """Half-duplex line with a USB adapter at the host's end.
 
     Parameters
     ----------
@@ -62,8 +64,8 @@ class Line:
     latency_s : float
         Period of the adapter's latency timer; 0 hands every byte over at once.
     faults : FaultPlan, optional
-        What befalls the status packets, from the moment that a servo's torque is on: a line on
-        which no robot gets ready shows nothing about the loop.
+        Faults of the status packets, from the moment that a servo's torque is on: a line on which
+        no robot starts shows nothing about the loop.
     """
 
     def __init__(self, bus: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None):
@@ -72,7 +74,7 @@ class Line:
         self._latency_ns = round(latency_s * 1e9)
         self._timer_ns = 0
         self._free_ns = 0
-        self._parser = Parser()
+        self._parser = PacketParser()
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """Take bytes that the host writes at `now_ns`; return (time, bytes) that it may read."""
@@ -120,7 +122,7 @@ def _byte_ns(baud: int) -> int:
 
 
 class VirtualTransport:
-    """A wire in memory on a simulated clock (see `firmware_py.bus.transport.Transport`).
+    """Transport in memory on a simulated clock (see `firmware_py.bus.transport.Transport`).
 
     Parameters
     ----------
@@ -136,14 +138,14 @@ class VirtualTransport:
         self._count = 0
 
     def write(self, data: bytes) -> int:
-        """Hand the bytes to the line; its answers become readable at their time."""
+        """Pass the bytes to the line; its answers become readable at their time."""
         for time_ns, answer in self._line.receive(self._clock.now_ns(), data):
             self._count += 1
             heapq.heappush(self._pending, (time_ns, self._count, answer))
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return what is readable by then, moving the clock as far as that takes."""
+        """Return the bytes that are readable by the deadline; the clock advances to them."""
         if not self._pending or self._pending[0][0] > deadline_ns:
             self._clock.sleep_until(deadline_ns)
             return b""
@@ -154,7 +156,7 @@ class VirtualTransport:
         return data[:size]
 
     def discard_input(self) -> None:
-        """Drop what is readable now."""
+        """Drop the bytes that are readable now."""
         while self._pending and self._pending[0][0] <= self._clock.now_ns():
             heapq.heappop(self._pending)
 
@@ -208,7 +210,7 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
 def serve_line(
     line: Line, fd: int, stop_fd: int, on_release: Callable[[int, int], None] | None = None
 ) -> bool:
-    """Play the line in real time on a descriptor; the plant's time goes on from here.
+    """Play the line in real time on a descriptor; the plant's time continues from now.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""What a wire does to a status packet, decided by a seed.
+"""Faults of the line at given rates: status packets lost, late or damaged, by a seed.
 
-Rates are shares of the packets that the servos send. At most one fault befalls a packet, so that
-a rate means what it says. (A campaign over all faults of the robot is another command's work.)
+Rates are fractions of the packets that the servos send. A packet has at most one fault, so that
+the rates add up. The campaign over all faults of the robot is in `hil.faults`.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from typing import Final
 
 from firmware_py.errors import InputError
 
+__all__ = ["FAULT_KINDS", "FaultPlan", "parse_rates"]
+
 FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise")
 LATE_NS: Final = 12_000_000
-"""Delay of a late packet: behind the deadline of its exchange, well before the next but one."""
+"""Delay of a late packet: after the deadline of its exchange, before the next but one."""
 
 
 class FaultPlan:
-    """Faults of the wire, the same for the same seed and the same packets.
+    """Faults of the line, the same for the same seed and the same packets.
 
     Parameters
     ----------
     rates : dict of str to float
-        Share of packets per kind; kinds left out do not occur.
+        Fraction of packets per kind; kinds left out do not occur.
     seed : int
         Start of the random sequence.
 
@@ -32,6 +34,13 @@ class FaultPlan:
     ----------
     injected : Counter
         Number of faults so far, by kind.
+
+    Examples
+    --------
+    >>> FaultPlan({"lost": 1.0}).apply(b"frame")
+    []
+    >>> FaultPlan({"late": 1.0}).apply(b"frame")
+    [(12000000, b'frame')]
     """
 
     def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
@@ -40,7 +49,7 @@ class FaultPlan:
         self._random = random.Random(seed)
 
     def apply(self, frame: bytes) -> list[tuple[int, bytes]]:
-        """What arrives instead of `frame`: (extra delay in ns, bytes), none where it is lost."""
+        """Return what arrives in place of `frame`: (extra delay in ns, bytes); empty if lost."""
         kind = self._draw()
         if kind is None:
             return [(0, frame)]
@@ -72,12 +81,27 @@ class FaultPlan:
 
 
 def parse_rates(words: Iterable[str]) -> dict[str, float]:
-    """Read `lost=0.01 late=0.005 …`.
+    """Parse rates of faults.
+
+    Parameters
+    ----------
+    words : iterable of str
+        As on the command line: `lost=0.01 late=0.005 …`.
+
+    Returns
+    -------
+    dict of str to float
+        Rate by kind.
 
     Raises
     ------
     InputError
-        If a kind is unknown, a rate is not a share, or the rates add up to more than one.
+        If a kind is unknown, a rate is no fraction, or the rates add up to more than one.
+
+    Examples
+    --------
+    >>> parse_rates(["lost=0.01", "late=0.005"])
+    {'lost': 0.01, 'late': 0.005}
     """
     rates: dict[str, float] = {}
     for word in words:
@@ -91,7 +115,7 @@ def parse_rates(words: Iterable[str]) -> dict[str, float]:
                 f"--faults {word}", "has no rate", f"write it like {kind}=0.01"
             ) from None
         if not 0.0 <= rates[kind] <= 1.0:
-            raise InputError(f"--faults {word}", "is not a share", "give a number from 0 to 1")
+            raise InputError(f"--faults {word}", "is not a fraction", "give a number from 0 to 1")
     if sum(rates.values()) > 1.0:
         raise InputError("--faults", "add up to more than one", "lower the rates")
     return rates

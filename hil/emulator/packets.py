@@ -1,16 +1,16 @@
-"""DYNAMIXEL Protocol 2.0, written from the protocol and independent of the SDK.
+"""Packets of DYNAMIXEL Protocol 2.0, implemented from its description, without the SDK.
 
 ::
 
     FF FF FD 00 | id | length (2, little-endian) | instruction | parameters ... | CRC-16 (2)
 
-`length` counts what follows it. The CRC covers everything in front of it, stuffed. Inside a body
+`length` counts the bytes after it. The CRC covers all stuffed bytes before it. Inside a body
 (instruction and parameters) the sequence FF FF FD is followed by one more FD, so that a header
 never occurs there. A status packet is instruction 0x55 with the error byte as first parameter.
 Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 
-Having no line in common with the SDK it can serve as an oracle for it: the SDK 4.1.0 sends a goal
-of -131073 unstuffed and unstuffs FF FF FD FD .. FF FD FD once too often; this codec does neither.
+The tests compare it with the SDK. The SDK 4.1.0 sends a goal of -131073 unstuffed, and unstuffs
+FF FF FD FD .. FF FD FD once too often (docs/sources.md, "Dynamixel SDK"); this codec does neither.
 """
 
 from __future__ import annotations
@@ -19,9 +19,26 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+__all__ = [
+    "Instruction",
+    "Packet",
+    "PacketParser",
+    "StatusError",
+    "crc16",
+    "encode_packet",
+    "fast_status_packet",
+    "read_packet",
+    "status_packet",
+    "stuff",
+    "sync_read_packet",
+    "sync_write_packet",
+    "unstuff",
+    "write_packet",
+]
+
 HEADER: Final = b"\xff\xff\xfd\x00"
 MARK: Final = HEADER[:3]
-"""What may not occur inside a body without an FD behind it."""
+"""Bytes that must be followed by an FD inside a body."""
 BROADCAST: Final = 0xFE
 ALERT: Final = 0x80
 """Bit of the error byte: the servo's hardware error status is not zero."""
@@ -31,7 +48,7 @@ _OVERHEAD = 7  # header, id, length
 
 
 class Instruction(IntEnum):
-    """What a packet asks for."""
+    """Instruction of a packet."""
 
     PING = 0x01
     READ = 0x02
@@ -59,7 +76,7 @@ class StatusError(IntEnum):
 
 
 class Packet(NamedTuple):
-    """A packet as received, unstuffed.
+    """Packet as received, unstuffed.
 
     Attributes
     ----------
@@ -101,7 +118,13 @@ def crc16(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Put an FD behind every FF FF FD."""
+    r"""Insert an FD after every FF FF FD.
+
+    Examples
+    --------
+    >>> stuff(b"\xff\xff\xfd").hex(" ")
+    'ff ff fd fd'
+    """
     return body.replace(MARK, MARK + b"\xfd")
 
 
@@ -122,7 +145,24 @@ def unstuff(body: bytes) -> bytes:
 
 
 def encode_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Frame, stuff and sign a packet."""
+    """Frame a packet, with stuffing and CRC.
+
+    Parameters
+    ----------
+    servo_id : int
+        Address.
+    instruction : int
+        See `Instruction`.
+    parameters : bytes
+        Unstuffed.
+
+    Examples
+    --------
+    >>> encode_packet(1, Instruction.PING).hex(" ")  # the e-Manual's example
+    'ff ff fd 00 01 03 00 01 19 4e'
+    >>> PacketParser().feed(encode_packet(1, Instruction.PING))
+    [Packet(id=1, instruction=1, parameters=b'', intact=True)]
+    """
     body = stuff(bytes((instruction,)) + parameters)
     packet = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
@@ -138,19 +178,26 @@ def _words(*values: int) -> bytes:
 
 
 def read_packet(servo_id: int, address: int, length: int) -> bytes:
-    """Ask one servo for `length` bytes at `address`."""
+    """Frame a read of `length` bytes at `address` of one servo."""
     return encode_packet(servo_id, Instruction.READ, _words(address, length))
 
 
 def write_packet(servo_id: int, address: int, data: bytes) -> bytes:
-    """Write `data` at `address` of one servo."""
+    """Frame a write of `data` at `address` of one servo."""
     return encode_packet(servo_id, Instruction.WRITE, _words(address) + data)
 
 
 def sync_read_packet(ids: Iterable[int], address: int, length: int, *, fast: bool = False) -> bytes:
-    """Ask several servos for the same registers.
+    """Frame a read of the same registers of several servos.
 
-    Each answers with a status packet of its own, or all together with a fast one.
+    Parameters
+    ----------
+    ids : iterable of int
+        Servos, in the order of their answers.
+    address, length : int
+        Registers.
+    fast : bool
+        Whether all servos answer in one packet, or each in its own.
     """
     instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
     return encode_packet(BROADCAST, instruction, _words(address, length) + bytes(ids))
@@ -180,24 +227,23 @@ def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def sync_write_packet(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Write the same registers of several servos; nobody answers."""
+    """Frame a write of the same registers of several servos; none answers."""
     length = len(next(iter(data.values())))
     blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
     return encode_packet(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
 
 
-class Parser:
-    """Finds packets in a stream of bytes and finds its way back after noise.
+class PacketParser:
+    """PacketParser of a byte stream that resynchronises after noise.
 
-    A header inside the body of an unfinished packet proves that the packet was cut off: the
-    parser drops it at once instead of waiting for bytes that will not come. After a wrong CRC it
-    searches on behind the false header, so that a whole packet is never lost to a broken one in
-    front of it.
+    A header inside the body of an unfinished packet shows that the packet was truncated: the
+    parser drops it at once. After a wrong CRC it searches on after the false header, so that a
+    whole packet is never lost to a broken one before it.
 
     Attributes
     ----------
     skipped : int
-        Bytes thrown away so far because they belonged to no packet.
+        Bytes dropped so far because they belonged to no packet.
     """
 
     def __init__(self) -> None:
@@ -205,7 +251,7 @@ class Parser:
         self.skipped = 0
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Take in bytes; return the packets that they complete, in order."""
+        """Append bytes; return the packets that they complete, in order."""
         buffer = self._buffer
         buffer += data
         packets: list[Packet] = []

@@ -1,4 +1,4 @@
-"""The physics behind the emulated servos: what it must answer, and the rig as its source."""
+"""Interface of the physics behind the emulated servos, and the rig as its source."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Physics(Protocol):
-    """The plant behind the servos, their own closed loops included.
+    """Plant behind the servos, their own closed loops included.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class Physics(Protocol):
 
 @dataclass(frozen=True)
 class RigSource:
-    """A rig to put behind the servos.
+    """Rig behind the servos.
 
     Attributes
     ----------
     hidden : mapping of str to float
-        Effects added to what it has by default, in the unit that `models.shared.catalogue` lists.
+        Effects added to its default ones, in the unit that `models.shared.catalogue` lists.
     seed : int
         Of the variation between trials and of the current's noise.
     """

@@ -1,9 +1,7 @@
-"""The laboratory behind the emulated servos: what a plant is held against, loop and wire included.
+"""Rig behind the emulated servos: the MuJoCo robot on which the plant was identified.
 
-`hil.emulator.physics` steps the plant that we ship; here stands the MuJoCo robot that it was
-identified on,
-with whatever is hidden in it, so that the robot's own prediction meets something that it does not
-know.
+Hidden effects included, so that the robot's own prediction is compared with a link that it does not
+know, through loop and line.
 """
 
 from __future__ import annotations
@@ -28,16 +26,16 @@ _TIP_ROW = slice(12, 16)
 
 
 class RigPhysics:
-    """The laboratory as `hil.emulator.physics.Physics`.
+    """Rig as `hil.emulator.physics.Physics`.
 
     It settles at zero and then runs in its own steps: angle, current and tip belong to one moment,
     the start of the last whole step, which is at most two steps ago. The tip is the true one; what
-    is hidden in the motion capture does not touch it.
+    is hidden in the motion capture does not change it.
 
     Parameters
     ----------
     rig : RigSource
-        Which laboratory.
+        Hidden effects and seed.
     dof : int
         Number of joints.
     payload_kg : float

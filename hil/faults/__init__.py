@@ -1,1 +1,1 @@
-"""Faults of line, servo, host and process: injected by name and seed, judged against a table."""
+"""Faults of line, servo, host and process: injected by name and seed, checked against a table."""

@@ -1,4 +1,4 @@
-"""The parts of docs/safety.md that are drawn from the code: `python -m hil.faults.fault_docs`."""
+"""Generated parts of docs/safety.md: `python -m hil.faults.fault_docs` writes them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.safety.states import TRANSITIONS, SafetyState
-from hil.faults.fault_table import HOST, LINE, PROCESS, ROWS, SERVO, TOGETHER
+from hil.faults.fault_table import PARTS
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
-_PARTS: Final = (
-    ("Line", LINE), ("Servo", SERVO), ("Host", HOST), ("Together", TOGETHER), ("Processes", PROCESS)
-)  # fmt: skip
 
 
 def state_machine() -> str:
-    """The supervisor's states and transitions as a Mermaid diagram and as a table."""
+    """Supervisor's states and transitions as a Mermaid diagram and as a table."""
     arrows = [
         f"    {t.source.name} --> {t.target.name}: {t.cause.replace('`', '')}" for t in TRANSITIONS
     ]
@@ -31,10 +28,9 @@ def state_machine() -> str:
 
 
 def fault_matrix() -> str:
-    """What there is in the table, and what must happen."""
-    assert sum(len(rows) for _, rows in _PARTS) == len(ROWS)
+    """Fault table in Markdown."""
     lines = []
-    for title, rows in _PARTS:
+    for title, rows in PARTS.items():
         lines += [f"**{title}**", "", "| fault | how | line | must |", "|---|---|---|---|"]
         lines += [
             f"| {row.fault} | {row.how} | {', '.join(row.lines)} | "
@@ -47,7 +43,7 @@ def fault_matrix() -> str:
 
 
 def redraw(text: str) -> str:
-    """A document with what stands between the marks drawn anew."""
+    """Return a document with the text between its marks generated anew."""
     for name, part in (("state machine", state_machine()), ("faults", fault_matrix())):
         head, begin, rest = text.partition(f"<!-- drawn: {name} -->\n")
         _, end, tail = rest.partition(f"<!-- end: {name} -->\n")

@@ -1,8 +1,8 @@
 """Table of faults: how each is tried, and what must happen.
 
-Four things hold in every case, whatever a row says (`hil.faults.fault_verdict`): no servo is driven
-without hearing anything for longer than its watchdog's time, where it has one; no goal jumps; no
-data passes for fresh that the servo did not send in that very tick; in the end no servo drives on.
+Four conditions hold in every case (`hil.faults.fault_verdict`): no servo that has a watchdog is
+driven for longer than the watchdog's time without an instruction; no goal jumps; no data is taken
+as fresh that the servo did not send in the same tick; at the end no servo is driven.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ HOUR_S: Final = 3600.0
 
 HARMLESS: Final = Expectation("finished", lost=0)
 RECOVERED: Final = Expectation("finished", within=1, lost=0)
-"""By the second read of the tick, without which the tick would be lost."""
+"""By the second read of the tick."""
 BOTH_READS: Final = 2
 """Exchanges of a tick in which the first read fails."""
 BOTH: Final = ("virtual", "socket")
 LEGACY: Final = 54024
 WATCHED: Final = (54025,)
-"""With a bus watchdog; the legacy PRO (54024) has none."""
+"""Models with a bus watchdog; the legacy PRO (54024) has none."""
 UNNOTICED_TICKS: Final = 90
-"""A servo that refuses indirect addresses does not tell whether it drives: where it stands still it
-is seen by its following error alone, late near a turning point."""
+"""Ticks until a servo that refuses indirect addresses is known to be off: it is detected by its
+following error alone, which is small near a turning point."""
 _STALE: Final = "no fresh data for 3 ticks"
 _STALLED: Final = "slots missed in a row|its watchdog stopped it"
 
@@ -52,9 +52,9 @@ def _refused(reason: str) -> Expectation:
 def _unheard(
     fault: str, kind: str, value: float = 0.0, lines: tuple[str, ...] = ("virtual",)
 ) -> list[FaultRow]:
-    """A fault that costs the answer: ridden out below three ticks in a row, else a controlled stop.
+    """Fault that loses the answer: tolerated below three ticks in a row, else a controlled stop.
 
-    The second read of a tick makes up for the first; it takes two faults to lose a tick.
+    The second read of a tick replaces the first; it takes two faults to lose a tick.
     """
     once = Injection(kind, 1, value)
     one, two, three = (Injection(kind, ticks * BOTH_READS, value) for ticks in (1, 2, 3))
@@ -77,7 +77,7 @@ def _tolerated(
 
 
 def _persistent(fault: str, kind: str, value: float, reason: str) -> list[FaultRow]:
-    """A wild value: forgiven once, a stop at the third sample in a row."""
+    """Wild value: tolerated once, a stop at the third sample in a row."""
     return [
         FaultRow(fault, "once", HARMLESS, (Injection(kind, 1, value),)),
         FaultRow(fault, "three in a row", _tripped(reason, 3), (Injection(kind, 3, value),)),
@@ -242,4 +242,12 @@ PROCESS: Final = (
              _SIGNALLED, Setup(recorder_signal=9, disk_full=True, signal=15)),
 )  # fmt: skip
 
-ROWS: Final = (*LINE, *SERVO, *HOST, *TOGETHER, *PROCESS)
+PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
+    "Line": LINE,
+    "Servo": SERVO,
+    "Host": HOST,
+    "Together": TOGETHER,
+    "Processes": PROCESS,
+}
+"""Rows by the heading that they have in docs/safety.md."""
+ROWS: Final = tuple(row for rows in PARTS.values() for row in rows)

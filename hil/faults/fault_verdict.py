@@ -20,9 +20,9 @@ from hil.faults.observation import CaseObservation
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 RESOLUTION_RAD: Final = 2e-3
-"""Goals are rounded to pulses (1.5 mrad with an X servo)."""
+"""Resolution of a goal, which is rounded to pulses (1.5 mrad with an X servo)."""
 HELD_RAD: Final = 0.2
-"""Without a watchdog a servo may still go to its last goal: the following error's limit."""
+"""Way that a servo without a watchdog may go to its last goal: the limit of its following error."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class FaultCase:
     Attributes
     ----------
     row : FaultRow
-        What was tried.
+        Row of the table.
     line : str
         "virtual", "socket" or "process".
     number : int
         Model number of the servos.
     seed : int
-        Of the moment and of the bits.
+        Of the time and of the bits.
     """
 
     row: FaultRow
@@ -48,7 +48,7 @@ class FaultCase:
 
     @property
     def name(self) -> str:
-        """For people and for JUnit."""
+        """Name for reports."""
         row = self.row
         return f"{row.fault}, {row.how} ({self.line}, {MODELS[self.number].name}, seed {self.seed})"
 
@@ -100,7 +100,7 @@ def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseV
 
 
 def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
-    """What must hold in every case."""
+    """Complaints about what must hold in every case."""
     complaints = []
     limit_ns = round(watchdog_steps(period_s) * WATCHDOG_STEP_S * 1e9)
     if seen.watched and seen.unheard_ns > limit_ns:
@@ -120,7 +120,7 @@ def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
 
 
 def _astray(row: FaultRow, seen: CaseObservation) -> list[str]:
-    """Where the course differs from the row."""
+    """Differences between the course and the row."""
     must, complaints = row.must, []
     if row.injections and not seen.injected:
         complaints.append("the fault never befell it")

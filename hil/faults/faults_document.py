@@ -31,7 +31,7 @@ class CaseResult(CaseObservation, frozen=True, kw_only=True):
     model : str
         Servos.
     seed : int
-        Of the moment and of the bits.
+        Of the time and of the bits.
     must : str
         What must happen.
     verdict : Verdict

@@ -1,7 +1,7 @@
-"""Faults of the host: the robot's own parts, disturbed at a tick of a plan.
+"""Faults of the host: the robot's own parts, disturbed at a scheduled tick.
 
-Ticks are counted by the estimator, which the loop calls once in each. What takes time takes it by
-the clock that is passed in, so the same fault is simulated or real.
+Ticks are counted by the estimator, which the loop calls once in each. Delays use the clock that is
+passed in, so the same fault runs in simulated or in real time.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ HOST_FAULTS: Final = (
     "clock",
     "port",
 )
-"""The first two answer the plan's value; the others take seconds, step the clock by them, or keep
-the port away for them."""
+"""The first two return the plan's value; the others delay by that many seconds, step the clock by
+them, or remove the port for them."""
 _GARBAGE_CYCLES: Final = 300
 
 
 class Host:
-    """The robot's own parts with the faults of a plan in them.
+    """Schedule of the host's faults.
 
     Parameters
     ----------
     script : FaultSchedule
-        The plan, for its moments.
+        Schedule, for its times.
     injections : sequence of Injection
-        Those of `HOST_FAULTS` count.
+        Those of `HOST_FAULTS` are used.
     now_ns : callable
         Clock.
     take : callable
-        Lets so many seconds pass.
+        Lets a time in s pass.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Host:
         self._back_ns: float | None = None
 
     def value(self, kind: str) -> float | None:
-        """Value of the injection of a kind that befalls this tick; None where there is none."""
+        """Value of the injection of a kind in this tick; None where there is none."""
         for injection in self._injections:
             if injection.kind == kind and self._script.active(injection, self.tick):
                 if self.began_ns is None:
@@ -78,14 +78,14 @@ class Host:
         return None
 
     def unplugged(self) -> bool:
-        """Whether the port is away now."""
+        """Whether the port is removed now."""
         if self._back_ns is None and (away_s := self.value("port")) is not None:
             self._back_ns = self._now_ns() + away_s * 1e9
         return self._back_ns is not None and self._now_ns() < self._back_ns
 
 
 class FaultyEstimator:
-    """An estimator that stalls, litters, or answers something else; see `Host`."""
+    """Estimator that stalls, leaves garbage, or returns a wrong value; see `Host`."""
 
     def __init__(self, inner: DeformationEstimator, host: Host) -> None:
         self._inner, self._host = inner, host
@@ -108,14 +108,14 @@ class FaultyEstimator:
 
 
 def _litter() -> None:
-    """Leave cycles behind, which only the garbage collector could take away."""
+    """Leave reference cycles, which only the garbage collector could free."""
     for _ in range(_GARBAGE_CYCLES):
         cycle: list[object] = []
         cycle.append(cycle)
 
 
 class FaultyPredictor:
-    """A predictor that is slow or answers something else; see `Host`."""
+    """Predictor that is slow or returns a wrong value; see `Host`."""
 
     def __init__(self, inner: Predictor, host: Host) -> None:
         self._inner, self._host = inner, host
@@ -134,14 +134,14 @@ class FaultyPredictor:
 
 
 class SteppedClock(SimClock):
-    """Simulated time as a clock shows it that is set forward or back in a tick of the plan.
+    """Simulated clock that is set forward or back in a scheduled tick.
 
     Attributes
     ----------
     true : SimClock
-        The time that the servos live in.
+        Time of the servos.
     host : Host or None
-        Who knows the plan.
+        Schedule of the step.
     """
 
     def __init__(self, true: SimClock) -> None:
@@ -151,7 +151,7 @@ class SteppedClock(SimClock):
 
     @property
     def step_ns(self) -> int:
-        """By how much it is ahead of the true time."""
+        """Time by which it is ahead of the true time."""
         step_s = self.host.value("clock") if self.host else None
         return round((step_s or 0.0) * 1e9)
 
@@ -169,7 +169,7 @@ class SteppedClock(SimClock):
 
 
 class FaultyTransport:
-    """A wire in true time under a stepped clock, which can be pulled out (`Host.unplugged`)."""
+    """Transport in true time under a stepped clock, which can be unplugged (`Host.unplugged`)."""
 
     def __init__(self, inner: Transport, clock: SteppedClock, host: Host) -> None:
         self._inner, self._clock, self._host = inner, clock, host

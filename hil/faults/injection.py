@@ -1,4 +1,4 @@
-"""Injecting faults of wire and servo: which and how often stands in the plan, when in the seed.
+"""Injection of faults of line and servo: the plan says which and how often, the seed when.
 
 An exchange is one synchronous read of the loop, counted from the moment that the torque is on.
 """
@@ -15,13 +15,13 @@ from hil.faults.servo_log import LoggedServo
 
 FOREVER: Final = 1_000_000
 FIRST_EXCHANGE: Final = (40, 110)
-"""Between these the seed chooses the first exchange that a fault befalls: the arm moves then."""
+"""Range from which the seed draws the first exchange with a fault: the arm moves then."""
 
 _FOREIGN_ID: Final = 77
 _LENGTH_BYTES, _BODY_START, _CRC_BYTES = (5, 7), 7, 2
 
 Arrivals = list[tuple[int, bytes]]
-"""What comes instead of a packet: extra delay in ns, bytes."""
+"""What arrives in place of a packet: extra delay in ns, bytes."""
 
 
 class Injection(NamedTuple):
@@ -30,13 +30,13 @@ class Injection(NamedTuple):
     Attributes
     ----------
     kind : str
-        A key of `LINE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host_faults`).
+        Key of `LINE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host_faults`).
     times : int
         Exchanges in a row.
     value : float
-        Delay in seconds, error in rad or A, hardware error bits: what the kind needs.
+        Delay in s, error in rad or A, or hardware error bits, by the kind.
     joint : int or None
-        The one that it befalls, from 0; None for all.
+        Joint with the fault, from 0; None for all.
     after : int
         Exchanges between the first of the plan and the first of this one.
     """
@@ -91,7 +91,7 @@ LINE_FAULTS: Final[dict[str, Callable[[bytes, float, random.Random], Arrivals]]]
     "noise": _noise,
     "other id": _foreign,
 }
-"""What a wire makes of a status packet: (frame, value, chance) to what arrives instead."""
+"""Faults of the line: functions from (frame, value, chance) to what arrives in its place."""
 
 SERVO_FAULTS: Final[dict[str, Callable[[LoggedServo, float, bool], None]]] = {
     "silent": lambda servo, value, on: servo.hush(on),
@@ -102,18 +102,18 @@ SERVO_FAULTS: Final[dict[str, Callable[[LoggedServo, float, bool], None]]] = {
     "encoder": lambda servo, value, on: setattr(servo, "angle_error_rad", value * on),
     "current": lambda servo, value, on: setattr(servo, "current_error_a", value * on),
 }
-"""What happens to a servo: called with True as the fault begins, with False as it ends."""
+"""Faults of a servo: functions called with True as the fault begins, with False as it ends."""
 
 
 class FaultSchedule(FaultPlan):
-    """A seeded plan, as `hil.emulator.line.Line` and `hil.faults.servo_log.LoggedBus` take it.
+    """Seeded schedule of injections: faults of a `Line` and of the servos on a `LoggedBus`.
 
     Parameters
     ----------
     injections : sequence of Injection
         The plan.
     seed : int
-        Of its moment and of its bits.
+        Of its time and of its bits.
 
     Attributes
     ----------
@@ -139,12 +139,12 @@ class FaultSchedule(FaultPlan):
         return self.start + injection.after
 
     def active(self, injection: Injection, exchange: int) -> bool:
-        """Whether an injection befalls an exchange."""
+        """Whether an injection is active in an exchange."""
         first = self.first(injection)
         return first <= exchange < first + injection.times
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Let begin and end what does in the next exchange."""
+        """Begin and end the servo faults of the next exchange."""
         self.exchange += 1
         if self.began_ns is None and any(self.active(i, self.exchange) for i in self._injections):
             self.began_ns = now_ns
@@ -158,7 +158,7 @@ class FaultSchedule(FaultPlan):
                     change(servo, injection.value, self.exchange == first)
 
     def apply(self, frame: bytes) -> Arrivals:
-        """What arrives instead of a status packet."""
+        """Return what arrives in place of a status packet."""
         arrivals: Arrivals = [(0, frame)]
         for injection in self._wire:
             if self.active(injection, self.exchange):

@@ -22,18 +22,18 @@ _READS_PER_TICK: Final = 2
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """How a run ended, as its process said.
+    """End of a run, as its process reported it.
 
     Attributes
     ----------
     ended, reason : str
-        As in `RunSummary`; "refused" and "killed" besides.
+        As in `RunSummary`, and "refused" and "killed".
     replugs, telemetry_drops : int
         As in `RunSummary`.
     misses : dict of str to int
         Slots missed by cause.
     unlogged_stale : int
-        Ticks without fresh data in a run whose log is not whole.
+        Ticks without fresh data in a run with an incomplete log.
     """
 
     ended: str
@@ -52,35 +52,35 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ended, reason : str
         How the run ended.
     injected : bool
-        Whether the fault befell the run at all.
+        Whether the fault occurred at all.
     detected_ticks : int or None
-        In which tick from the fault on the record showed it, 1 for the same one.
+        Tick after the fault in which the record showed it, 1 for the same one.
     state : str
         Highest state of the supervisor before the run was over.
     told : str
-        What the servos were told from then on.
+        Commands that the servos received from then on, in words.
     recovered_ticks : int or None
         Ticks from the first sign to the last; None where there was none, or no recovery.
     lost_ticks : int
         Slots from the fault on without fresh data, missed ones included.
     unlogged_ticks : int
-        Ticks that the log lacks.
+        Ticks missing in the log.
     replugs : int
         Times that the robot went on after its port was gone.
     misses : dict of str to int
         Slots missed by cause.
     unheard_ns : int
-        Longest time for which a servo was driven and heard nothing.
+        Longest time for which a servo was driven without an instruction.
     watched : bool
         Whether the servos have a watchdog.
     live : bool
-        Whether one still drives towards a goal in the end.
+        Whether one is still driven at the end.
     drift_rad : float
-        How far one moved at most after the last that it heard.
+        Largest movement of one after its last instruction.
     goal_jump_rad : float
         By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
     stale_as_fresh : int
-        Ticks that took for fresh what the servos had not sent in them.
+        Ticks that took data as fresh which the servos had not sent in them.
     """
 
     ended: str
@@ -113,7 +113,7 @@ def observe_case(
     *,
     stepped_in_tick: int | None = None,
 ) -> CaseObservation:
-    """Put together what the loop recorded and what the servos saw.
+    """Combine the loop's record and the servos' log.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ def observe_case(
     columns : mapping of str to ndarray
         The ticks by column.
     servo_log : ServoLog
-        The servos'.
+        The servos' log.
     began_ns : int or None
         When the first fault began.
     slots : int
-        Slots of the motion: what comes later is the stop at its end.
+        Slots of the motion; the stop at its end follows them.
     period_s, rate_rad_s : float
         Control period, and limit of the goals' rate.
     stepped_in_tick : int or None
@@ -200,7 +200,7 @@ def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:
 
 
 def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> float:
-    """Excess of the largest step of a goal, the first of a stretch counted from where it stood."""
+    """Excess of the largest step of a goal; the first of a stretch counts from the angle then."""
     excess = 0.0
     for goals_rad, stands_rad in zip(servo_log.goal_rad.T, servo_log.stand_rad.T, strict=True):
         before, before_ns = math.inf, 0
@@ -220,7 +220,7 @@ def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> f
 
 
 def _told(outcome: CaseOutcome, servo_log: ServoLog) -> str:
-    """What the servos were told from the fault on, in words."""
+    """Commands that the servos received from the fault on, in words."""
     if outcome.ended == "refused":
         return "nothing, the torque stayed off"
     if servo_log.live:

@@ -28,16 +28,16 @@ _READS: Final = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 
 
 class LoggedServo(EmulatedServo):
-    """An emulated servo that can be disturbed.
+    """Emulated servo that can be disturbed.
 
     Attributes
     ----------
     angle_error_rad, current_error_a : float
-        Added to what it measures.
+        Errors added to its measurements.
     refuses_indirect : bool
         Whether it keeps its indirect addresses as they are.
     unheard_ns : int
-        Longest time for which it was driven and heard nothing.
+        Longest time for which it was driven without an instruction.
     """
 
     angle_error_rad = 0.0
@@ -48,15 +48,15 @@ class LoggedServo(EmulatedServo):
 
     @property
     def id(self) -> int:
-        """Address on the bus; nobody's while the servo is off the bus."""
+        """Address on the bus; an unused one while the servo is off the bus."""
         return _HUSHED_ID if self._hushed else super().id
 
     def hush(self, on: bool) -> None:
-        """Take the servo off the bus, or put it back."""
+        """Remove the servo from the bus, or put it back."""
         self._hushed = on
 
     def lose_torque(self) -> None:
-        """Switch the torque off without a word."""
+        """Switch the torque off without an error."""
         self._release()
 
     def write(self, address: int, data: bytes) -> int:
@@ -92,12 +92,12 @@ class LoggedServo(EmulatedServo):
             self._angle_rad = hold
 
     def note_silence(self, until_ns: int) -> None:
-        """Take account of the time since something was heard, up to now."""
+        """Account for the time since the last instruction."""
         if self.live:
             self.unheard_ns = max(self.unheard_ns, until_ns - self._fed_ns)
 
     def feed_watchdog(self, now_ns: int) -> None:
-        """See `EmulatedServo.feed_watchdog`; a servo that is off the bus hears nothing."""
+        """See `EmulatedServo.feed_watchdog`; a servo off the bus receives nothing."""
         if not self._hushed:
             self.note_silence(now_ns)
             super().feed_watchdog(now_ns)
@@ -115,7 +115,7 @@ class ServoFaults(Protocol):
     began_ns: int | None
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Let begin and end what does in the next exchange."""
+        """Begin and end the faults of the next exchange."""
         ...
 
 
@@ -130,16 +130,16 @@ class ServoLog:
     sample_ns, sample_rad : ndarray, shapes (n,), (n, dof)
         Angles that they reported to the loop, and when.
     goal_ns, goal_rad, stand_rad : ndarray, shapes (m,), (m, dof), (m, dof)
-        Goals that they got, when, and where they stood then: NaN for a servo that did not take
+        Goals that they received, when, and their angles then: NaN for a servo that did not accept
         it, a row of infinities where the torque went off.
     watched : bool
         Whether they have a bus watchdog.
     unheard_ns : int
-        Longest time for which one was driven and heard nothing.
+        Longest time for which one was driven without an instruction.
     live, stopped_by_watchdog : bool
-        Whether one still drives towards a goal in the end; whether one was stopped by itself.
+        Whether one is still driven at the end; whether one was stopped by its watchdog.
     drift_rad : float
-        How far one moved at most after the last that it heard.
+        Largest movement of one after its last instruction.
     """
 
     began_ns: int | None

@@ -95,7 +95,7 @@ class Inputs:
     commands : list of str
         What made all this.
     faults : dict or None
-        A campaign of faults (see `hil.faults.fault_verdict.report`).
+        A campaign of faults (see `hil.faults.faults_document`).
     """
 
     studies: dict[int, Json]

@@ -1,4 +1,4 @@
-"""Parts that runs on every line share: the robot's loop, its recorder, the result."""
+"""Parts common to runs on every line: the robot's loop, its recorder, the result."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Timing of a run: the verdict, the budget of a tick and what the host did meanwhile."""
+"""Timing of a run: verdict, tick budget, processor accounts and reference jitter."""

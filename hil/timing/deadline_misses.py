@@ -35,6 +35,8 @@ from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 
+__all__ = ["Miss", "find_misses", "host_time_ns", "stopped_after_miss"]
+
 Nanoseconds = NDArray[np.int64]
 
 

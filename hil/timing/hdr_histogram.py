@@ -1,6 +1,6 @@
 """Percentiles of a duration in the text format of HdrHistogram (`.hgrm`).
 
-hdrhistogram.github.io/HdrHistogram/plotFiles.html and its kin draw such files side by side.
+hdrhistogram.github.io/HdrHistogram/plotFiles.html and similar tools plot such files.
 """
 
 from __future__ import annotations
@@ -13,24 +13,45 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["write_hgrm"]
+
 _TICKS_PER_HALF_DISTANCE: Final = 5
 _UNIT_NS: Final = 1_000
 """Values are written in µs."""
 
 
 def write_hgrm(path: Path, durations_ns: NDArray[np.int64]) -> None:
-    """Write one series; an empty one makes an empty distribution."""
+    """Write the percentiles of one series; an empty series gives an empty distribution.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    durations_ns : ndarray of int, shape (n,)
+        The series; negative durations count as zero.
+
+    Examples
+    --------
+    >>> write_hgrm(Path("tick.hgrm"), np.array([1_000, 2_000, 4_000]))
+    >>> print(Path("tick.hgrm").read_text())
+           Value     Percentile TotalCount 1/(1-Percentile)
+    ...
+           4.000 1.000000000000          3
+    #[Mean    =        2.333, StdDeviation   =        1.247]
+    #[Max     =        4.000, Total count    =            3]
+    #[Buckets =            1, SubBuckets     =            3]
+    """
     values = np.sort(np.maximum(durations_ns, 0))
     lines = [
         f"{'Value':>12s} {'Percentile':>14s} {'TotalCount':>10s} {'1/(1-Percentile)':>14s}",
         "",
     ]
-    for share in _shares(len(values)):
-        # The smallest value that at least this share does not exceed, and how many do not.
-        value = values[max(math.ceil(share * len(values)) - 1, 0)]
+    for fraction in _fractions(len(values)):
+        # The smallest value that at least this fraction of the durations does not exceed.
+        value = values[max(math.ceil(fraction * len(values)) - 1, 0)]
         count = int(np.searchsorted(values, value, side="right"))
-        inverse = f" {1 / (1 - share):14.2f}" if share < 1.0 else ""
-        lines.append(f"{value / _UNIT_NS:12.3f} {share:2.12f} {count:10d}{inverse}")
+        inverse = f" {1 / (1 - fraction):14.2f}" if fraction < 1.0 else ""
+        lines.append(f"{value / _UNIT_NS:12.3f} {fraction:2.12f} {count:10d}{inverse}")
     mean, deviation = (values.mean(), values.std()) if len(values) else (0.0, 0.0)
     largest = values[-1] if len(values) else 0
     lines += [
@@ -41,12 +62,12 @@ def write_hgrm(path: Path, durations_ns: NDArray[np.int64]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-def _shares(count: int) -> Iterator[float]:
-    """Shares that lie closer and closer together towards 1: five for every halving of the rest."""
-    share = 0.0
-    while count and 1.0 - share > 1.0 / count:
-        yield share
-        halvings = int(math.log2(1.0 / (1.0 - share)))
-        share += 1.0 / (_TICKS_PER_HALF_DISTANCE * 2 ** (halvings + 1))
+def _fractions(count: int) -> Iterator[float]:
+    """Fractions that become denser towards 1: five for every halving of the rest."""
+    fraction = 0.0
+    while count and 1.0 - fraction > 1.0 / count:
+        yield fraction
+        halvings = int(math.log2(1.0 / (1.0 - fraction)))
+        fraction += 1.0 / (_TICKS_PER_HALF_DISTANCE * 2 ** (halvings + 1))
     if count:
         yield 1.0

@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["Percentiles"]
+
 Nanoseconds = NDArray[np.int64]
 
 FRACTIONS: Final = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999}

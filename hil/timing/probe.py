@@ -1,8 +1,8 @@
-"""A witness on a processor: a process of high priority that notes how late it wakes.
+"""Probe on a processor: a process of high priority that records the lateness of its wake-ups.
 
-It is pinned, above everything of ours, and wakes every few milliseconds: the reference jitter of
-the machine, and, where it is milliseconds late, proof that nobody of ours could have run there.
-What it does at a wake-up is `c/probe.c`.
+It is pinned, has a higher priority than the rest of this program, and wakes every few milliseconds.
+Its lateness is the reference jitter of the machine; where it is milliseconds late, no process of
+this program could have run on that processor. Its inner loop is `c/probe.c`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from firmware_py.realtime.clock import RealTimeOptions, real_time
 from hil.timing.cpu_accounts import PROBE_PERIOD_NS, PROBE_PRIORITY, Nanoseconds, ProbeRecord
 from models.shared.c_compiler import compile_library
 
+__all__ = ["Probe"]
+
 _SOURCE: Final = Path(__file__).with_name("c") / "probe.c"
 _ROWS: Final = 20_000
 _COLUMNS: Final = 3
@@ -31,42 +33,42 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Probe:
-    """A probe on one processor, running from its making until `stop`.
+    """Probe on one processor, running from its creation until `stop`.
 
     Parameters
     ----------
     cpu : int
         Processor to pin it to.
     neighbours : sequence of int
-        Processes of ours that may run on the same processor beside the one that is watched.
+        Processes of this program that may run on the same processor beside the observed one.
     """
 
     def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
-        self._ours, theirs = _SPAWN.Pipe()
+        self._pipe, child_end = _SPAWN.Pipe()
         with TemporaryDirectory(prefix="dropstitch-probe-") as scratch:
             library = compile_library([_SOURCE], Path(scratch) / "probe.so")
             self._process = _SPAWN.Process(
-                target=_probe, args=(theirs, library, cpu, tuple(neighbours)), daemon=True
+                target=_probe, args=(child_end, library, cpu, tuple(neighbours)), daemon=True
             )
             self._process.start()
-            theirs.close()
-            self._privileged: bool = self._ours.recv()
+            child_end.close()
+            self._privileged: bool = self._pipe.recv()
 
     def stop(self) -> ProbeRecord:
-        """End the probe and return what it saw."""
-        self._ours.send(None)
-        rows: Nanoseconds = self._ours.recv()
-        wake, lateness, ours = np.ascontiguousarray(rows.T)
-        return ProbeRecord(wake, lateness, ours, privileged=self._privileged)
+        """End the probe and return its record."""
+        self._pipe.send(None)
+        rows: Nanoseconds = self._pipe.recv()
+        wake, lateness, own = np.ascontiguousarray(rows.T)
+        return ProbeRecord(wake, lateness, own, privileged=self._privileged)
 
     def close(self) -> None:
         """End the probe if it still runs."""
-        self._ours.close()
+        self._pipe.close()
         self._process.join()
 
 
 def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal is for the loop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal stops the loop
     watch = ctypes.CDLL(str(library)).watch
     watch.restype = ctypes.c_int64
     accounts = [os.open(f"/proc/{pid}/schedstat", os.O_RDONLY) for pid in neighbours]
@@ -82,5 +84,5 @@ def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...
                 ctypes.c_void_p(rows.ctypes.data), ctypes.c_int64(_ROWS),
             )  # fmt: skip
             chunks.append(rows[:filled])
-    with contextlib.suppress(BrokenPipeError):  # nobody may want to know any more
+    with contextlib.suppress(BrokenPipeError):  # the parent may have gone
         pipe.send(np.concatenate(chunks))

@@ -1,8 +1,8 @@
-"""A run as a timeline for ui.perfetto.dev: the Chrome trace format, JSON.
+"""Timeline of a run for ui.perfetto.dev, in the Chrome trace format (JSON).
 
-One track shows slots and stages, one the waiting for the wire, one where the probe saw the
-processor stand still. A long run is thinned out: its beginning, and what surrounds the ticks that
-took longest and those that missed.
+One track shows slots and stages, one the wait for the bus, one the stalls of the processor that the
+probe found. Of a long run it holds the beginning, and the surroundings of the ticks that took
+longest and of those that missed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hil.timing.cpu_accounts import STALL_NS, ProbeRecord
 
 MOST_TICKS: Final = 3000
 _NEIGHBOURS: Final = 5
-_TRACKS: Final = {1: "loop", 2: "wire", 3: "host (probe)"}
+_TRACKS: Final = {1: "loop", 2: "bus", 3: "host (probe)"}
 _PROCESS: Final = 1
 
 
@@ -54,7 +54,7 @@ def write_timeline(
 
 
 def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
-    """Mask of the ticks to show: all of a short run, the remarkable ones of a long one."""
+    """Mask of the ticks to show: all of a short run, the longest and missed ones of a long one."""
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)
     taken = records["lateness_ns"] + records["busy_ns"]

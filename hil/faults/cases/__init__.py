@@ -1,1 +1,1 @@
-"""One case of the campaign: its robot, and its run on each kind of line."""
+"""Cases of the campaign: robot, and run on each kind of line."""

@@ -39,7 +39,7 @@ class CaseRobot:
     Attributes
     ----------
     bundle : ModelBundle
-        What the robot runs.
+        Bundle of the robot.
     fmu : Path
         Twin behind the servos.
     """
@@ -62,7 +62,19 @@ class FaultyModels:
 
 
 def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> RobotConfig:
-    """The configuration of a case's robot."""
+    """Return the configuration of a case's robot.
+
+    Parameters
+    ----------
+    robot : CaseRobot
+        Common part of the campaign.
+    row : FaultRow
+        The fault.
+    number : int
+        Model of the servos.
+    port : str
+        Port that the robot opens.
+    """
     setup = row.setup
     models = [number] * robot.dof
     if setup.second_model == "declared":
@@ -84,7 +96,17 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
 
 
 def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
-    """The servos that are really there."""
+    """Return the servos that are on the bus.
+
+    Parameters
+    ----------
+    dof : int
+        Joints.
+    row : FaultRow
+        The fault.
+    number : int
+        Model of the servos, but for what the row changes.
+    """
     setup = row.setup
     numbers = [number] * dof
     if setup.wrong_model:
@@ -106,7 +128,7 @@ def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
 
 
 def lean(physics: Physics, angle_rad: float) -> None:
-    """Bring the arm slowly to where it leans, and let it come to rest there."""
+    """Move the arm slowly to an angle in rad, and let it come to rest there."""
     x = np.linspace(0.0, 1.0, 100)
     way_rad = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
     for goal_rad in (*way_rad.tolist(), *[angle_rad] * 100):
@@ -123,7 +145,27 @@ def drive(
     opener: Callable[[], Transport],
     counters: Counters | None = None,
 ) -> tuple[CaseOutcome, Columns]:
-    """Run the robot's loop; return how it ended and its ticks by column."""
+    """Run the robot's loop; return its end and its ticks by column.
+
+    Parameters
+    ----------
+    robot : CaseRobot
+        Common part of the campaign.
+    config : RobotConfig
+        Configuration of the case.
+    goals_rad : ndarray, shape (n, dof)
+        Goal of each slot.
+    slots : int
+        Slots to run.
+    clock : Clock
+        Clock of the loop.
+    host : Host
+        Faults of the host.
+    opener : callable
+        Opens the transport.
+    counters : Counters, optional
+        Kernel counters.
+    """
     try:
         bus = build_bus(config, opener(), clock, opener)
         loop = build_loop(
@@ -141,7 +183,7 @@ def drive(
 
 
 def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
-    """The study's motion, or slowly to a goal of given pulses and back."""
+    """Return the study's motion, or a slow motion to a goal of given pulses and back."""
     if setup.through_pulse is None:
         return config.goals_rad(repeated=True)
     angle_rad = MODELS[number].angle_rad(setup.through_pulse)
@@ -152,7 +194,7 @@ def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
 
 
 def outcome_of(summary: RunSummary) -> CaseOutcome:
-    """How a run ended, by its summary."""
+    """Return the end of a run from its summary."""
     causes = summary.timing.causes
     return CaseOutcome(
         summary.ended.value, summary.reason, summary.replugs, summary.telemetry_drops,

@@ -65,7 +65,7 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
         seconds = REPLUG_SECONDS if setup.replug_s else SECONDS
         process = stack.enter_context(_robot(config, scratch, seconds))
         _await(station, FaultSchedule((), seed).start, process)
-        began_ns = _do(setup, process, station, scratch, task.port)
+        began_ns = _act(setup, process, station, scratch, task.port)
         output = _end(process, station)
         time.sleep(SETTLE_S)
         servo_log = station.stop()
@@ -104,7 +104,7 @@ def _without_none(value: Any) -> Any:
 
 
 def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> None:
-    """Wait until the running robot has come to an exchange."""
+    """Wait until the running robot has reached an exchange."""
     deadline_s = time.monotonic() + _START_TIMEOUT_S
     while station.exchange < exchange:
         if process.poll() is not None or time.monotonic() > deadline_s:
@@ -113,14 +113,14 @@ def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> N
         time.sleep(1e-3)
 
 
-def _do(
+def _act(
     setup: Setup,
     process: subprocess.Popen[str],
     station: Station,
     scratch: Path,
     port: Path,
 ) -> int:
-    """Do what the set-up says; return when it began."""
+    """Carry out the set-up's actions; return the time at which they began, in ns."""
     began_ns = time.monotonic_ns()
     for pid in _recorders(process.pid):
         if setup.disk_full:
@@ -178,7 +178,7 @@ def _stopped(pid: int) -> bool:
 
 
 def _columns(log: Path) -> Columns:
-    """The ticks that the log holds; a recorder may still be finishing it."""
+    """Ticks in the log, which the recorder may still be finishing."""
     deadline_s = time.monotonic() + 1.0
     while True:
         try:

@@ -1,6 +1,6 @@
 """Emulated servos with faults in a process of their own, whose port can be unplugged.
 
-It outlives the robot that talks to it, so that it can tell what the servos did when the robot died.
+They outlive the robot, so their record covers the time after the robot's process was killed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SPAWN: Final = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class StationTask:
-    """What to be.
+    """Specification of the servos of a case.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class StationTask:
     row : FaultRow
         The fault.
     number, seed : int
-        Model of the servos; moment and bits of the fault.
+        Model of the servos; time and bits of the fault.
     kind : str
         "pty" or "socket".
     port : Path
-        Name of the port: the socket itself, or a link to the pseudo-terminal.
+        Name of the port: the socket, or a link to the pseudo-terminal.
     cpu : int
-        Processor to stay on.
+        Processor to pin the process to.
     """
 
     fmu: Path
@@ -63,7 +63,7 @@ class StationTask:
 
 @contextlib.contextmanager
 def _plugged(task: StationTask, port: Path, stop_fd: int) -> Iterator[Callable[[], int | None]]:
-    """The port under a name, for as long as it is plugged in."""
+    """Port under a name, for as long as it is plugged in."""
     if task.kind == "socket":
         with socket_endpoint(port, stop_fd) as (_, connect):
             yield connect
@@ -77,7 +77,7 @@ def _plugged(task: StationTask, port: Path, stop_fd: int) -> Iterator[Callable[[
 
 
 class _CountedScript(FaultSchedule):
-    """A script whose progress another process can see."""
+    """Fault schedule whose progress another process can read."""
 
     counter: Any
 
@@ -114,14 +114,22 @@ def _run(pipe: Connection, counter: Any, task: StationTask) -> None:
 
 
 class Station:
-    """The process; see the module's text."""
+    """Process that runs the servos of a case.
+
+    Parameters
+    ----------
+    task : StationTask
+        Servos, fault and port.
+    """
 
     def __init__(self, task: StationTask) -> None:
-        self._ours, theirs = _SPAWN.Pipe()
+        self._pipe, child_end = _SPAWN.Pipe()
         self._counter: Any = _SPAWN.RawValue("q", 0)
-        self._process = _SPAWN.Process(target=_run, args=(theirs, self._counter, task), daemon=True)
+        self._process = _SPAWN.Process(
+            target=_run, args=(child_end, self._counter, task), daemon=True
+        )
         self._process.start()
-        theirs.close()
+        child_end.close()
         self.pid: int = self._receive()
 
     @property
@@ -130,24 +138,24 @@ class Station:
         return int(self._counter.value)
 
     def _receive(self) -> Any:
-        return self._ours.recv()
+        return self._pipe.recv()
 
     def unplug(self) -> int:
-        """Take the port away; returns when that was."""
-        self._ours.send("unplug")
+        """Remove the port; return the time in ns."""
+        self._pipe.send("unplug")
         return int(self._receive())
 
     def plug(self, port: Path) -> None:
-        """Bring it back under a name."""
-        self._ours.send(port)
+        """Restore the port under a name."""
+        self._pipe.send(port)
 
     def stop(self) -> ServoLog:
         """End the process and return the servos' record."""
-        self._ours.send(None)
+        self._pipe.send(None)
         servo_log: ServoLog = self._receive()
         return servo_log
 
     def close(self) -> None:
         """End the process if it still runs."""
-        self._ours.close()
+        self._pipe.close()
         self._process.join()

@@ -21,13 +21,13 @@ from hil.faults.observation import CaseObservation, observe_case
 from hil.faults.servo_log import LoggedBus
 
 SLOTS: Final = 300
-"""Slots of a case's motion: 5.1 s, which leaves room for a stop, a replug and a recovery."""
+"""Slots of a case's motion: 5.1 s, enough for a stop, a replug and a recovery."""
 SETTLE_NS: Final = 500_000_000
-"""How long the servos are looked at after the loop has ended."""
+"""Time for which the servos are observed after the loop has ended."""
 
 
 class _DeafLine(Line):
-    """A line whose host speaks at another baud rate: the servos hear only noise."""
+    """Line whose host sends at another baud rate: the servos receive noise."""
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """See `Line.receive`."""
@@ -40,11 +40,11 @@ def run_virtual(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
     Parameters
     ----------
     robot : CaseRobot
-        What the campaign has in common.
+        Common part of the campaign.
     row : FaultRow
-        What to try.
+        The fault.
     number, seed : int
-        Model of the servos; moment and bits of the fault.
+        Model of the servos; time and bits of the fault.
     """
     physics = FmuPhysics(robot.fmu, robot.dof)
     try:

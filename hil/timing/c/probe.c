@@ -1,6 +1,7 @@
-/* Wake at absolute times and note when, how late, and what processes of ours ran meanwhile.
+/* Probe: wake at absolute times and record the time, the lateness, and the processor time that this
+ * program's own processes used meanwhile.
  *
- * In C because a probe in Python would, every 5 ms, delay the very loop that it is a witness for. */
+ * In C because a probe in Python would delay the observed loop every 5 ms. */
 #define _GNU_SOURCE
 #include <poll.h>
 #include <stdint.h>
@@ -8,7 +9,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { WAKE, LATENESS, OURS, COLUMNS };
+enum { WAKE, LATENESS, OWN, COLUMNS };
 
 static int64_t read_clock(clockid_t clock) {
     struct timespec t;
@@ -52,7 +53,7 @@ int64_t watch(int stop_fd, int64_t period_ns, const int *accounts, int count, in
         int64_t *row = rows[filled++];
         row[WAKE] = now_ns;
         row[LATENESS] = now_ns - deadline_ns;
-        row[OURS] = after_ns - before_ns;
+        row[OWN] = after_ns - before_ns;
         before_ns = after_ns;
         if (row[LATENESS] > period_ns) /* keep the phase, do not catch up */
             deadline_ns += row[LATENESS] / period_ns * period_ns;

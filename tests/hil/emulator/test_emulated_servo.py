@@ -12,7 +12,7 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from hil.emulator import packets
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
-from hil.emulator.packets import ALERT, BROADCAST, Instruction, Parser, StatusError
+from hil.emulator.packets import ALERT, BROADCAST, Instruction, PacketParser, StatusError
 
 LEGACY, PRO_A, X = 54024, 54025, 1020
 MS = 1_000_000
@@ -20,8 +20,8 @@ MS = 1_000_000
 
 def ask(bus, frame, now_ns=0):
     """Instruction in, (id, error, data) of every answer out."""
-    [packet] = Parser().feed(frame)
-    answers = [Parser().feed(reply.frame)[0] for reply in bus.execute(packet, now_ns)]
+    [packet] = PacketParser().feed(frame)
+    answers = [PacketParser().feed(reply.frame)[0] for reply in bus.execute(packet, now_ns)]
     return [(a.id, a.parameters[0], a.parameters[1:]) for a in answers]
 
 
@@ -273,7 +273,7 @@ def test_the_baud_register_sets_the_rate(bus_of, code, baud):
 
 def together(bus, ids, address, length):
     """(id, error, data) of every block of the one answer; the block CRCs are the codec's affair."""
-    [packet] = Parser().feed(packets.sync_read_packet(ids, address, length, fast=True))
+    [packet] = PacketParser().feed(packets.sync_read_packet(ids, address, length, fast=True))
     replies = bus.execute(packet, 0)
     if not replies:
         return None

@@ -29,7 +29,7 @@ from hil.emulator.line import (
     socket_endpoint,
 )
 from hil.emulator.line_faults import FaultPlan, parse_rates
-from hil.emulator.packets import BROADCAST, Instruction, Parser
+from hil.emulator.packets import BROADCAST, Instruction, PacketParser
 
 MS = 1_000_000
 
@@ -69,7 +69,7 @@ def test_a_full_adapter_does_not_wait_for_its_timer(bus_of):
     # Instruction 14 bytes, return delay, 62 bytes, at 10 µs each.
     assert answers[0][0] == (14 + 62) * 10_000 + 500_000
     assert answers[1][0] == answers[0][0] + 16 * MS, "the timer starts anew"
-    [status] = Parser().feed(b"".join(data for _, data in answers))
+    [status] = PacketParser().feed(b"".join(data for _, data in answers))
     assert len(status.parameters) == 101
 
 

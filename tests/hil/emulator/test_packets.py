@@ -8,7 +8,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from hil.emulator import packets
-from hil.emulator.packets import Instruction, Packet, Parser
+from hil.emulator.packets import Instruction, Packet, PacketParser
 
 SDK = Protocol2PacketHandler()
 
@@ -108,14 +108,14 @@ def test_the_sdk_unstuffs_once_too_often_and_we_do_not():
     data = bytes.fromhex("FFFFFD 00 FFFDFD 00")
     rxpacket, result = SDK.rxPacket(Wire(packets.status_packet(1, 0, data)), False)
     assert result == 0 and bytes(rxpacket[9 : 9 + len(data)]) != data
-    [packet] = Parser().feed(packets.status_packet(1, 0, data))
+    [packet] = PacketParser().feed(packets.status_packet(1, 0, data))
     assert packet.parameters[1:] == data
 
 
 def test_a_packet_that_the_sdk_leaves_unstuffed_is_refused():
     wire = Wire()
     SDK.write4ByteTxOnly(wire, 1, 564, -131073)
-    assert [p.intact for p in Parser().feed(wire.sent)] == [False]
+    assert [p.intact for p in PacketParser().feed(wire.sent)] == [False]
 
 
 @given(
@@ -124,7 +124,7 @@ def test_a_packet_that_the_sdk_leaves_unstuffed_is_refused():
 )
 def test_packets_survive_any_slicing_of_the_stream(messages, cuts):
     stream = b"".join(packets.encode_packet(*message) for message in messages)
-    parser, found, position = Parser(), [], 0
+    parser, found, position = PacketParser(), [], 0
     while position < len(stream):
         step = cuts[position % len(cuts)]
         found += parser.feed(stream[position : position + step])
@@ -138,7 +138,7 @@ def test_packets_survive_any_slicing_of_the_stream(messages, cuts):
 def test_a_whole_packet_is_found_behind_noise(servo_id, parameters, noise):
     assume(packets.HEADER not in noise + packets.HEADER[:3])
     whole = packets.encode_packet(servo_id, Instruction.WRITE, parameters)
-    assert Parser().feed(noise + whole) == [Packet(servo_id, Instruction.WRITE, parameters)]
+    assert PacketParser().feed(noise + whole) == [Packet(servo_id, Instruction.WRITE, parameters)]
 
 
 @given(ids, tricky, st.data())
@@ -146,7 +146,7 @@ def test_a_whole_packet_is_found_behind_a_truncated_one(servo_id, parameters, da
     whole = packets.encode_packet(servo_id, Instruction.WRITE, parameters)
     cut = data.draw(st.integers(1, len(whole) - 3))
     truncated = packets.encode_packet(7, Instruction.WRITE, bytes(len(whole)))[:cut]
-    found = [p for p in Parser().feed(truncated + whole) if p.intact]
+    found = [p for p in PacketParser().feed(truncated + whole) if p.intact]
     assert found == [Packet(servo_id, Instruction.WRITE, parameters)]
 
 
@@ -155,7 +155,7 @@ def test_no_packet_with_a_flipped_bit_is_taken_for_intact(servo_id, parameters, 
     frame = bytearray(packets.encode_packet(servo_id, Instruction.WRITE, parameters))
     bit = data.draw(st.integers(0, 8 * len(frame) - 1))
     frame[bit // 8] ^= 1 << bit % 8
-    assert not [p for p in Parser().feed(bytes(frame)) if p.intact]
+    assert not [p for p in PacketParser().feed(bytes(frame)) if p.intact]
 
 
 @pytest.mark.parametrize(

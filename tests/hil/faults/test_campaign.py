@@ -216,7 +216,7 @@ def test_a_flipped_bit_leaves_no_intact_answer_of_that_servo(kind, seed):
         script.begin_exchange((), 0)
     ((_, damaged),) = script.apply(FRAME)
     assert len(damaged) == len(FRAME)
-    assert not any(p.intact and p.id == 1 for p in packets.Parser().feed(damaged))
+    assert not any(p.intact and p.id == 1 for p in packets.PacketParser().feed(damaged))
     if kind != "other id":
         flipped = int.from_bytes(damaged, "big") ^ int.from_bytes(FRAME, "big")
         assert flipped.bit_count() == 1
