@@ -22,6 +22,7 @@ from firmware_py.errors import InputError
 from firmware_py.signals import IN_RANGE, feature_names, tick_signals, tip_names
 from models.learning.onnx_symbolic import predictor_function
 from models.plant.plant import Plant, read_plant
+from models.plant.plant_document import plant_json
 from models.plant.step_model import StepModel, Variable, names
 
 __all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
@@ -137,7 +138,7 @@ class FmuParts(NamedTuple):
         """Return the files to embed, by name; with them the FMU can be checked by itself."""
         files = {CARD: json.dumps({"kind": self.kind, "dof": self.dof}).encode()}
         if self.plant:
-            files[PLANT] = json.dumps(self.plant.document(), indent=1).encode()
+            files[PLANT] = plant_json(self.plant.document()).encode()
         if self.predictor:
             files[PREDICTOR] = self.predictor.read_bytes()
         return files

@@ -16,7 +16,7 @@ from typing import Final
 from firmware_py.documents import Document, schema_of
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
-from models.plant.plant import PlantDocument
+from models.plant.plant_document import PlantDocument
 from models.rig.conditions_record import ConditionsRecord
 from models.study.study_document import StudyDocument
 

@@ -47,7 +47,7 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.residuals import SUBSTEP_S, Residuals
 from models.gap.residuals.spectrum import Array, inverse_cosine_transform
 from models.plant.identification.simulation_fit import row_weights
-from models.plant.plant import Plant, Unit, read_plant
+from models.plant.plant import ModelKind, Plant, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
 from models.plant.step_model import names
 from models.trials.trial import Trial
@@ -70,7 +70,7 @@ def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, 
     start = estimator.at(np.zeros(len(problem.knobs)))
     values = estimator.fit(start, np.ones(len(problem.knobs), bool)).values
     (group,), (means,) = problem.groups, estimator.means
-    units: dict[Unit, CompiledModel] = {}
+    units: dict[ModelKind, CompiledModel] = {}
     for unit in ("twin", "driven"):
         model = plant_with_every_effect(plant).step_model(1, unit)
         units[unit] = CompiledModel(replace(model, max_substep_s=SUBSTEP_S))

@@ -1,6 +1,6 @@
-"""Compare a plant with trials: the twin runs each trial's goals, signal by signal.
+"""Evaluation of a plant on trials: the twin runs each trial's goals, signal by signal.
 
-Beside the end effector's error stands that of a rigid link at the measured angles, for scale.
+The error of the end effector is given beside that of a rigid link at the measured angles.
 """
 
 from __future__ import annotations

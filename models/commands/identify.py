@@ -1,7 +1,7 @@
-"""Fit a plant to trials and write it, with standard errors and held-out errors.
+"""Identification of a plant from trials, with standard errors and held-out errors.
 
-Fitted are the trials with the lowest number at the largest amplitude of each motion; the others
-are held out. A picture of both beside the measurement lies beside OUT.
+The trials with the lowest number at the largest amplitude of each motion are fitted; the others are
+held out. A figure that compares the plant with the measurement is written beside OUT.
 """
 
 from __future__ import annotations

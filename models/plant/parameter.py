@@ -1,4 +1,4 @@
-"""A parameter of the plant: its value, what it may be, and where that is known from."""
+"""Parameter of a plant: value, bounds, unit, role and source."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import msgspec
 from firmware_py.errors import InputError
 
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
-"""What `identify` does with a parameter.
+"""Treatment of a parameter by `identify`.
 
 `nuisance` differs from link to link (stiffness, mass, damping, friction) and is always fitted;
-`effect` belongs to an effect that the plant holds and is fitted with it; `calibration` maps the
-bend to what the markers see and is fitted to the Deformation Index; `fixed` is measured or known.
+`effect` belongs to an effect of the plant and is fitted with it; `calibration` maps the bend to
+the markers and is fitted to the Deformation Index; `fixed` is measured or known.
 """
 
 
@@ -24,19 +24,19 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     name : str
-        With its unit suffix, and the plane (1 or 2) where there is one per plane.
+        With its unit suffix and the plane (1 or 2) where there is one per plane.
     unit : str
-        FMI spelling, "1" for none.
+        SI unit in the spelling of FMI, "1" for none.
     value : float
         Current value.
     low, high : float
-        What is physically possible; no fit leaves these bounds.
+        Physically possible range; a fit stays within it.
     role : str
         See `Role`.
     description : str
         One phrase.
     source : str
-        Where value and bounds are from.
+        Origin of value and bounds.
     error : float or None
         Standard error of an identified value.
     """
@@ -53,7 +53,14 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:
-    """Refuse a value outside its bounds, naming the parameter.
+    """Refuse a value outside its bounds.
+
+    Parameters
+    ----------
+    where : str
+        Plant or file, for the message.
+    parameters : iterable of Parameter
+        To check.
 
     Raises
     ------

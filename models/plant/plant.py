@@ -1,20 +1,7 @@
-"""The plant document: drive, load, effects and parameters, read, checked, written, composed.
+"""Plant: drive, load, effects and parameters, composed into step models.
 
-People write TOML, `identify` writes JSON of the same form::
-
-    schema = 1
-    name = "drop-stitch link"
-    drive = { kind = "cascade" }        # models.plant.components.drives.DRIVES
-    load = { kind = "link" }            # models.plant.plant.LOADS
-    effects = [{ name = "coulomb_friction" }, …]
-    [signals.angle_1_rad]               # only where they are not those of the link
-    unit = "rad"
-    role = "measured"
-    [parameters.link_mass_kg]           # or just  link_mass_kg = 0.9  under [parameters]
-    value = 0.9
-    unit = "kg"
-    bounds = [0.3, 3.0]
-    source = "weighed"
+A plant file is read by `read_plant` and written by `Plant.write`; `models.plant.plant_document` has
+its form.
 """
 
 from __future__ import annotations
@@ -22,17 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal
+from typing import Final, Literal
 
 import msgspec
-import tomli_w
 
-from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from models.plant.components.drives import DRIVES
 from models.plant.components.link import Link
@@ -43,15 +27,25 @@ from models.plant.composition.observer import compose_observer, observer_paramet
 from models.plant.composition.twin import compose_twin
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.effects.order import in_order
-from models.plant.parameter import Parameter, Role, check_values
-from models.plant.provenance import Provenance, read_provenance
+from models.plant.parameter import Parameter, check_values
+from models.plant.plant_document import (
+    EffectEntry,
+    ParameterEntry,
+    PartKind,
+    PlantDocument,
+    read_plant_document,
+    write_plant_document,
+)
+from models.plant.provenance import Provenance
 from models.plant.scope import Scope
 from models.plant.step_model import StepModel
 from models.trials.trial import SignalRole
 
-Unit = Literal["twin", "observer", "driven"]
+__all__ = ["LOADS", "NOMINAL", "ModelKind", "Plant", "read_plant"]
+
+ModelKind = Literal["twin", "observer", "driven"]
 LOADS: Final[dict[str, type[PlantLoad]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
-"""Loads by the name that a plant document gives them."""
+"""Loads by their name in a plant document."""
 COMPOSERS: Final = {
     "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,
 }  # fmt: skip
@@ -59,46 +53,9 @@ NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
 
-class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Drive or load of a plant document, by its kind."""
-
-    kind: str
-
-
-class EffectEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Effect of a plant document, by its name in the catalogue."""
-
-    name: str
-
-
-class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Parameter of a plant document; a key that is left out keeps the default of its part."""
-
-    value: float
-    unit: str | None = None
-    bounds: tuple[float, float] | None = None
-    role: Role | None = None
-    source: str | None = None
-    error: float | None = None
-
-
-class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A plant file, TOML or JSON; see the module's text."""
-
-    MADE_BY: ClassVar[str] = "python -m models identify"
-
-    name: str
-    drive: PartKind
-    load: PartKind
-    effects: list[EffectEntry] = msgspec.field(default_factory=list)
-    signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
-    parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
-    provenance: Provenance = msgspec.field(default_factory=Provenance)
-
-
 @dataclass(frozen=True)
 class Plant:
-    """A plant: what it is made of and what its parameters are.
+    """A plant: drive, load, effects and parameters.
 
     Attributes
     ----------
@@ -107,11 +64,11 @@ class Plant:
     drive, load : str
         Their kinds.
     effects : tuple of str
-        Names of the effects that it holds.
+        Names of its effects.
     parameters : dict of str to Parameter
         All of them, for two joints where the load has two.
     expected : dict of str to Parameter
-        What is known of effects that the plant does not hold (yet).
+        Parameters of effects that the plant does not have yet, where its file gives them.
     signals : dict of str to SignalRole
         Columns of a trial where they are not the link's.
     provenance : Provenance
@@ -127,16 +84,16 @@ class Plant:
     signals: dict[str, SignalRole] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
 
-    def step_model(self, dof: int, unit: Unit = "twin") -> StepModel:
+    def step_model(self, dof: int, kind: ModelKind = "twin") -> StepModel:
         """Compose the plant for stepping.
 
         Parameters
         ----------
         dof : int
             Joints, 1 or 2.
-        unit : {"twin", "observer", "driven"}
-            Closed loop from goals; the link driven by measured angles and currents; the link
-            driven by measured angles with its payload given.
+        kind : {"twin", "observer", "driven"}
+            Closed loop from goals; link driven by measured angles and currents; link driven by
+            measured angles with its payload given.
 
         Returns
         -------
@@ -144,17 +101,30 @@ class Plant:
             Twin: inputs goal_j_rad, payload_kg; outputs angle_j_rad, current_j_a, di, tip_*_m.
             Observer: inputs angle_j_rad, current_j_a; outputs di, tip_*_m, payload_kg.
             Driven: inputs angle_j_rad, payload_kg; outputs current_j_a, di, tip_*_m.
+
+        Raises
+        ------
+        InputError
+            If the load does not have so many joints, or there is no such model of this plant.
+
+        Examples
+        --------
+        >>> model = read_plant().step_model(dof=1)
+        >>> [v.name for v in model.inputs]
+        ['goal_1_rad', 'payload_kg']
+        >>> [v.name for v in model.outputs]
+        ['angle_1_rad', 'current_1_a', 'di', 'tip_x_m', 'tip_y_m', 'tip_z_m']
         """
         if not 1 <= dof <= LOADS[self.load].max_dof:
             raise InputError("dof", f"{dof} joints for load {self.load!r}", "choose another plant")
-        if unit != "twin" and (self.load, self.drive) != ("link", "cascade"):
+        if kind != "twin" and (self.load, self.drive) != ("link", "cascade"):
             raise InputError(
                 f"plant {self.name!r}",
-                f"there is no {unit} unit for a {self.load} on a {self.drive} drive",
+                f"there is no {kind} for a {self.load} on a {self.drive} drive",
                 "use the twin",
             )  # fmt: skip
-        kinds = tuple(EFFECTS[name] for name in in_order(self.effects))
-        return _composed(self.load, self.drive, kinds, tuple(self.parameters.items()), dof, unit)
+        effects = tuple(EFFECTS[name] for name in in_order(self.effects))
+        return _composed(self.load, self.drive, effects, tuple(self.parameters.items()), dof, kind)
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -162,7 +132,20 @@ class Plant:
     def with_values(
         self, values: Mapping[str, float], errors: Mapping[str, float] | None = None
     ) -> Plant:
-        """Plant with some values changed, checked against the bounds."""
+        """Plant with some values changed.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            By name of the parameter, in its unit.
+        errors : mapping of str to float, optional
+            Standard errors, by name.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or a value lies outside its bounds.
+        """
         parameters = dict(self.parameters)
         for name, value in values.items():
             if name not in parameters:
@@ -175,21 +158,40 @@ class Plant:
         return replace(self, parameters=parameters)
 
     def with_effects(self, *names: str) -> Plant:
-        """Plant that also holds these effects, at the strength that their class gives."""
+        """Plant that also has these effects, at the default strength of their class.
+
+        Parameters
+        ----------
+        *names : str
+            Of the catalogue, or of one's own effects.
+
+        Raises
+        ------
+        InputError
+            If an effect is unknown, or the drive and the load do not allow it.
+        """
         effects = (*self.effects, *(n for n in names if n not in self.effects))
         return _complete(replace(self, effects=effects), "effects", {})
 
     def applicable(self) -> list[str]:
-        """Names of the effects that this drive and this load can hold."""
+        """Names of the effects that this drive and this load allow."""
         return applicable(DRIVES[self.drive], LOADS[self.load])
 
     def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
-        """Names of an effect's strength: one per joint, or one for all."""
+        """Names of an effect's strength parameter: one per joint, or one for all.
+
+        Parameters
+        ----------
+        effect : str
+            Name of the effect.
+        dof : int
+            Joints, 1 or 2.
+        """
         return EFFECTS[effect].strengths(_scope(self.load, dof))
 
-    def document(self) -> dict[str, Any]:
-        """Content of the plant's file, in plain types."""
-        document = PlantDocument(
+    def document(self) -> PlantDocument:
+        """Content of the plant's file."""
+        return PlantDocument(
             schema=PlantDocument.VERSION,
             name=self.name,
             drive=PartKind(self.drive),
@@ -202,50 +204,48 @@ class Plant:
             },
             provenance=self.provenance,
         )
-        plain: dict[str, Any] = msgspec.to_builtins(document)
-        return plain
 
     def sha256(self) -> str:
         """Hash of the document, for provenance."""
-        return hashlib.sha256(json.dumps(self.document(), sort_keys=True).encode()).hexdigest()
+        plain = msgspec.to_builtins(self.document())
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
     def write(self, path: Path | str) -> None:
-        """Write the document; JSON or TOML by the suffix."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = (
-            tomli_w.dumps(_without_none(self.document()))
-            if path.suffix == ".toml"
-            else json.dumps(self.document(), indent=1) + "\n"
-        )
-        path.write_text(text, encoding="utf-8")
+        """Write the plant file; JSON or TOML by the suffix.
+
+        Parameters
+        ----------
+        path : Path or str
+            `.toml`, anything else is JSON.
+        """
+        write_plant_document(self.document(), Path(path))
 
 
 def read_plant(path: Path | str = NOMINAL) -> Plant:
-    """Read a plant document (TOML or JSON).
+    """Read a plant file.
+
+    Parameters
+    ----------
+    path : Path or str
+        TOML or JSON; by default the plant before anything is identified.
 
     Raises
     ------
     InputError
-        If the file is missing or no document, a kind, an effect, a parameter or a unit is
+        If the file is missing or no plant document, a kind, an effect, a parameter or a unit is
         unknown, or a value lies outside its bounds.
+
+    Examples
+    --------
+    >>> plant = read_plant()
+    >>> plant.drive, plant.load
+    ('cascade', 'link')
+    >>> q = plant.parameters["link_mass_kg"]
+    >>> q.value, q.unit, (q.low, q.high)
+    (0.9, 'kg', (0.5, 2.0))
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        raw = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-        table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
-        document = msgspec.convert(raw, PlantDocument)
-    except OSError:
-        raise InputError(
-            path, "cannot be read", "name a plant, e.g. models/plant/nominal.toml"
-        ) from None
-    except (ValueError, msgspec.ValidationError) as error:
-        raise InputError(path, f"is no plant document ({error})", "correct it") from None
-    if document.schema != PlantDocument.VERSION:
-        raise InputError(
-            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
-        )
+    document = read_plant_document(path)
     for what, kind, known in (
         ("drive", document.drive.kind, DRIVES),
         ("load", document.load.kind, LOADS),
@@ -259,7 +259,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
         effects=tuple(e.name for e in document.effects),
         parameters={},
         signals=document.signals,
-        provenance=read_provenance(path, table),
+        provenance=document.provenance,
     )
     return _complete(plant, path, document.parameters)
 
@@ -267,9 +267,9 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
 def _complete(
     plant: Plant, where: Path | str, entries: Mapping[str, float | ParameterEntry]
 ) -> Plant:
-    """Plant with every parameter that its parts declare, the document's put over theirs.
+    """Plant with every parameter that its parts declare, replaced by the entries of a document.
 
-    A document may also say what it knows of effects that the plant could hold.
+    The entries may also be parameters of effects that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
     scope = _scope(plant.load, LOADS[plant.load].max_dof)
@@ -294,13 +294,6 @@ def _complete(
     return replace(plant, parameters=parameters, expected=expected)
 
 
-def _without_none(value: Any) -> Any:
-    """Plain document without its empty entries, which TOML has no form for."""
-    if isinstance(value, dict):
-        return {k: _without_none(v) for k, v in value.items() if v is not None}
-    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
-
-
 def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
     entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=float(given))
     if entry.unit is not None and entry.unit != q.unit:
@@ -319,14 +312,14 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
 @lru_cache(maxsize=16)  # an observer of two joints takes three seconds to compose
 def _composed(
     load: str, drive: str, effects: tuple[type[Effect], ...],
-    parameters: tuple[tuple[str, Parameter], ...], dof: int, unit: Unit,
+    parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; a `StepModel` is immutable, so it can be shared."""
     scope, held = _scope(load, dof), [effect() for effect in effects]
-    declared = _declared(scope, drive, load, held, observer=unit != "twin")
+    declared = _declared(scope, drive, load, held, observer=kind != "twin")
     known = dict(parameters)
     scope.declare([known[q.name] for q in declared])
-    return COMPOSERS[unit](f"{unit}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
+    return COMPOSERS[kind](f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
 
 
 def _scope(load: str, dof: int) -> Scope:

@@ -1,7 +1,7 @@
-"""A sampled model as CasADi functions: the one form that every consumer steps.
+"""Sampled model as CasADi functions: the form in which every other part runs a plant.
 
-The study, the identification, the FMI units and the emulated servo all see a `StepModel` and
-nothing of the physics behind it. One step of length h from t to t + h is::
+Study, identification, FMUs and the emulated servo use a `StepModel` and do not depend on the
+physics behind it. One step of length h from t to t + h is::
 
     x = begin(x, u, p, h)            # take the input samples (u holds over the step)
     for each of n = ceil(h / max_substep_s) sub-steps of dt = h / n:
@@ -9,7 +9,7 @@ nothing of the physics behind it. One step of length h from t to t + h is::
     x = finish(x, u, p, h)           # discrete updates at the end of the step
     y = output(x, u, p)
 
-A model without discrete parts has identities for `begin` and `finish`. For a unit that is driven
+A model without discrete parts has identities for `begin` and `finish`. For a model that is driven
 by measurements (the observer) u is the sample at the END of the step.
 """
 
@@ -35,7 +35,7 @@ class Variable:
     name : str
         With its unit suffix.
     unit : str
-        FMI spelling, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`).
+        SI unit in the spelling of FMI, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`).
     start : float
         Initial or nominal value.
     description : str
@@ -57,7 +57,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class StepModel:
-    """A sampled model; see the module's text for what a step does.
+    """Sampled model; the module's text defines a step.
 
     Attributes
     ----------
@@ -93,7 +93,12 @@ class StepModel:
     rate: ca.Function | None = None
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
-        """Vector p of the start values, with `changes` by name put over them.
+        """Vector p of the start values, some of them replaced.
+
+        Parameters
+        ----------
+        changes : mapping of str to float, optional
+            New values by name.
 
         Raises
         ------
@@ -113,7 +118,15 @@ class StepModel:
         return max(1, math.ceil(step_s / self.max_substep_s - 1e-9))
 
     def advance(self, x: Array, u: Array, p: Array, step_s: float) -> Array:
-        """State after one step (interpreted; the reference for every compiled form)."""
+        """State after one step, interpreted: the reference of every compiled form.
+
+        Parameters
+        ----------
+        x, u, p : ndarray
+            State, inputs and parameters.
+        step_s : float
+            Length of the step in s.
+        """
         state = self.begin(x, u, p, step_s)
         count = self.substeps(step_s)
         for _ in range(count):
@@ -154,7 +167,15 @@ def names(variables: Sequence[Variable]) -> list[str]:
 
 
 def runge_kutta(name: str, rate: ca.Function) -> ca.Function:
-    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p)."""
+    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p).
+
+    Parameters
+    ----------
+    name : str
+        Of the function.
+    rate : casadi.Function
+        (x, u, p) -> dx/dt.
+    """
     x, u, p = (ca.MX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
     h = ca.MX.sym("h")
     k1 = rate(x, u, p)

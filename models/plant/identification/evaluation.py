@@ -1,4 +1,4 @@
-"""How far a plant is from trials: the twin, driven by their goals, against what was measured."""
+"""Evaluation of a plant on trials: the twin, driven by their goals, compared with measurement."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
 
 
 class Comparison(NamedTuple):
-    """A trial beside its simulation.
+    """Trial and its simulation.
 
     Attributes
     ----------
     trial : Trial
-        What was measured.
+        As measured.
     simulated, measured : dict of str to ndarray, shape (n,)
-        Every signal that both sides have.
+        Every signal that both have.
     """
 
     trial: Trial
@@ -40,7 +40,20 @@ class Comparison(NamedTuple):
 
 
 def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
-    """Run the twin over trials: goals as they were sent, the payload as declared."""
+    """Simulate trials with the twin: goals as sent, payload as declared.
+
+    Parameters
+    ----------
+    plant : Plant
+        To simulate.
+    trials : iterable of Trial
+        Measured.
+
+    Raises
+    ------
+    InputError
+        If a trial lacks an input of the plant, or the simulation does not stay finite on it.
+    """
     compiled: dict[int, CompiledModel] = {}
     result = []
     for trial in trials:
@@ -84,7 +97,7 @@ def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
 
 
 def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
-    """The same for a link that does not bend, at the measured angles: the yardstick."""
+    """The same for a link that does not bend, at the measured angles, for comparison."""
     squares = []
     for trial in (c.trial for c in comparisons if TIP[0] in c.simulated):
         rigid = rigid_tip_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_length_m)

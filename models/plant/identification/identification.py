@@ -1,14 +1,14 @@
-"""Identify a plant: its nuisance parameters, its effects and what the markers show.
+"""Identification of a plant: nuisance parameters, effects and calibration of the markers.
 
-The trials to fit to are those that `TrialSet.split` gives; everything else is held out.
+The trials to fit to are those that `TrialSet.split` gives; all others are held out.
 
-1. Scan the stiffness: the cost at some multiples of it, so that the fit starts near the right
-   first mode and does not lock onto a wrong cycle of the vibration.
+1. Scan the stiffness: the cost at some multiples of it. The fit then starts near the right first
+   mode and does not converge to a wrong cycle of the vibration.
 2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
-   No servo loop stands in between, so a wrong gain cannot hide a wrong stiffness.
+   Without a servo loop a wrong gain cannot hide a wrong stiffness.
 3. Fit the drive and its friction: the twin, driven by the goals, to angle and current.
-4. Both again on all trials, weighted by the errors that the first round left. The first round
-   takes the trials with the fewest joints only: they are the quickest to run.
+4. Repeat both on all trials, weighted by the errors of the first round. The first round uses the
+   trials with the fewest joints only, which take the least time.
 
 A plane that no trial moved takes the values of the other: the link's section is square and the
 servos are of one type.
@@ -29,7 +29,7 @@ from models.plant.effects import EFFECTS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.simulation_fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
-from models.plant.plant import LOADS, Plant, Unit
+from models.plant.plant import LOADS, ModelKind, Plant
 from models.plant.provenance import Evaluation, Provenance
 from models.plant.scope import Scope
 from models.plant.simulation.compiled_model import Array
@@ -37,16 +37,16 @@ from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Multiples of the first stiffness that are tried."""
+"""Multiples of the first stiffness in the scan."""
 
 DRIVEN_SUBSTEP_S: Final = 2.2e-3
-"""Longest internal step of the driven link, an eighth of a control period: no dry friction."""
+"""Longest internal step of the driven link, an eighth of a period: no dry friction."""
 
 DRAWS: Final = 32
-"""Starts that are drawn for the fit of a rigid load."""
+"""Number of starts drawn for the fit of a rigid load."""
 
 FITTED_STARTS: Final = 2
-"""The best of them, from which it is fitted; from the plant as it is in any case."""
+"""Number of the best starts to fit from, beside the plant itself."""
 
 LINK_SIGNALS: Final = ("tip", "di", "current")
 DRIVE_SIGNALS: Final = ("angle", "position", "current")
@@ -56,14 +56,14 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Identification:
-    """What was found.
+    """Result of an identification.
 
     Attributes
     ----------
     plant : Plant
-        Identified; its provenance holds what this class summarises.
+        Identified, with provenance.
     fitted : tuple of Parameter
-        Parameters that the trials determined, with standard errors.
+        Fitted parameters with standard errors.
     held_out : Evaluation
         Errors on the held-out trials, or on the fitted ones where none are held out.
     """
@@ -79,7 +79,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     Parameters
     ----------
     plant : Plant
-        Where the fit starts; its values and bounds are the priors.
+        Start of the fit; its values and bounds are the priors.
     trials : TrialSet
         1DOF, 2DOF or both.
     report : callable
@@ -88,7 +88,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     Raises
     ------
     InputError
-        If the plant cannot take these trials.
+        If the trials have more joints than the plant, or lack one of its inputs.
     """
     fit, held_out = trials.split()
     planes = max(t.meta.dof for t in fit)
@@ -126,12 +126,13 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
 
 
 def _best_of_several(objective: Objective, report: Report) -> Solution:
-    """Best fit of those from the plant as it is and from draws of the prior.
+    """Best of the fits from the plant itself and from draws of the prior.
 
-    A joint that sticks makes the cost rugged: where it stops jumps as a parameter moves.
+    A joint that sticks makes the cost discontinuous: its rest position jumps as a parameter moves.
     """
     rng = np.random.default_rng(0)
-    drawn = objective.start + objective.spread * rng.standard_normal((DRAWS, len(objective.free)))
+    normal = rng.standard_normal((DRAWS, len(objective.free)))
+    drawn = objective.start + objective.prior_deviation * normal
     starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
     costs = np.array([float(r @ r) for r in (objective(start)[0] for start in starts)])
     report(f"{DRAWS} starts drawn")
@@ -149,7 +150,7 @@ def _best_of_several(objective: Objective, report: Report) -> Solution:
 def _fit_link_and_drive(
     plant: Plant, trials: Sequence[Trial], rms: dict[str, float] | None, report: Report
 ) -> tuple[Plant, dict[str, float]]:
-    """Link, then drive; the errors of an earlier round are the scales of the link's."""
+    """Fit the link, then the drive; the errors of an earlier round scale the fit of the link."""
     link, drive = _free_parameters(plant, max(t.meta.dof for t in trials))
     first = _fit_stage(plant, "driven", trials, link, LINK_SIGNALS, rms, report)
     second = _fit_stage(
@@ -212,25 +213,25 @@ def _scan_stiffness(plant: Plant, trials: Sequence[Trial], report: Report) -> Pl
 
 def _fit_stage(
     plant: Plant,
-    unit: Unit,
+    kind: ModelKind,
     trials: Sequence[Trial],
     free: Sequence[str],
     signals: Sequence[str],
     scale: dict[str, float] | None,
     report: Report,
 ) -> Solution:
-    """One fit."""
-    substep_s = DRIVEN_SUBSTEP_S if unit == "driven" else None
-    what = f"{'link' if unit == 'driven' else 'drive'}, {len(trials)} trials"
+    """Fit the free parameters of one model to some signals."""
+    substep_s = DRIVEN_SUBSTEP_S if kind == "driven" else None
+    what = f"{'link' if kind == 'driven' else 'drive'}, {len(trials)} trials"
     return fit_objective(
-        Objective(plant, unit, trials, free, signals, scale, substep_s),
+        Objective(plant, kind, trials, free, signals, scale, substep_s),
         evaluations=25, tolerance=1e-3,
         report=lambda cost: report(f"{what}: cost {cost:.4g}"),
     )  # fmt: skip
 
 
 def _with_second_plane(plant: Plant, trials: Sequence[Trial]) -> Plant:
-    """Plant whose second plane, where no trial moves it, is the first one, prebend apart."""
+    """Plant with the first plane's values in the second, prebend excepted, if no trial moves it."""
     if LOADS[plant.load].max_dof == 1 or any(t.meta.dof == 2 for t in trials):
         return plant
     parameters = dict(plant.parameters)

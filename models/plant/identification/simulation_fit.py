@@ -1,4 +1,4 @@
-"""Least squares through the simulator: residuals of a unit over trials, with exact derivatives.
+"""Least-squares fit through the simulation: residuals over trials with exact derivatives.
 
 A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
 of one: residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.plant.plant import Plant, Unit
+from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.compiled_model import (
     Array,
     CompiledModel,
@@ -30,14 +30,14 @@ from models.trials.deformation import deformation_index, edge_lengths_m
 from models.trials.trial import Trial
 
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
-"""Error that counts as one before anything is known of a signal, by its unit."""
+"""Scale of a residual before a first fit, by the unit of the signal."""
 
 CORRELATED_SAMPLES: Final = 12
 """Samples that carry the information of one, before anything is known
 (docs/sources.md, "Naming a missing effect")."""
 
 STANDSTILL_RAD_S: Final = 0.1
-"""Below this joint rate dry friction may take any value, and the current tells little."""
+"""Joint rate below which dry friction can take any value, so that the current has a low weight."""
 
 WORKERS: Final = 2
 
@@ -51,11 +51,10 @@ def measured_signals(trial: Trial) -> dict[str, Array]:
 
 
 def _balanced_index(trial: Trial) -> Array:
-    """Deformation Index that does not favour the segments which are seen more often.
+    """Deformation Index in which each of the four segments has the same weight.
 
-    The segments at the base strain most and need one marker only, the others two: a mean over the
-    lengths that are seen would rise with occlusion. Here each of the four segments counts alike;
-    without occlusion it is `deformation_index`.
+    The segments at the base strain most and need one marker, the others two, so a mean over the
+    visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
     """
     lengths = edge_lengths_m(trial)
     if np.isfinite(lengths).all():
@@ -68,7 +67,15 @@ def _balanced_index(trial: Trial) -> Array:
 
 
 def row_weights(trial: Trial, signal: str) -> Array:
-    """Square root of how much each row of a signal counts: a current by its joint's rate."""
+    """Square root of the weight of each row of a signal; a current is weighted by its joint's rate.
+
+    Parameters
+    ----------
+    trial : Trial
+        Measured.
+    signal : str
+        Name of an output.
+    """
     if not signal.startswith("current_"):
         return np.ones(len(trial))
     angle = trial.columns[signal.replace("current", "angle").replace("_a", "_rad")]
@@ -78,7 +85,7 @@ def row_weights(trial: Trial, signal: str) -> Array:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes
     ----------
@@ -99,30 +106,30 @@ class Solution:
 
 
 class Objective:
-    """Residuals of one unit of a plant over trials, as a function of some parameters.
+    """Residuals of a plant over trials, as a function of some parameters.
 
     Parameters
     ----------
     plant : Plant
-        Where the other parameters stand, and the priors of the free ones.
-    unit : str
-        "twin" or "driven".
+        Values of the other parameters and priors of the free ones.
+    kind : {"twin", "driven"}
+        Model to simulate.
     trials : sequence of Trial
         To fit to; of one or two joints.
     free : sequence of str
         Names of the parameters.
     signals : sequence of str
-        Prefixes of the outputs that count.
+        Prefixes of the outputs to compare.
     scale : mapping of str to float, optional
         Scale of each signal in place of `SCALE`.
     max_substep_s : float, optional
-        Longest internal step, where the unit is not stiff.
+        Longest internal step, where the model is not stiff.
     """
 
     def __init__(
         self,
         plant: Plant,
-        unit: Unit,
+        kind: ModelKind,
         trials: Sequence[Trial],
         free: Sequence[str],
         signals: Sequence[str],
@@ -134,7 +141,7 @@ class Objective:
         self._measured = [measured_signals(t) for t in trials]
         self._models: dict[int, tuple[CompiledModel, list[str]]] = {}
         for dof in sorted({t.meta.dof for t in trials}):
-            model = plant.step_model(dof, unit)
+            model = plant.step_model(dof, kind)
             own = [name for name in self.free if name in names(model.parameters)]
             compiled = CompiledModel(sensitivity_model(model, own, max_substep_s))
             self._models[dof] = (compiled, own)
@@ -142,19 +149,20 @@ class Objective:
         self.start = np.array([q.value for q in chosen])
         self.low = np.array([q.low for q in chosen])
         self.high = np.array([q.high for q in chosen])
-        self.spread = (self.high - self.low) / 4
+        self.prior_deviation = (self.high - self.low) / 4
         self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
-        """Residuals (n,) and their Jacobian (n, len(free)), the priors at the end."""
+        """Residuals (n,) and their Jacobian (n, len(free)); those of the priors come last."""
         key = values.tobytes()
         if key != self._last[0]:
             with ThreadPoolExecutor(WORKERS) as pool:
                 parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
-            prior = (values - self.start) / self.spread
+            prior = (values - self.start) / self.prior_deviation
             residual = np.concatenate([r for rows in parts for r, _ in rows.values()] + [prior])
             jacobian = np.concatenate(
-                [j for rows in parts for _, j in rows.values()] + [np.diag(1 / self.spread)]
+                [j for rows in parts for _, j in rows.values()]
+                + [np.diag(1 / self.prior_deviation)]
             )
             self._last = (key, residual, jacobian)
         return self._last[1], self._last[2]
@@ -171,10 +179,10 @@ class Objective:
         }
 
     def scale(self, signal: str) -> float:
-        """Error of a signal that counts as one; never less than half of `SCALE`.
+        """Scale of a signal's residual, at least half of `SCALE`.
 
-        Less would let a signal that does not move (the end effector across a single joint's
-        plane) outweigh all others as soon as it does.
+        With less a signal that hardly moves (the end effector across a single joint's plane)
+        would outweigh all others.
         """
         outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
         default = SCALE[next(v.unit for v in outputs if v.name == signal)]
@@ -216,11 +224,11 @@ def fit_objective(
     Parameters
     ----------
     objective : Objective
-        What to fit.
+        Residuals to minimise.
     start : ndarray, optional
-        First values; the plant's by default.
+        Start values; the plant's by default.
     evaluations : int
-        Most runs of all trials.
+        Largest number of runs of all trials.
     tolerance : float
         Relative change of the cost that ends the fit.
     report : callable
@@ -252,6 +260,12 @@ def fit_objective(
 
 
 def standard_errors(jacobian: Array) -> Array:
-    """Standard errors from scaled residuals' Jacobian: the roots of diag((J'J)⁻¹)."""
+    """Standard errors from the Jacobian of scaled residuals: the roots of diag((J'J)⁻¹).
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (n, k)
+        Of rank k.
+    """
     _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
     return np.asarray(np.sqrt(np.sum((rows.T / np.maximum(singular, 1e-12)) ** 2, axis=1)))

@@ -1,4 +1,4 @@
-"""Run a `StepModel` fast: compiled to C, a whole trial in one call.
+"""Compiled form of a `StepModel`: C code that runs a whole trial in one call.
 
 The compiled run equals the interpreted `StepModel.simulate` to rounding (CasADi generates the same
 operations; docs/sources.md, "FMI"). Libraries are cached by content, so a plant is compiled once.
@@ -33,7 +33,7 @@ class CompiledModel:
     Parameters
     ----------
     model : StepModel
-        What to compile.
+        To compile.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class CompiledModel:
             self._library = ctypes.CDLL(str(path))
 
     def start(self, u: Array, p: Array) -> Array:
-        """State at rest under the inputs u."""
+        """Initial state under inputs u of shape (len(inputs),) and parameters p."""
         x = np.empty(len(self.model.states))
         self._call("start", np.ascontiguousarray(u, dtype=np.float64), p, x)
         return x
@@ -63,7 +63,32 @@ class CompiledModel:
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
     ) -> Array:
-        """Outputs at the start and after each step; as `StepModel.simulate`."""
+        """Outputs at the start and after each step.
+
+        Parameters
+        ----------
+        u, step_s, p, x
+            As for `StepModel.simulate`.
+
+        Returns
+        -------
+        ndarray, shape (n + 1, len(outputs))
+            Row k is the output at k * step_s.
+
+        Raises
+        ------
+        MemoryError
+            If the library runs out of memory.
+
+        Examples
+        --------
+        >>> from models.plant.plant import read_plant
+        >>> compiled = CompiledModel(read_plant().step_model(dof=1))
+        >>> goal_rad, payload_kg = 0.1, 1.0
+        >>> y = compiled.simulate(np.tile([goal_rad, payload_kg], (100, 1)), step_s=0.017)
+        >>> y.shape
+        (101, 6)
+        """
         u = np.ascontiguousarray(u, dtype=np.float64)
         p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
         x = self.start(u[0], p) if x is None else np.array(x, dtype=np.float64)
@@ -81,7 +106,7 @@ class CompiledModel:
 def sensitivity_model(
     model: StepModel, wrt: list[str], max_substep_s: float | None = None
 ) -> StepModel:
-    """Model that also carries the exact derivatives of its run by some parameters.
+    """Model extended by the exact derivatives of its run with respect to some parameters.
 
     The states are x and S = dx/dp (column by column), the outputs y and dy/dp; S follows the
     variational equation Ṡ = f_x S + f_p, integrated by the same Runge–Kutta steps, so it is the
@@ -103,12 +128,12 @@ def sensitivity_model(
     z = ca.MX.sym("z", nx * (1 + nw))
     u, p = ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
     h = ca.MX.sym("h")
-    x, spread = z[:nx], ca.reshape(z[nx:], nx, nw)
+    x, slope = z[:nx], ca.reshape(z[nx:], nx, nw)
 
     def extend(function: Any, what: str, *time: Any) -> Any:
         """Result of a function, and its derivatives along the run."""
         value, by_x, by_p = _derivatives(function)(x, u, p, *time)
-        along = by_x @ spread + by_p[:, index]
+        along = by_x @ slope + by_p[:, index]
         stacked = ca.vertcat(value, ca.vec(ca.densify(along)))
         return ca.Function(f"{what}_{nw}", [z, u, p, *time], [stacked])
 
@@ -148,7 +173,15 @@ def _derivatives(function: Any) -> Any:
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
-    """Parameter vector with the trial's geometry, conditions and start put over the plant's."""
+    """Parameter vector: the plant's values, replaced by the trial's geometry, conditions and start.
+
+    Parameters
+    ----------
+    model : StepModel
+        With the plant's values as start values.
+    trial : Trial
+        Measured.
+    """
     own = {
         name: getattr(trial.meta, name)
         for name in ("base_offset_m", "link_length_m", "link_width_m")
@@ -167,6 +200,22 @@ def model_inputs(model: StepModel, trial: Trial) -> Array:
     """Inputs of a model from a trial's columns; the payload is the declared one.
 
     A drive is enabled where no column says otherwise.
+
+    Parameters
+    ----------
+    model : StepModel
+        With inputs named like the columns.
+    trial : Trial
+        Measured.
+
+    Returns
+    -------
+    ndarray, shape (n, len(inputs))
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
     """
     columns = dict(trial.columns)
     for j in range(1, trial.meta.dof + 1):
@@ -186,6 +235,20 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
 
     A twin is driven by the goal that was sent after a row until the next; a model driven by
     measurement takes the sample at the end of each step.
+
+    Parameters
+    ----------
+    compiled : CompiledModel
+        Of a plant.
+    trial : Trial
+        With the columns of the model's inputs.
+    p : ndarray, optional
+        Parameters; by default those of `trial_parameters`.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
     """
     u = model_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p

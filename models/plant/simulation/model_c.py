@@ -1,4 +1,4 @@
-"""Write the functions of a `StepModel` as C."""
+"""C code of the functions of a `StepModel`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 
 
 def write_model_c(model: StepModel, directory: Path) -> Path:
-    """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the former.
+    """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
 
     The functions take and give dense vectors, whatever sparsity CasADi found.
     """

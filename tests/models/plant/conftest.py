@@ -29,8 +29,8 @@ class Bench:
         return replace(nominal, effects=(), parameters=kept).with_effects(*effects)
 
     @functools.cache  # noqa: B019 (one bench per session)
-    def compiled(self, effects, dof=1, unit="twin"):
-        return CompiledModel(self.plant(*effects).step_model(dof, unit))
+    def compiled(self, effects, dof=1, kind="twin"):
+        return CompiledModel(self.plant(*effects).step_model(dof, kind))
 
     def inputs(self, model, count, goal=None, payload_kg=1.0):
         """Inputs by name; angles and currents of a measured unit are made up."""
@@ -42,9 +42,9 @@ class Bench:
             known[f"current_{j}_a"] = 3.0 * share * goal
         return np.column_stack([known[name] for name in names(model.inputs)])
 
-    def run(self, effects, changes=None, *, dof=1, unit="twin", count=300, **conditions):
+    def run(self, effects, changes=None, *, dof=1, kind="twin", count=300, **conditions):
         """Outputs by name."""
-        compiled = self.compiled(tuple(effects), dof, unit)
+        compiled = self.compiled(tuple(effects), dof, kind)
         u = self.inputs(compiled.model, count, **conditions)
         p = compiled.model.parameter_values(changes or {})
         y = compiled.simulate(u, STEP_S, p)
@@ -82,8 +82,8 @@ class _Hashed:
     def __eq__(self, other):
         return self.key == other.key
 
-    def step_model(self, dof, unit):
-        return self.plant.step_model(dof, unit)
+    def step_model(self, dof, kind):
+        return self.plant.step_model(dof, kind)
 
 
 @pytest.fixture(scope="session")

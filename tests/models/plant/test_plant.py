@@ -2,6 +2,7 @@
 
 import json
 
+import msgspec
 import pytest
 
 from firmware_py.errors import InputError
@@ -51,7 +52,7 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
 
 
 def edited(tmp_path, change):
-    document = json.loads(json.dumps(read_plant().document()))
+    document = json.loads(msgspec.json.encode(read_plant().document()))
     change(document)
     path = tmp_path / "plant.json"
     path.write_text(json.dumps(document))

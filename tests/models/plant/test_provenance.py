@@ -14,7 +14,7 @@ EXAMPLES = sorted((NOMINAL.parent / "examples").glob("*_identified.json"))
 
 
 def with_table(tmp_path, table):
-    document = read_plant().document() | {"provenance": table}
+    document = msgspec.to_builtins(read_plant().document()) | {"provenance": table}
     path = tmp_path / "plant.json"
     path.write_text(json.dumps(document))
     return path

@@ -2,6 +2,7 @@
 
 import json
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.special import ellipk
@@ -88,7 +89,7 @@ def test_what_a_load_cannot_do_is_refused(plant_of):
     plant = plant_of("duty", "pendulum", PENDULUM)
     with pytest.raises(InputError, match="2 joints for load 'pendulum'"):
         plant.step_model(2)
-    with pytest.raises(InputError, match="no observer unit for a pendulum on a duty drive"):
+    with pytest.raises(InputError, match="no observer for a pendulum on a duty drive"):
         plant.step_model(1, "observer")
 
 
@@ -151,7 +152,7 @@ def test_the_current_of_a_duty_drive_stays_within_what_saturation_leaves_of_its_
 def test_what_a_document_knows_of_an_effect_holds_once_the_plant_holds_it(plant_of, tmp_path):
     plant = plant_of("duty", "pendulum", SERVO, ["viscous_friction"])
     path = tmp_path / "with.json"
-    document = plant.document()
+    document = msgspec.to_builtins(plant.document())
     document["parameters"]["stribeck_load_1"] = {
         "value": 0.0, "bounds": [0.0, 0.4], "role": "effect"
     }  # fmt: skip

@@ -45,8 +45,8 @@ def test_every_effect_is_documented_bounded_and_absent_by_default():
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("dof", [1, 2])
 def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
-    without = bench.run((), dof=dof, unit=unit, count=120)
-    holding = bench.run(ALL, dof=dof, unit=unit, count=120)
+    without = bench.run((), dof=dof, kind=unit, count=120)
+    holding = bench.run(ALL, dof=dof, kind=unit, count=120)
     for output, values in without.items():
         assert np.array_equal(values, holding[output]), output
 

@@ -66,7 +66,7 @@ def test_torque_constant_drift_scales_the_current(bench):
 
 def friction_nm(bench, effect, changes):
     """Extra torque of a driven run, and its rate; the link itself does not notice."""
-    before, after = (bench.run([effect], c, unit="driven") for c in ({}, changes))
+    before, after = (bench.run([effect], c, kind="driven") for c in ({}, changes))
     assert np.array_equal(after["tip_x_m"], before["tip_x_m"])
     angle = bench.inputs(bench.compiled((effect,), 1, "driven").model, 300)[:, 0]
     rate = np.gradient(np.r_[angle[0], angle], bench.step_s)
@@ -89,7 +89,7 @@ def test_load_dependent_friction_grows_with_the_payload(bench):
     loss = []
     for payload_kg in (0.0, 2.0):
         runs = [
-            bench.run(["load_dependent_friction"], c, unit="driven", payload_kg=payload_kg)
+            bench.run(["load_dependent_friction"], c, kind="driven", payload_kg=payload_kg)
             for c in ({}, share)
         ]
         loss.append(np.abs(runs[1]["current_1_a"] - runs[0]["current_1_a"]).mean())
@@ -181,7 +181,7 @@ def test_drag_takes_energy_and_grows_with_the_square(bench):
     for amplitude in (0.2, 0.4):
         goal = amplitude * np.sin(2 * time_s)
         runs = [
-            bench.run(["aerodynamic_drag"], {"aerodynamic_drag_nm": c}, unit="driven", goal=goal)
+            bench.run(["aerodynamic_drag"], {"aerodynamic_drag_nm": c}, kind="driven", goal=goal)
             for c in (0.0, 1.0)
         ]
         extra_nm = 6.83 * (runs[1]["current_1_a"] - runs[0]["current_1_a"])[1:]

@@ -1,0 +1,165 @@
+"""Plant document: the content of a plant file, TOML or JSON.
+
+People write TOML; `identify` and `gap` write JSON of the same form::
+
+    schema = 1
+    name = "drop-stitch link"
+    drive = { kind = "cascade" }        # models.plant.components.drives.DRIVES
+    load = { kind = "link" }            # models.plant.plant.LOADS
+    effects = [{ name = "coulomb_friction" }, …]
+    [signals.angle_1_rad]               # only for a plant that is not the link
+    unit = "rad"
+    role = "measured"
+    [parameters.link_mass_kg]           # or just  link_mass_kg = 0.9  under [parameters]
+    value = 0.9
+    unit = "kg"
+    bounds = [0.3, 3.0]
+    source = "weighed"
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import tomli_w
+
+from firmware_py.documents import Document
+from firmware_py.errors import InputError
+from models.plant.parameter import Role
+from models.plant.provenance import Provenance, read_provenance
+from models.trials.trial import SignalRole
+
+
+class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Drive or load of a plant document, by its kind."""
+
+    kind: str
+
+
+class EffectEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Effect of a plant document, by its name in the catalogue."""
+
+    name: str
+
+
+class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Parameter of a plant document; a key that is left out keeps the default of its part.
+
+    Attributes
+    ----------
+    value : float
+        In `unit`.
+    unit : str or None
+        SI unit in the spelling of FMI, "1" for none.
+    bounds : tuple of float or None
+        Least and largest value.
+    role : str or None
+        See `models.plant.parameter.Role`.
+    source : str or None
+        Origin of value and bounds.
+    error : float or None
+        Standard error of an identified value.
+    """
+
+    value: float
+    unit: str | None = None
+    bounds: tuple[float, float] | None = None
+    role: Role | None = None
+    source: str | None = None
+    error: float | None = None
+
+
+class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A plant file.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    drive, load : PartKind
+        Parts of the plant.
+    effects : list of EffectEntry
+        In any order.
+    signals : dict of str to SignalRole
+        Columns and conditions of its trials; empty for the link.
+    parameters : dict of str to ParameterEntry or float
+        Of the parts and of effects that the plant may get.
+    provenance : Provenance
+        Origin of the values.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m models identify"
+
+    name: str
+    drive: PartKind
+    load: PartKind
+    effects: list[EffectEntry] = msgspec.field(default_factory=list)
+    signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
+    parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
+    provenance: Provenance = msgspec.field(default_factory=Provenance)
+
+
+def read_plant_document(path: Path) -> PlantDocument:
+    """Read a plant file; JSON or TOML by the suffix.
+
+    Parameters
+    ----------
+    path : Path
+        `.json`, anything else is TOML.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no plant document, or is one of another version.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        raw = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
+        document = msgspec.convert(raw, PlantDocument)
+    except OSError:
+        raise InputError(
+            path, "cannot be read", "name a plant, e.g. models/plant/nominal.toml"
+        ) from None
+    except (ValueError, msgspec.ValidationError) as error:
+        raise InputError(path, f"is no plant document ({error})", "correct it") from None
+    if document.schema != PlantDocument.VERSION:
+        raise InputError(
+            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
+        )
+    return msgspec.structs.replace(document, provenance=read_provenance(path, table))
+
+
+def write_plant_document(document: PlantDocument, path: Path) -> None:
+    """Write a plant file; JSON or TOML by the suffix.
+
+    Parameters
+    ----------
+    document : PlantDocument
+        To write.
+    path : Path
+        `.toml`, anything else is JSON; its directory is made if need be.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = (
+        tomli_w.dumps(_without_none(msgspec.to_builtins(document)))
+        if path.suffix == ".toml"
+        else plant_json(document) + "\n"
+    )
+    path.write_text(text, encoding="utf-8")
+
+
+def plant_json(document: PlantDocument) -> str:
+    """Text of a plant file in JSON."""
+    return json.dumps(msgspec.to_builtins(document), indent=1)
+
+
+def _without_none(value: Any) -> Any:
+    """Plain document without its null values, which TOML cannot express."""
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
