@@ -8,7 +8,7 @@ import pytest
 from fmu.fmu_builder import HEADERS, PLATFORMS, WRAPPER, build_fmu
 from fmu.interface import interface_of
 from fmu.variables_c import write_variables
-from models.plant.simulation.model_c import write_model
+from models.plant.simulation.model_c import write_model_c
 from models.shared.c_compiler import CACHE, compile_library
 
 
@@ -42,7 +42,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-parameter", "-Werror")
 def test_our_c_compiles_without_a_warning(toy, tmp_path, fmi):
     """The generated equations are CasADi's and are left out."""
     interface = interface_of(toy)
-    write_model(toy, tmp_path)
+    write_model_c(toy, tmp_path)
     variables_c = write_variables(toy, interface, "{token}", tmp_path)
     sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "fmu_core.c", variables_c]
     include = [WRAPPER, tmp_path, HEADERS]
