@@ -1,15 +1,17 @@
-"""Summary of a run: end, faults, timing."""
+"""Summary of a run: end, faults, timing; and the document that holds it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.realtime.timing import Timing
+from firmware_py.documents import Document, read_document, write_document
+from firmware_py.realtime.timing import Timing, TimingSummary
 
 
 class Ended(Enum):
@@ -62,16 +64,80 @@ class RunSummary:
     replugs: int = 0
     released: bool = True
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return everything but the records, for JSON."""
-        return {
-            "ended": self.ended.value,
-            "reason": self.reason,
-            "ticks": self.ticks,
-            "bus_faults": self.bus_faults,
-            "out_of_range": self.out_of_range,
-            "telemetry_drops": self.telemetry_drops,
-            "replugs": self.replugs,
-            "released": self.released,
-            "timing": self.timing.summary(),
-        }
+    def document(self, log: Path | None, bus_plan: str) -> RunDocument:
+        """Return everything but the records as a document.
+
+        Parameters
+        ----------
+        log : Path or None
+            Log of the run, where one was written.
+        bus_plan : str
+            Name of the plan by which the servos were read.
+        """
+        return RunDocument(
+            schema=RunDocument.VERSION, ended=self.ended.value, reason=self.reason,
+            ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
+            telemetry_drops=self.telemetry_drops, replugs=self.replugs, released=self.released,
+            timing=self.timing.summary(), log=str(log) if log else None, bus_plan=bus_plan,
+        )  # fmt: skip
+
+
+class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Summary of a run as `dropstitch run` writes it beside the log, `NAME.timing.json`.
+
+    Attributes
+    ----------
+    ended : {"finished", "signalled", "tripped"}
+        Kind of end.
+    reason, ticks, bus_faults, out_of_range, telemetry_drops, replugs, released
+        See `RunSummary`.
+    timing : TimingSummary
+        Durations and misses.
+    log : str or None
+        Log of the run, where one was written.
+    bus_plan : str
+        Name of the plan by which the servos were read.
+    """
+
+    MADE_BY: ClassVar[str] = "dropstitch run"
+
+    ended: Literal["finished", "signalled", "tripped"]
+    reason: str
+    ticks: int
+    bus_faults: dict[str, int]
+    out_of_range: int
+    telemetry_drops: int
+    replugs: int
+    released: bool
+    timing: TimingSummary
+    log: str | None
+    bus_plan: str
+
+
+def read_run(path: Path) -> RunDocument:
+    """Read the summary of a run.
+
+    Parameters
+    ----------
+    path : Path
+        The file `NAME.timing.json`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, of another version, or no summary of a run.
+    """
+    return read_document(path, RunDocument)
+
+
+def write_run(path: Path, document: RunDocument) -> None:
+    """Write the summary of a run.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    document : RunDocument
+        The summary.
+    """
+    write_document(path, document)

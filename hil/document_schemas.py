@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.documents import Document, schema_of
+from firmware_py.summary import RunDocument
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
 from models.plant.plant_document import PlantDocument
@@ -21,6 +22,7 @@ from models.rig.conditions_record import ConditionsRecord
 from models.study.study_document import StudyDocument
 
 DOCUMENTS: Final[dict[str, type[Document]]] = {
+    "run": RunDocument,
     "rig_conditions": ConditionsRecord,
     "faults": FaultsDocument,
     "plant": PlantDocument,

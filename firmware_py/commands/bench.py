@@ -11,6 +11,7 @@ import contextlib
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from firmware_py.bus.loopback import LoopbackTransport
@@ -77,20 +78,21 @@ def run(args: argparse.Namespace) -> int:
     ):
         summary = build_loop(config, models, bus, clock, slots=slots, counters=counters).run()
     stages = {name: summary.timing.stages[name].summary() for name in (*STAGES, "busy", "own")}
-    good = stages["own"]["p99_ns"] <= LIMIT_NS
+    good = stages["own"].p99_ns <= LIMIT_NS
     lines = [f"{'stage':>10} {'p50':>8} {'p99':>8} {'max':>8}  µs"]
     lines += [
-        f"{name:>10} " + " ".join(f"{s[key] / 1e3:8.1f}" for key in ("p50_ns", "p99_ns", "max_ns"))
+        f"{name:>10} " + " ".join(f"{ns / 1e3:8.1f}" for ns in (s.p50_ns, s.p99_ns, s.max_ns))
         for name, s in stages.items()
     ]
     lines += [f"note: {sentence}" for sentence in refused]
     lines.append(
-        f"own cost p99 {stages['own']['p99_ns'] / 1e3:.0f} µs of at most {LIMIT_NS / 1e3:.0f} µs "
+        f"own cost p99 {stages['own'].p99_ns / 1e3:.0f} µs of at most {LIMIT_NS / 1e3:.0f} µs "
         f"in {summary.ticks} ticks, {summary.timing.misses} slots missed: "
         + ("good" if good else "too much")
     )
-    result = summary.as_dict() | {"dof": dof, "limit_own_p99_ns": LIMIT_NS, "good": good}
-    emit(args, result, "\n".join(lines))
+    document = summary.document(None, bus.plan.name)
+    verdict = {"dof": dof, "limit_own_p99_ns": LIMIT_NS, "good": good}
+    emit(args, msgspec.to_builtins(document) | verdict, "\n".join(lines))
     return DONE if good else NEGATIVE
 
 

@@ -11,14 +11,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 import sys
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -33,7 +31,7 @@ from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.service import SystemdService
 from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
-from firmware_py.summary import Ended, RunSummary
+from firmware_py.summary import Ended, RunDocument, RunSummary, write_run
 
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 
@@ -81,19 +79,23 @@ def run(args: argparse.Namespace) -> int:
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
         summary = loop.run()
-    result = summary.as_dict() | {"log": str(log) if log else None, "bus_plan": bus.plan.name}
+    document = summary.document(log, bus.plan.name)
     if log is not None:
-        _write_timing(log.with_suffix(".timing.json"), result)
-    emit(args, result, f"{describe(summary, log)}\nservos were read by {bus.plan.name}")
+        _write_summary(log.with_suffix(".timing.json"), document)
+    emit(
+        args,
+        msgspec.to_builtins(document),
+        f"{describe(summary, log)}\nservos were read by {bus.plan.name}",
+    )
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return DONE
 
 
-def _write_timing(path: Path, result: dict[str, Any]) -> None:
+def _write_summary(path: Path, document: RunDocument) -> None:
     """Write the summary beside the log; a full disk must not hide how the run ended."""
     try:
-        path.write_text(json.dumps(result, indent=1), encoding="utf-8")
+        write_run(path, document)
     except OSError as error:
         print(f"dropstitch: {path}: cannot be written ({error.strerror})", file=sys.stderr)
 
@@ -142,9 +144,9 @@ def describe(summary: RunSummary, log: Path | None) -> str:
     lines = [
         f"{summary.ended.value}: {summary.reason}",
         f"{summary.ticks} ticks, {summary.timing.misses} slots missed, bus faults: {faults}",
-        f"tick p50 {busy['p50_ns'] / 1e3:.0f} µs, p99 {busy['p99_ns'] / 1e3:.0f} µs, "
-        f"max {busy['max_ns'] / 1e3:.0f} µs; own cost p50 {own['p50_ns'] / 1e3:.0f} µs, "
-        f"p99 {own['p99_ns'] / 1e3:.0f} µs",
+        f"tick p50 {busy.p50_ns / 1e3:.0f} µs, p99 {busy.p99_ns / 1e3:.0f} µs, "
+        f"max {busy.max_ns / 1e3:.0f} µs; own cost p50 {own.p50_ns / 1e3:.0f} µs, "
+        f"p99 {own.p99_ns / 1e3:.0f} µs",
     ]
     if summary.replugs:
         lines.append(f"continued {summary.replugs} times after the port had gone")

@@ -9,8 +9,11 @@ import os
 import threading
 from collections.abc import Iterable
 from enum import Enum
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
+import msgspec
+
+from firmware_py.realtime.percentiles import FRACTIONS, Percentiles
 from firmware_py.signals import STAGES
 
 _SUB_BITS: Final = 6
@@ -72,15 +75,10 @@ class Histogram:
                 return min(_upper_end_ns(bucket), self.max_ns)
         return 0
 
-    def summary(self) -> dict[str, int]:
-        """Return count, percentiles and maximum, as `timing.json` has them."""
-        return {
-            "n": self.count,
-            "p50_ns": self.percentile_ns(0.5),
-            "p99_ns": self.percentile_ns(0.99),
-            "p99_9_ns": self.percentile_ns(0.999),
-            "max_ns": self.max_ns,
-        }
+    def summary(self) -> Percentiles:
+        """Return count, percentiles and maximum; zeros where nothing was counted."""
+        fields = {name: self.percentile_ns(level) for name, level in FRACTIONS.items()}
+        return Percentiles(n=self.count, max_ns=self.max_ns, **fields)
 
 
 def _upper_end_ns(bucket: int) -> int:
@@ -186,6 +184,30 @@ def cause_of_miss(
     return max(parts, key=lambda cause: parts[cause])
 
 
+class TimingSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Timing statistics of a run.
+
+    Attributes
+    ----------
+    stages : dict of str to Percentiles
+        By stage, and "lateness", "busy" and "own", see `Timing`.
+    misses : int
+        Slots missed.
+    longest_run_of_misses : int
+        Largest number of slots missed in a row.
+    causes : dict of str to int
+        Slots missed by cause.
+    miss_rate_upper_bound_95 : float
+        See `miss_rate_bound`.
+    """
+
+    stages: dict[str, Percentiles]
+    misses: int
+    longest_run_of_misses: int
+    causes: dict[str, int]
+    miss_rate_upper_bound_95: float
+
+
 class Timing:
     """Timing of a run in constant memory: a histogram per stage, and the misses by cause.
 
@@ -236,16 +258,16 @@ class Timing:
         self.longest_run = max(self.longest_run, slots)
         self.causes[cause] += slots
 
-    def summary(self) -> dict[str, Any]:
-        """Return everything, as `timing.json` has it."""
+    def summary(self) -> TimingSummary:
+        """Return the statistics so far."""
         ticks = self.stages["busy"].count
-        return {
-            "stages": {name: histogram.summary() for name, histogram in self.stages.items()},
-            "misses": self.misses,
-            "longest_run_of_misses": self.longest_run,
-            "causes": {cause.value: count for cause, count in self.causes.items()},
-            "miss_rate_upper_bound_95": miss_rate_bound(self.misses, ticks + self.misses),
-        }
+        return TimingSummary(
+            stages={name: histogram.summary() for name, histogram in self.stages.items()},
+            misses=self.misses,
+            longest_run_of_misses=self.longest_run,
+            causes={cause.value: count for cause, count in self.causes.items()},
+            miss_rate_upper_bound_95=miss_rate_bound(self.misses, ticks + self.misses),
+        )
 
 
 def miss_rate_bound(misses: int, slots: int) -> float:

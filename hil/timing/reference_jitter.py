@@ -17,8 +17,8 @@ from typing import Final
 
 import msgspec
 
+from firmware_py.realtime.percentiles import FRACTIONS, Percentiles
 from hil.timing.cpu_accounts import PROBE_PRIORITY, ProbeRecord
-from hil.timing.percentiles import FRACTIONS, Percentiles
 
 _HISTOGRAM_US: Final = 20_000
 _PATIENCE_S: Final = 5.0

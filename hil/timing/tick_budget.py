@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.realtime.percentiles import LABELS, Nanoseconds, Percentiles
 from firmware_py.signals import STAGES
-from hil.timing.percentiles import LABELS, Nanoseconds, Percentiles
 
 __all__ = ["PlanTimes", "TickBudget", "describe_budget", "measure_budget", "plan_times"]
 

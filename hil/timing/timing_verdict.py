@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.documents import Document
+from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.signals import STAGES
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_after_miss
-from hil.timing.percentiles import Nanoseconds, Percentiles
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 __all__ = ["TimingVerdict", "judge_timing", "timing_junit"]

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binomtest
 
+from firmware_py.realtime.percentiles import Percentiles
 from firmware_py.realtime.timing import (
     Cause,
     Histogram,
@@ -33,8 +34,8 @@ def test_maximum_and_count_are_exact():
     histogram = Histogram()
     for value in (3, 1_234_567_891, 17):
         histogram.add(value)
-    assert histogram.summary()["n"] == 3
-    assert histogram.summary()["max_ns"] == histogram.percentile_ns(1.0) == 1_234_567_891
+    assert histogram.summary().n == 3
+    assert histogram.summary().max_ns == histogram.percentile_ns(1.0) == 1_234_567_891
 
 
 def test_what_no_bucket_holds_is_counted_all_the_same():
@@ -46,9 +47,7 @@ def test_what_no_bucket_holds_is_counted_all_the_same():
 
 
 def test_nothing_measured_is_zero():
-    assert Histogram().summary() == dict.fromkeys(
-        ("n", "p50_ns", "p99_ns", "p99_9_ns", "max_ns"), 0
-    )
+    assert Histogram().summary() == Percentiles(n=0, p50_ns=0, p99_ns=0, p99_9_ns=0, max_ns=0)
 
 
 @pytest.mark.parametrize(
@@ -74,9 +73,9 @@ def test_misses_are_counted_by_slot_and_cause():
     timing.miss(3, Cause.BUS_WAIT)
     timing.miss(1, Cause.PREEMPTED)
     summary = timing.summary()
-    assert (summary["misses"], summary["longest_run_of_misses"]) == (4, 3)
-    assert summary["causes"] == {"own compute": 0, "bus wait": 3, "preempted by the host": 1}
-    assert summary["stages"]["own"]["max_ns"] == 23
+    assert (summary.misses, summary.longest_run_of_misses) == (4, 3)
+    assert summary.causes == {"own compute": 0, "bus wait": 3, "preempted by the host": 1}
+    assert summary.stages["own"].max_ns == 23
 
 
 @given(st.integers(1, 5000), st.data())

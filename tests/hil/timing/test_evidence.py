@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from firmware_py.bus.bus_plan import plans
 from firmware_py.bus.registers import PRO_P
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.realtime.percentiles import Percentiles
 from firmware_py.signals import STAGES, tick_dtype
 from hil.timing import reference_jitter, tick_budget, timeline
 from hil.timing.cpu_accounts import ProbeRecord
 from hil.timing.hdr_histogram import write_hgrm
-from hil.timing.percentiles import Percentiles
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS

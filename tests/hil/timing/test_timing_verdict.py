@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.realtime.percentiles import Percentiles
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
 from hil.timing import timing_verdict
 from hil.timing.cpu_accounts import PROBE_PERIOD_NS, ProbeRecord, Releases
-from hil.timing.percentiles import Percentiles
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS
