@@ -14,11 +14,11 @@ from firmware_py.bus.bus_plan import Plan
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
-from firmware_py.realtime.doctor_checks import Verdict, examine
+from firmware_py.realtime.doctor_checks import Severity, examine
 
 EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 
-_MARKS = {Verdict.GOOD: "  ", Verdict.NOTE: "? ", Verdict.SPOILS: "! "}
+_MARKS = {Severity.GOOD: "  ", Severity.NOTE: "? ", Severity.SPOILS: "! "}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _machine(args: argparse.Namespace) -> int:
     findings = examine()
-    good = all(finding.verdict is not Verdict.SPOILS for finding in findings)
+    good = all(finding.verdict is not Severity.SPOILS for finding in findings)
     lines = []
     for finding in findings:
         lines.append(f"{_MARKS[finding.verdict]}{finding.name}: {finding.found}")

@@ -25,7 +25,7 @@ _LATENCY_LIMIT_MS: Final = 1
 _TEST_PRIORITY: Final = 50
 
 
-class Verdict(Enum):
+class Severity(Enum):
     """Effect of a finding on the timing."""
 
     GOOD = "good"
@@ -42,7 +42,7 @@ class Finding(NamedTuple):
     ----------
     name : str
         Name of the check.
-    verdict : Verdict
+    verdict : Severity
         Effect on the timing.
     found : str
         What was found.
@@ -51,7 +51,7 @@ class Finding(NamedTuple):
     """
 
     name: str
-    verdict: Verdict
+    verdict: Severity
     found: str
     remedy: str = ""
 
@@ -98,14 +98,14 @@ def _latency_timer(root: Path) -> Finding:
     if slow:
         found = ", ".join(f"{device} {value} ms" for device, value in slow.items())
         return Finding(
-            name, Verdict.SPOILS, found,
+            name, Severity.SPOILS, found,
             "run 'dropstitch install-service' for a udev rule, or at once: "
             f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{next(iter(slow))}/latency_timer",
         )  # fmt: skip
     if not files:
-        return Finding(name, Verdict.NOTE, "no USB serial adapter is plugged in",
+        return Finding(name, Severity.NOTE, "no USB serial adapter is plugged in",
                        "plug it in and repeat the check")  # fmt: skip
-    return Finding(name, Verdict.GOOD, f"at most {_LATENCY_LIMIT_MS} ms")
+    return Finding(name, Severity.GOOD, f"at most {_LATENCY_LIMIT_MS} ms")
 
 
 def try_fifo() -> bool:
@@ -125,9 +125,9 @@ def try_fifo() -> bool:
 
 def _scheduler(may_be_real_time: Callable[[], bool]) -> Finding:
     if may_be_real_time():
-        return Finding("scheduler rights", Verdict.GOOD, "SCHED_FIFO is granted")
+        return Finding("scheduler rights", Severity.GOOD, "SCHED_FIFO is granted")
     return Finding(
-        "scheduler rights", Verdict.SPOILS, "SCHED_FIFO is refused",
+        "scheduler rights", Severity.SPOILS, "SCHED_FIFO is refused",
         "run 'dropstitch install-service', or add '@realtime - rtprio 99' to "
         "/etc/security/limits.conf and yourself to that group",
     )  # fmt: skip
@@ -136,9 +136,9 @@ def _scheduler(may_be_real_time: Callable[[], bool]) -> Finding:
 def _locked_memory() -> Finding:
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft == resource.RLIM_INFINITY or os.geteuid() == 0:
-        return Finding("locked memory", Verdict.GOOD, "unlimited")
+        return Finding("locked memory", Severity.GOOD, "unlimited")
     return Finding(
-        "locked memory", Verdict.NOTE, f"limited to {soft // 1024} KiB, so it will not be locked",
+        "locked memory", Severity.NOTE, f"limited to {soft // 1024} KiB, so it will not be locked",
         "run 'dropstitch install-service', or add '@realtime - memlock unlimited' to "
         "/etc/security/limits.conf",
     )  # fmt: skip
@@ -147,8 +147,8 @@ def _locked_memory() -> Finding:
 def _swap(root: Path) -> Finding:
     lines = (_read(root / "proc/swaps") or "").splitlines()[1:]
     if not lines:
-        return Finding("swap", Verdict.GOOD, "off")
-    return Finding("swap", Verdict.NOTE, f"on ({lines[0].split()[0]})",
+        return Finding("swap", Severity.GOOD, "off")
+    return Finding("swap", Severity.NOTE, f"on ({lines[0].split()[0]})",
                    "sudo swapoff -a, if memory cannot be locked")  # fmt: skip
 
 
@@ -156,11 +156,13 @@ def _governor(root: Path) -> Finding:
     files = root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
     governors = {text for file in files if (text := _read(file))}
     if not governors:
-        return Finding("frequency governor", Verdict.GOOD, "none: the frequency is not scaled here")
+        return Finding(
+            "frequency governor", Severity.GOOD, "none: the frequency is not scaled here"
+        )
     if governors == {"performance"}:
-        return Finding("frequency governor", Verdict.GOOD, "performance")
+        return Finding("frequency governor", Severity.GOOD, "performance")
     return Finding(
-        "frequency governor", Verdict.NOTE, ", ".join(sorted(governors)),
+        "frequency governor", Severity.NOTE, ", ".join(sorted(governors)),
         "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
     )  # fmt: skip
 
@@ -169,9 +171,9 @@ def _clock_source(root: Path) -> Finding:
     folder = root / "sys/devices/system/clocksource/clocksource0"
     current = _read(folder / "current_clocksource")
     if current is None or current in _GOOD_CLOCKS:
-        return Finding("clock source", Verdict.GOOD, current or "unknown")
+        return Finding("clock source", Severity.GOOD, current or "unknown")
     return Finding(
-        "clock source", Verdict.SPOILS, f"{current}, slow to read and coarse",
+        "clock source", Severity.SPOILS, f"{current}, slow to read and coarse",
         f"boot with clocksource=tsc (available: {_read(folder / 'available_clocksource')})",
     )  # fmt: skip
 
@@ -179,21 +181,21 @@ def _clock_source(root: Path) -> Finding:
 def _preemption(root: Path) -> Finding:
     version = _read(root / "proc/version") or platform.version()
     if _read(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
-        return Finding("kernel preemption", Verdict.GOOD, "PREEMPT_RT")
+        return Finding("kernel preemption", Severity.GOOD, "PREEMPT_RT")
     if "PREEMPT" in version:
-        return Finding("kernel preemption", Verdict.GOOD, "preemptible, enough for 17 ms")
-    return Finding("kernel preemption", Verdict.NOTE, "none",
+        return Finding("kernel preemption", Severity.GOOD, "preemptible, enough for 17 ms")
+    return Finding("kernel preemption", Severity.NOTE, "none",
                    "boot with preempt=full, or install a PREEMPT_RT kernel")  # fmt: skip
 
 
 def _python() -> Finding:
     # From 3.11 on, the oldest supported version, time.sleep waits until an absolute time.
-    return Finding("Python", Verdict.GOOD, platform.python_version())
+    return Finding("Python", Severity.GOOD, platform.python_version())
 
 
 def _recorder() -> Finding:
     try:
         require_packages()
     except InputError as error:
-        return Finding("recorder", Verdict.NOTE, error.what, error.remedy)
-    return Finding("recorder", Verdict.GOOD, "mcap and lz4 are installed")
+        return Finding("recorder", Severity.NOTE, error.what, error.remedy)
+    return Finding("recorder", Severity.GOOD, "mcap and lz4 are installed")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_py.realtime.doctor_checks import Verdict, examine
+from firmware_py.realtime.doctor_checks import Severity, examine
 
 
 def machine(tmp_path, **files):
@@ -25,34 +25,34 @@ def verdict(root, name, granted=True):
 @pytest.mark.parametrize(
     ("name", "files", "expected"),
     [
-        ("USB latency timer", {}, Verdict.NOTE),
-        ("USB latency timer", {LATENCY: "1"}, Verdict.GOOD),
-        ("USB latency timer", {LATENCY: "2"}, Verdict.SPOILS),
-        ("USB latency timer", {LATENCY: "16"}, Verdict.SPOILS),
-        ("USB latency timer", {LATENCY: "1", LATENCY.replace("B0", "B1"): "16"}, Verdict.SPOILS),
-        ("swap", {"proc/swaps": "Filename Type Size"}, Verdict.GOOD),
-        ("swap", {"proc/swaps": "Filename Type Size\n/dev/sda2 partition 1"}, Verdict.NOTE),
-        ("frequency governor", {}, Verdict.GOOD),
-        ("frequency governor", {GOVERNOR.format(0): "performance"}, Verdict.GOOD),
+        ("USB latency timer", {}, Severity.NOTE),
+        ("USB latency timer", {LATENCY: "1"}, Severity.GOOD),
+        ("USB latency timer", {LATENCY: "2"}, Severity.SPOILS),
+        ("USB latency timer", {LATENCY: "16"}, Severity.SPOILS),
+        ("USB latency timer", {LATENCY: "1", LATENCY.replace("B0", "B1"): "16"}, Severity.SPOILS),
+        ("swap", {"proc/swaps": "Filename Type Size"}, Severity.GOOD),
+        ("swap", {"proc/swaps": "Filename Type Size\n/dev/sda2 partition 1"}, Severity.NOTE),
+        ("frequency governor", {}, Severity.GOOD),
+        ("frequency governor", {GOVERNOR.format(0): "performance"}, Severity.GOOD),
         (
             "frequency governor",
             {GOVERNOR.format(0): "performance", GOVERNOR.format(1): "powersave"},
-            Verdict.NOTE,
+            Severity.NOTE,
         ),
-        ("clock source", {CLOCK: "tsc"}, Verdict.GOOD),
-        ("clock source", {CLOCK: "hpet"}, Verdict.SPOILS),
-        ("kernel preemption", {"proc/version": "Linux #1 SMP PREEMPT_RT"}, Verdict.GOOD),
-        ("kernel preemption", {"proc/version": "Linux #1 SMP PREEMPT_DYNAMIC"}, Verdict.GOOD),
-        ("kernel preemption", {"proc/version": "Linux #1 SMP"}, Verdict.NOTE),
+        ("clock source", {CLOCK: "tsc"}, Severity.GOOD),
+        ("clock source", {CLOCK: "hpet"}, Severity.SPOILS),
+        ("kernel preemption", {"proc/version": "Linux #1 SMP PREEMPT_RT"}, Severity.GOOD),
+        ("kernel preemption", {"proc/version": "Linux #1 SMP PREEMPT_DYNAMIC"}, Severity.GOOD),
+        ("kernel preemption", {"proc/version": "Linux #1 SMP"}, Severity.NOTE),
     ],
 )
 def test_each_finding_follows_its_file(tmp_path, name, files, expected):
     finding = verdict(machine(tmp_path, **files), name)
     assert finding.verdict is expected
-    assert bool(finding.remedy) is (expected is not Verdict.GOOD)
+    assert bool(finding.remedy) is (expected is not Severity.GOOD)
 
 
-@pytest.mark.parametrize(("granted", "expected"), [(True, Verdict.GOOD), (False, Verdict.SPOILS)])
+@pytest.mark.parametrize(("granted", "expected"), [(True, Severity.GOOD), (False, Severity.SPOILS)])
 def test_without_real_time_rights_the_timing_is_spoilt(tmp_path, granted, expected):
     assert verdict(tmp_path, "scheduler rights", granted).verdict is expected
 
