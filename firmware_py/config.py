@@ -23,6 +23,16 @@ from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
 
+__all__ = [
+    "BusConfig",
+    "LiveConfig",
+    "MotionConfig",
+    "RobotConfig",
+    "ServoConfig",
+    "check_config",
+    "read_config",
+]
+
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
 _MAX_ID: Final = 252

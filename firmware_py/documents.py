@@ -14,6 +14,8 @@ import msgspec
 
 from firmware_py.errors import InputError
 
+__all__ = ["Document", "read_document", "schema_of", "write_document"]
+
 T = TypeVar("T", bound="Document")
 
 

@@ -15,6 +15,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+__all__ = ["DropstitchError", "FmuRefusal", "InputError", "SafetyTrip"]
+
 
 class DropstitchError(Exception):
     """Root of every error that this project raises on purpose."""

@@ -40,6 +40,8 @@ from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.tick_log import Tick, TickLog
 
+__all__ = ["ControlLoop"]
+
 Array = NDArray[np.float64]
 
 _START_DELAY_NS: Final = 2_000_000

@@ -25,6 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 
+__all__ = ["KINDS", "Motion"]
+
 Array = NDArray[np.float64]
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

@@ -29,6 +29,8 @@ from firmware_py.realtime.service import Service
 from firmware_py.realtime.timing import Counters
 from firmware_py.safety.supervisor import SafetySupervisor
 
+__all__ = ["LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus"]
+
 Array = NDArray[np.float64]
 
 

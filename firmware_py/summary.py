@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
 
+__all__ = ["Ended", "RunDocument", "RunSummary", "read_run", "write_run"]
+
 
 class Ended(Enum):
     """Kind of end of a run."""

@@ -29,6 +29,8 @@ from firmware_py.bus.transport import Transport
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import Clock
 
+__all__ = ["DynamixelBus", "ServoSetup", "watchdog_steps"]
+
 Array = NDArray[np.float64]
 
 _TRIAL_READS: Final = 5

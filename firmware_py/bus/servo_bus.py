@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["BusStatus", "ServoBus"]
+
 Array = NDArray[np.float64]
 
 

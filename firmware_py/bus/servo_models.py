@@ -18,6 +18,8 @@ from firmware_py.bus.registers import (
 )
 from firmware_py.errors import InputError
 
+__all__ = ["MODELS", "Model", "model_named"]
+
 
 def round_half_away(value: float) -> int:
     """Return the nearest integer, halves away from zero.

@@ -29,6 +29,8 @@ from firmware_py.inference.estimator import DeformationEstimator, ObserverEstima
 from firmware_py.inference.golden import GOLDEN, read_golden, verify
 from firmware_py.inference.predictor import OnnxPredictor
 
+__all__ = ["Manifest", "ModelBundle", "Quantity", "read_manifest", "write_manifest"]
+
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
 

@@ -19,6 +19,15 @@ from firmware_py.errors import FmuRefusal, InputError
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import OnnxGraph
 
+__all__ = [
+    "DeformationEstimator",
+    "Estimate",
+    "LaggedEstimator",
+    "NoEstimator",
+    "ObserverEstimator",
+    "load_estimator",
+]
+
 Array = NDArray[np.float64]
 
 _KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"

@@ -21,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.errors import FmuRefusal, InputError
 
+__all__ = ["Channel", "FmuInstance", "InstanceVariable"]
+
 Array = NDArray[np.float64]
 
 _MACHINES: Final = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}

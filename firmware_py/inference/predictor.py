@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 
+__all__ = ["OnnxGraph", "OnnxPredictor", "Prediction", "Predictor"]
+
 Array = NDArray[np.float64]
 AXES: Final = 3
 

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.signals import tick_signals
 
+__all__ = ["Recording", "read_recording"]
+
 TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"

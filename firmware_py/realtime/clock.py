@@ -19,6 +19,8 @@ from typing import Final, Protocol
 
 import msgspec
 
+__all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "real_time"]
+
 _PR_SET_TIMERSLACK: Final = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 

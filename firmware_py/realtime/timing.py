@@ -16,6 +16,18 @@ import msgspec
 from firmware_py.realtime.percentiles import FRACTIONS, Percentiles
 from firmware_py.signals import STAGES
 
+__all__ = [
+    "Cause",
+    "Counters",
+    "Histogram",
+    "KernelCounters",
+    "NoCounters",
+    "Timing",
+    "TimingSummary",
+    "cause_of_miss",
+    "miss_rate_bound",
+]
+
 _SUB_BITS: Final = 6
 _SUB_BUCKETS: Final = 1 << _SUB_BITS
 _OCTAVES: Final = 40

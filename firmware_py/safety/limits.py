@@ -12,6 +12,8 @@ from typing import Final
 
 import msgspec
 
+__all__ = ["Limits"]
+
 _ROUNDING: Final = 1.0 + 1e-9
 """Tolerance for the rounding of a difference quotient of goals at the limit."""
 

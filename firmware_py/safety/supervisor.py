@@ -22,6 +22,8 @@ from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import ALLOWED, SafetyState
 from firmware_py.signals import PERIOD_S
 
+__all__ = ["SafetySupervisor", "check_motion"]
+
 Array = NDArray[np.float64]
 
 
