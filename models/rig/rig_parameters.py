@@ -15,6 +15,8 @@ import msgspec
 from firmware_py.errors import InputError
 from models.shared.catalogue import CATALOGUE
 
+__all__ = ["RIG_TOML", "RigParameters", "read_parameters"]
+
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
 
 
@@ -128,7 +130,15 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     ------
     InputError
         If the file is missing or not TOML, a parameter is missing, unknown or malformed, or an
-        effect is not in the catalogue or carries another unit there.
+        effect is not in the catalogue or has another unit there.
+
+    Examples
+    --------
+    >>> rig = read_parameters()
+    >>> rig["link.mass_kg"], rig.entries["link.mass_kg"].unit
+    (0.9, 'kg')
+    >>> rig.hide({"unmodelled_payload": 0.3})["link.extra_tip_mass_kg"]
+    0.3
     """
     entries = _read_entries(path)
     if path != RIG_TOML:

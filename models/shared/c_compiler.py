@@ -1,4 +1,4 @@
-"""Compile C to a shared library with the same compiler on every machine (`ziglang` from PyPI).
+"""C compiler: shared libraries by the same compiler on every machine (`ziglang` from PyPI).
 
 The flags keep the arithmetic of the source: no contraction of a*b + c into one rounding, so that
 a compiled model equals the interpreted one (docs/sources.md, "FMI"). Results are cached by content.
@@ -93,7 +93,7 @@ def _compile(
 
 
 def _environment() -> dict[str, str]:
-    """Environment of the compiler: its own cache is a scratch one where there is no home."""
+    """Environment of the compiler; without a home directory its cache is in `CACHE`."""
     environment = dict(os.environ)
     if not environment.get("HOME"):
         environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))

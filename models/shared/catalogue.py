@@ -1,9 +1,9 @@
-"""The catalogue of physical effects: names, ports and the unit of their strength.
+"""Catalogue of physical effects: names, ports and the SI unit of their strength.
 
-The rig hides an effect (`models.rig`), the plant holds it (`models.plant.effects`); both in their
-own equations. What they share is this table, which is a contract: `--hide NAME=STRENGTH` adds
-STRENGTH, in this unit, to what the rig has by default. Strength zero means absent. An effect of the
-servo, a joint or a sensor is the same in every driven joint.
+The rig (`models.rig`) and the plant (`models.plant.effects`) model each effect by equations of
+their own. They have this table in common, which is a contract: `--hide NAME=STRENGTH` adds
+STRENGTH, in this unit, to the rig's default. Strength zero means absent. An effect of the servo, a
+joint or a sensor is the same in every driven joint.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Final, Literal, NamedTuple
 
 from firmware_py.errors import InputError
 
+__all__ = ["CATALOGUE", "EffectRow", "Port", "parse_strength", "parse_strengths"]
+
 Port = Literal[
     "command", "servo_torque", "joint_torque", "bend_torque", "stiffness", "mass", "sensor"
 ]
 
 
-class EffectName(NamedTuple):
+class EffectRow(NamedTuple):
     """One row of the catalogue.
 
     Attributes
@@ -27,9 +29,9 @@ class EffectName(NamedTuple):
     port : str
         Where the effect acts.
     unit : str
-        Of its strength (its first parameter); "1" is a share.
+        Of its strength (its first parameter); "1" for a fraction.
     strength : str
-        What the strength is.
+        Meaning of the strength.
     """
 
     port: Port
@@ -37,43 +39,53 @@ class EffectName(NamedTuple):
     strength: str
 
 
-CATALOGUE: Final[dict[str, EffectName]] = {
-    "coulomb_friction": EffectName("servo_torque", "N.m", "dry friction torque at the output"),
-    "viscous_friction": EffectName("servo_torque", "N.m.s/rad", "friction torque per joint rate"),
-    "stribeck_friction": EffectName("servo_torque", "N.m", "extra friction near standstill"),
-    "load_dependent_friction": EffectName("servo_torque", "1", "friction per transmitted torque"),
-    "backlash": EffectName("servo_torque", "rad", "full play of the gear"),
-    "joint_elasticity": EffectName("servo_torque", "rad/(N.m)", "gear wind-up per torque"),
-    "dead_time": EffectName("command", "s", "delay of the goal on its way to the servo's loop"),
-    "current_saturation": EffectName("command", "A", "how far the limit lies below the rated one"),
-    "torque_constant_drift": EffectName("servo_torque", "1", "relative loss of torque per ampere"),
-    "unmodelled_payload": EffectName("mass", "kg", "mass at the tip beyond the declared payload"),
-    "payload_offset": EffectName("mass", "1", "payload's offset towards +x, share of link length"),
-    "prebend": EffectName("bend_torque", "rad", "bend of the unloaded link towards +x"),
-    "directional_stiffness": EffectName("stiffness", "1", "stiffer for positive bend, softer else"),
-    "stiffness_softening": EffectName("stiffness", "1", "stiffness lost at 0.1 rad of bend"),
-    "stiffness_hardening": EffectName("stiffness", "1", "stiffness gained at 0.1 rad of bend"),
-    "pressure_leak": EffectName("stiffness", "1", "share of stiffness lost per 10 s"),
-    "hysteresis": EffectName("bend_torque", "1", "Bouc-Wen share of the bending stiffness"),
-    "creep": EffectName("bend_torque", "1", "relaxing share of the bending stiffness"),
-    "aerodynamic_drag": EffectName("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic"),
-    "cross_axis_coupling": EffectName("bend_torque", "1", "torque of one plane per other plane's"),
-    "encoder_offset": EffectName("sensor", "rad", "constant error of the encoder, loop included"),
-    "load_offset": EffectName("joint_torque", "N.m", "constant torque on the joint"),
-    "current_bias": EffectName("sensor", "A", "constant error of the measured current"),
-    "current_scale": EffectName("sensor", "1", "relative error of the measured current"),
-    "marker_frame_tilt": EffectName("sensor", "rad", "tilt of the mocap frame about y"),
-    "sync_offset": EffectName("sensor", "s", "how late the mocap shows what the servo feels"),
+CATALOGUE: Final[dict[str, EffectRow]] = {
+    "coulomb_friction": EffectRow("servo_torque", "N.m", "dry friction torque at the output"),
+    "viscous_friction": EffectRow("servo_torque", "N.m.s/rad", "friction torque per joint rate"),
+    "stribeck_friction": EffectRow("servo_torque", "N.m", "extra friction near standstill"),
+    "load_dependent_friction": EffectRow("servo_torque", "1", "friction per transmitted torque"),
+    "backlash": EffectRow("servo_torque", "rad", "full backlash of the gear"),
+    "joint_elasticity": EffectRow("servo_torque", "rad/(N.m)", "gear wind-up per torque"),
+    "dead_time": EffectRow("command", "s", "delay of the goal on its way to the servo's loop"),
+    "current_saturation": EffectRow("command", "A", "reduction of the current limit"),
+    "torque_constant_drift": EffectRow("servo_torque", "1", "relative loss of torque per ampere"),
+    "unmodelled_payload": EffectRow("mass", "kg", "mass at the tip beyond the declared payload"),
+    "payload_offset": EffectRow("mass", "1", "payload's offset towards +x per link length"),
+    "prebend": EffectRow("bend_torque", "rad", "bend of the unloaded link towards +x"),
+    "directional_stiffness": EffectRow("stiffness", "1", "stiffer for positive bend, softer else"),
+    "stiffness_softening": EffectRow("stiffness", "1", "stiffness lost at 0.1 rad of bend"),
+    "stiffness_hardening": EffectRow("stiffness", "1", "stiffness gained at 0.1 rad of bend"),
+    "pressure_leak": EffectRow("stiffness", "1", "fraction of stiffness lost per 10 s"),
+    "hysteresis": EffectRow("bend_torque", "1", "Bouc-Wen fraction of the bending stiffness"),
+    "creep": EffectRow("bend_torque", "1", "relaxing fraction of the stiffness"),
+    "aerodynamic_drag": EffectRow("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic"),
+    "cross_axis_coupling": EffectRow("bend_torque", "1", "torque of one plane per other plane's"),
+    "encoder_offset": EffectRow("sensor", "rad", "constant error of the encoder, loop included"),
+    "load_offset": EffectRow("joint_torque", "N.m", "constant torque on the joint"),
+    "current_bias": EffectRow("sensor", "A", "constant error of the measured current"),
+    "current_scale": EffectRow("sensor", "1", "relative error of the measured current"),
+    "marker_frame_tilt": EffectRow("sensor", "rad", "tilt of the mocap frame about y"),
+    "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo"),
 }
 
 
 def parse_strength(argument: str) -> tuple[str, float]:
     """Split `NAME=STRENGTH` as given on a command line.
 
+    Parameters
+    ----------
+    argument : str
+        Value of `--hide`.
+
     Raises
     ------
     InputError
         If the form, the name or the number is wrong.
+
+    Examples
+    --------
+    >>> parse_strength("backlash=0.01")
+    ('backlash', 0.01)
     """
     name, _, value = argument.partition("=")
     if name not in CATALOGUE:
@@ -91,7 +103,12 @@ def parse_strength(argument: str) -> tuple[str, float]:
 
 
 def parse_strengths(arguments: Sequence[str]) -> dict[str, float]:
-    """Every `--hide EFFECT=STRENGTH` of a command line.
+    """Strengths by effect from every `--hide EFFECT=STRENGTH` of a command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Values of `--hide`.
 
     Raises
     ------

@@ -1,13 +1,15 @@
-"""Rigid kinematics of the base joint: where a straight link would be.
+"""Kinematics of the base joint and of a rigid link on it.
 
-World frame right-handed, z up. Joint 1 turns about y (positive: tip towards +x), joint 2 about
--x and is carried by joint 1 (positive: tip towards +y) (docs/sources.md, "The link").
+The world frame is right-handed, z up. Joint 1 turns about y (positive: tip towards +x); joint 2
+turns about -x and moves with joint 1 (positive: tip towards +y) (docs/sources.md, "The link").
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = ["base_corners_m", "base_rotation", "pointing_angles_rad", "rigid_tip_m"]
 
 Array = NDArray[np.float64]
 
@@ -23,7 +25,14 @@ def base_rotation(angle_rad: Array) -> Array:
     Returns
     -------
     ndarray, shape (n, 3, 3)
-        R = R_y(angle_1) R_x(-angle_2): columns are the plate's axes in the world frame.
+        R = R_y(angle_1) R_x(-angle_2); its columns are the plate's axes in the world frame.
+
+    Examples
+    --------
+    >>> base_rotation(np.array([[0.0], [np.pi / 2]])).round(6)[1] + 0.0
+    array([[ 0.,  0.,  1.],
+           [ 0.,  1.,  0.],
+           [-1.,  0.,  0.]])
     """
     q1 = angle_rad[:, 0]
     q2 = angle_rad[:, 1] if angle_rad.shape[1] > 1 else np.zeros_like(q1)
@@ -38,14 +47,46 @@ def base_rotation(angle_rad: Array) -> Array:
 
 
 def base_corners_m(angle_rad: Array, base_offset_m: float, width_m: float) -> Array:
-    """Corners of the base plate in the order of a marker row, shape (n, 4, 3)."""
+    """Corners of the base plate in the order of a marker row.
+
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (n, dof)
+        Joint angles.
+    base_offset_m, width_m : float
+        Distance of the plate from the joint axes, and its width.
+
+    Returns
+    -------
+    ndarray, shape (n, 4, 3)
+        In the world frame.
+    """
     half = 0.5 * width_m
     body = np.array([[sx * half, sy * half, base_offset_m] for sy in (1, -1) for sx in (1, -1)])
     return np.asarray(np.einsum("nij,cj->nci", base_rotation(angle_rad), body))
 
 
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
-    """Tip of a link that does not bend, shape (n, 3): the yardstick of every prediction."""
+    """Tip of a link that does not bend.
+
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (n, dof)
+        Joint angles.
+    base_offset_m, length_m : float
+        Distance of the base plate from the joint axes, and length of the link.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        In the world frame, in m.
+
+    Examples
+    --------
+    >>> rigid_tip_m(np.array([[0.0], [np.pi / 6]]), base_offset_m=0.06, length_m=0.94).round(3)
+    array([[0.   , 0.   , 1.   ],
+           [0.5  , 0.   , 0.866]])
+    """
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
 
 

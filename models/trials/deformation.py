@@ -1,9 +1,9 @@
-"""Deformation Index: one number for how far the link is from its rest shape (paper, eq. 1).
+"""Deformation Index: mean relative change of lengths on the link (paper, equation 1).
 
     DI = 1/N sum_i |L_i - L'_i| / L_i
 
-over N = 16 lengths: the four segments of each of the four long edges, every edge running from
-its base-plate corner through its four markers. Other sets of lengths are selectable.
+over N = 16 lengths: the four segments of each of the four long edges, from the corner of the base
+plate through the four markers of the edge. Other sets of lengths can be selected.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from firmware_py.errors import InputError
 from models.shared.kinematics import Array, base_corners_m
 from models.trials.trial_files import Trial
 
+__all__ = ["DEFINITIONS", "deformation_index", "marker_lengths_m"]
+
 Definition = Literal["edges", "base_to_marker", "all_pairs"]
 DEFINITIONS: Final[tuple[Definition, ...]] = ("edges", "base_to_marker", "all_pairs")
-OCCLUSION_WARNING_SHARE: Final = 0.2
-"""Above this share of unseen lengths the index of a trial deserves a warning."""
+MAX_OCCLUDED_FRACTION: Final = 0.2
+"""Fraction of occluded lengths in a trial above which a warning is given."""
 
 
-def edge_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
-    """Lengths that the index compares.
+def marker_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
+    """Lengths whose change the index measures.
 
     Parameters
     ----------
@@ -56,15 +58,44 @@ def _norm(vectors: Array) -> Array:
 
 
 def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
-    """Deformation Index of every row of a trial, shape (n,), dimensionless.
+    """Deformation Index of every row of a trial.
 
-    The reference lengths are the means over the trial's rest rows, never over moving ones. The
-    mean runs over the lengths that are seen; NaN only where a row shows none.
+    The reference lengths are the means over the trial's rest rows. A row's mean is over the
+    visible lengths; it is NaN where there is none.
+
+    Parameters
+    ----------
+    trial : Trial
+        Of the link, with 16 markers; NaN is an occluded marker.
+    definition : {"edges", "base_to_marker", "all_pairs"}
+        Set of lengths, as for `marker_lengths_m`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Dimensionless.
 
     Raises
     ------
     InputError
-        If a length is never seen at rest, or the trial declares no rest rows.
+        If the trial declares no rest rows, or a length is occluded in all of them.
+
+    Examples
+    --------
+    A straight link whose height grows by one per cent in its last row:
+
+    >>> from models.trials.trial import TrialMeta
+    >>> z_m = np.tile(np.repeat([0.25, 0.5, 0.75, 1.0], 4), (3, 1))  # rows of the markers
+    >>> z_m[2] *= 1.01
+    >>> x_m, y_m = np.tile([0.1, -0.1, 0.1, -0.1], 4), np.tile([0.1, 0.1, -0.1, -0.1], 4)
+    >>> columns = {"time_s": np.arange(3) * 0.017, "angle_1_rad": np.zeros(3)}
+    >>> for k in range(16):
+    ...     for axis, values in (("x", x_m[k]), ("y", y_m[k]), ("z", z_m[:, k])):
+    ...         columns[f"m{k + 1:02d}_{axis}_m"] = np.broadcast_to(values, 3)
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="stretch", source="measured",
+    ...                  period_s=1.0, link_length_m=1.0, link_width_m=0.2, rest_samples=2)
+    >>> deformation_index(Trial("stretched", meta, columns)).round(9)
+    array([0.  , 0.  , 0.01])
     """
     rest = trial.meta.rest_samples
     if rest < 1:
@@ -72,7 +103,7 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
             trial.path, "rest_samples is 0, so the index has no reference",
             "record the link at rest before it moves and set rest_samples",
         )  # fmt: skip
-    lengths = edge_lengths_m(trial, definition)
+    lengths = marker_lengths_m(trial, definition)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
         reference = np.nanmean(lengths[:rest], axis=0)
@@ -85,10 +116,10 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
                 "use a trial whose markers are visible at rest",
             )
         index = np.nanmean(np.abs(lengths - reference) / reference, axis=1)
-    share = float(np.mean(np.isnan(lengths)))
-    if share > OCCLUSION_WARNING_SHARE:
+    occluded = float(np.mean(np.isnan(lengths)))
+    if occluded > MAX_OCCLUDED_FRACTION:
         warnings.warn(
-            f"{trial.path}: {share:.0%} of the lengths are occluded; the index is less certain",
+            f"{trial.path}: {occluded:.0%} of the lengths are occluded; the index is less certain",
             stacklevel=2,
         )
     return np.asarray(index, dtype=np.float64)

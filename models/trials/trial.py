@@ -1,4 +1,4 @@
-"""What a trial is: one run of the robot with its conditions and its samples."""
+"""Trial: one run of the robot, its conditions and its samples."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal, overload
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = ["SignalRole", "Trial", "TrialMeta", "TrialSet"]
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
@@ -19,16 +21,21 @@ SCHEMA: Final = 1
 LINK_CONDITIONS: Final = (
     "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
 )  # fmt: skip
-"""Conditions that only a trial of the link has (and must have)."""
+"""Conditions that a trial of the link must have and no other trial has."""
 
 
 class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A signal of a plant that is not the link: its unit, and what it is to the plant.
+    """Signal of a plant that is not the link.
 
-    A `goal` is sent to the drive and held until the next; `measured` is compared with the plant's
-    output of that name; a `supply` is measured and drives the plant; a `condition` stays the same
-    throughout a trial, stands under `[conditions]` of its TOML file and takes the place of the
-    plant's parameter of that name. All others are columns.
+    Attributes
+    ----------
+    unit : str
+        SI unit.
+    role : {"goal", "measured", "supply", "condition"}
+        `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
+        output of that name. `supply`: measured, and an input of the plant. `condition`: constant
+        in a trial, under `[conditions]` of its TOML file, in place of the plant's parameter of that
+        name. All but conditions are columns.
     """
 
     unit: str
@@ -36,7 +43,7 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial (the TOML file); every dimensional key carries its unit.
+    """Conditions of a trial (the TOML file); every dimensional key ends in its unit.
 
     Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
     numbers that replace the plant's parameters of the same name in this trial.
@@ -59,9 +66,9 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     notes: str = ""
     conditions: dict[str, float] = {}
 
-    def document(self) -> dict[str, Any]:
-        """Content of the TOML file, without what does not apply."""
-        entries: dict[str, Any] = msgspec.to_builtins(self)
+    def document(self) -> dict[str, object]:
+        """Content of the TOML file, without the conditions that do not apply."""
+        entries: dict[str, object] = msgspec.to_builtins(self)
         if not self.conditions:
             del entries["conditions"]
         if not self.link_length_m:
@@ -71,7 +78,7 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 @dataclass(frozen=True)
 class Trial:
-    """One run: its conditions and its samples.
+    """One run of the robot.
 
     Attributes
     ----------
@@ -94,7 +101,7 @@ class Trial:
         return len(self.columns["time_s"])
 
     def stack(self, *names: str) -> Array:
-        """Columns side by side, shape (n, len(names))."""
+        """Columns by name as one array, shape (n, len(names))."""
         return np.column_stack([self.columns[name] for name in names])
 
     @property
@@ -104,7 +111,7 @@ class Trial:
 
     @property
     def step_s(self) -> float:
-        """Uniform time step."""
+        """Uniform time step in s."""
         return float((self.time_s[-1] - self.time_s[0]) / (len(self) - 1))
 
     def _joints(self, pattern: str) -> Array:
@@ -165,7 +172,13 @@ class TrialSet(Sequence[Trial]):
     def __len__(self) -> int:
         return len(self.trials)
 
-    def __getitem__(self, index: Any) -> Any:
+    @overload
+    def __getitem__(self, index: int) -> Trial: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Trial, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Trial | tuple[Trial, ...]:
         return self.trials[index]
 
     def __iter__(self) -> Iterator[Trial]:
@@ -176,12 +189,15 @@ class TrialSet(Sequence[Trial]):
         return TrialSet(tuple(t for t in self.trials if keep(t)))
 
     def split(self) -> tuple[TrialSet, TrialSet]:
-        """Separate the trials to fit on from the trials to test on.
+        """Split the trials into those to fit to and those to test on.
 
-        To fit on: of each kind of motion at its largest amplitude, the trials with the lowest
-        number. Everything else is held out: repetitions, and smaller amplitudes of the same
-        motion. Where that would hold out nothing there is only one trial of each kind, and the
-        second set is empty.
+        Fitted are, of each motion and number of joints at its largest amplitude, the trials with
+        the lowest number. Held out are repetitions and smaller amplitudes of the same motion; this
+        set is empty where there is one trial of each kind only.
+
+        Returns
+        -------
+        fitted, held_out : TrialSet
         """
         largest: dict[tuple[int, str], float] = {}
         lowest: dict[tuple[int, str], int] = {}

@@ -1,8 +1,8 @@
-"""The trial file contract: `NAME.csv` (samples) beside `NAME.toml` (conditions).
+"""Trial files: `NAME.csv` with the samples beside `NAME.toml` with the conditions.
 
-Row k holds angle, current and markers as sampled at `time_s`, and the goal that was sent just
-after that sample. The time step is uniform. An empty cell is an occluded marker (NaN); of a run
-without motion capture every marker and the tip are empty.
+Row k holds angle, current and markers as sampled at `time_s`, and the goal that was sent right
+after that sample. The time step is uniform. An empty cell is an occluded marker (NaN); without
+motion capture every marker and the tip are empty. docs/trials.md defines all columns and keys.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 STEP_TOLERANCE: Final = 1e-3
-"""Largest deviation of a time step from the mean, as a share of it, that counts as uniform."""
+"""Largest relative deviation of a time step from the mean that counts as uniform."""
 
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
@@ -50,11 +50,11 @@ _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
-"""By suffix: the largest magnitude that is plausible, and the unit that a larger one betrays."""
+"""Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
 
 
 PlantSignals = Mapping[str, SignalRole]
-"""Signals of a plant by name; empty for the link, whose columns are the contract's own."""
+"""Signals of a plant by name; empty for the link, whose columns the contract defines."""
 
 
 def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
@@ -63,14 +63,28 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     Parameters
     ----------
     directory : Path or str
-        Where they lie.
+        Of the trials.
     signals : mapping of str to SignalRole, optional
-        What the plant's file declares, where its trials are not the link's.
+        Signals that the plant's file declares, for a plant that is not the link.
 
     Raises
     ------
     InputError
         If the directory is missing or holds no trial, or a trial cannot be used.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> signals = {"position_1_m": SignalRole("m", "measured")}
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(4) * 0.01, "position_1_m": np.zeros(4)}
+    >>> with TemporaryDirectory() as directory:
+    ...     for name in ("first", "second"):
+    ...         _ = write_trial(Trial(name, meta, columns), directory)
+    ...     trials = read_trials(directory, signals)
+    >>> [t.name for t in trials]
+    ['first', 'second']
     """
     directory = Path(directory)
     if not directory.is_dir():
@@ -98,6 +112,19 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     InputError
         If a file is missing or truncated, a key, column or unit is wrong, a value is not a
         finite number where one is required, or the time step is not uniform.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> columns = {s.name: np.zeros(4) for s in trial_signals(dof=1)}
+    >>> columns["time_s"] = 0.017 * np.arange(4)
+    >>> meta = TrialMeta(dof=1, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="sinusoid",
+    ...                  source="measured", period_s=4.352, amplitude_rad=0.5, base_offset_m=0.06,
+    ...                  link_length_m=0.95, link_width_m=0.15, rest_samples=2)
+    >>> with TemporaryDirectory() as directory:
+    ...     trial = read_trial(write_trial(Trial("still", meta, columns), directory))
+    >>> trial.name, len(trial), trial.markers_m.shape
+    ('still', 4, (4, 16, 3))
     """
     path = Path(path)
     if not path.is_file():
@@ -118,7 +145,34 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
 
 
 def write_trial(trial: Trial, directory: Path | str) -> Path:
-    """Write a trial so that `read_trial` returns the same bits; returns the CSV's path."""
+    """Write a trial so that `read_trial` returns the same bits.
+
+    Parameters
+    ----------
+    trial : Trial
+        To write; the files get its name.
+    directory : Path or str
+        Made if need be.
+
+    Returns
+    -------
+    Path
+        CSV file; the TOML file lies beside it.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(3) * 0.01, "position_1_m": np.array([0.0, 0.5, 1.0])}
+    >>> with TemporaryDirectory() as directory:
+    ...     print(write_trial(Trial("run", meta, columns), directory).read_text())
+    time_s,position_1_m
+    0.0,0.0
+    0.01,0.5
+    0.02,1.0
+    <BLANKLINE>
+    """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"{trial.name}.csv"
@@ -134,7 +188,15 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
 
 
 def columns_of(dof: int, signals: PlantSignals | None) -> tuple[Signal, ...]:
-    """Columns that a trial must have: the contract's, or those that a plant's file declares."""
+    """Columns that a trial must have.
+
+    Parameters
+    ----------
+    dof : int
+        Joints of a trial of the link.
+    signals : mapping of str to SignalRole or None
+        Signals that a plant's file declares; None or empty for the link.
+    """
     if not signals:
         return trial_signals(dof)
     rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
@@ -145,6 +207,15 @@ def check_meta(
     document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
 ) -> TrialMeta:
     """Conditions from a decoded TOML table.
+
+    Parameters
+    ----------
+    document : mapping
+        The table.
+    where : Path
+        Its file, for messages.
+    signals : mapping of str to SignalRole, optional
+        As for `read_trials`.
 
     Raises
     ------
@@ -190,7 +261,7 @@ def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
 
 
 def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
-    """Columns by name; `signals` must be there, `known` may be without a unit suffix."""
+    """Columns by name; those of `signals` are required, those of `known` need no unit suffix."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
@@ -243,7 +314,7 @@ def _check_header(path: Path, header: list[str], required: list[str], known: set
 
 
 def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
-    """Columns whose cells may be empty; the tip's only where nothing at all saw it."""
+    """Columns whose cells may be empty; those of the tip only where all of them are."""
     names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
     tip = [header.index(name) for name in tip_names() if name in header]
     unseen = not any(row[k] for row in body for k in tip if k < len(row))

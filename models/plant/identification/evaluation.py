@@ -16,6 +16,15 @@ from models.plant.step_model import names
 from models.shared.kinematics import rigid_tip_m
 from models.trials.trial import Trial
 
+__all__ = [
+    "Comparison",
+    "compare_with_trials",
+    "evaluate_plant",
+    "rigid_tip_rms_m",
+    "signal_errors",
+    "tip_rms_m",
+]
+
 TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
 
 
@@ -124,6 +133,21 @@ def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
     ------
     InputError
         If a trial lacks an input of the plant, or the simulation does not stay finite on it.
+
+    Examples
+    --------
+    >>> from models.plant.plant import NOMINAL, read_plant
+    >>> from models.trials.trial import TrialMeta
+    >>> plant = read_plant(NOMINAL.parent / "examples" / "emps_identified.json")
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="rest", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(50) * 1e-3}
+    >>> columns |= {"command_1_v": np.zeros(50), "position_1_m": np.zeros(50)}
+    >>> result = evaluate_plant(plant, [Trial("rest", meta, columns)])
+    >>> result.trials, result.signals["position_1_m"].unit
+    (1, 'm')
+    >>> result.signals["position_1_m"].rms < 1e-3
+    True
     """
     comparisons = compare_with_trials(plant, trials)
     dofs = {}

@@ -36,6 +36,8 @@ from models.plant.simulation.compiled_model import Array
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
+__all__ = ["Identification", "identify"]
+
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Multiples of the first stiffness in the scan."""
 

@@ -26,7 +26,7 @@ from models.plant.simulation.compiled_model import (
     trial_parameters,
 )
 from models.plant.step_model import names
-from models.trials.deformation import deformation_index, edge_lengths_m
+from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
 
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
@@ -56,7 +56,7 @@ def _balanced_index(trial: Trial) -> Array:
     The segments at the base strain most and need one marker, the others two, so a mean over the
     visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
     """
-    lengths = edge_lengths_m(trial)
+    lengths = marker_lengths_m(trial)
     if np.isfinite(lengths).all():
         return deformation_index(trial)
     with warnings.catch_warnings():

@@ -22,6 +22,14 @@ from models.plant.step_model import StepModel, names, runge_kutta
 from models.shared.c_compiler import compile_library
 from models.trials.trial import Trial
 
+__all__ = [
+    "CompiledModel",
+    "model_inputs",
+    "run_trial",
+    "sensitivity_model",
+    "trial_parameters",
+]
+
 Array = NDArray[np.float64]
 _DRIVER: Final = Path(__file__).with_name("run_trial.c")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
-from models.trials.importers.mapping import RecordingMap
+from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.series import Series
 
 _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
@@ -59,21 +58,17 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
 
 
 def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
-    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them."""
-    known = log_conditions(log)
-    step_s = known.pop("step_s")
-    return msgspec.structs.replace(
-        mapping,
-        trial=known | mapping.trial,
-        step_s=step_s if mapping.step_s == PERIOD_S else mapping.step_s,
-    )
+    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them.
 
-
-def log_conditions(log: Recording) -> dict[str, Any]:
-    """Conditions of a trial that a log holds, and its `step_s`."""
-    config = json.loads(log.metadata.get("config", "{}"))
-    motion = config.get("motion", {})
-    known = {
+    Parameters
+    ----------
+    mapping : RecordingMap
+        What it gives takes precedence.
+    log : Recording
+        Of `dropstitch run`.
+    """
+    motion = json.loads(log.metadata.get("config", "{}")).get("motion", {})
+    known: dict[str, Scalar | None] = {
         "dof": log.dof,
         "source": "recording",
         "motion": motion.get("kind"),
@@ -81,6 +76,11 @@ def log_conditions(log: Recording) -> dict[str, Any]:
         "amplitude_rad": motion.get("amplitude_rad"),
         "phase_2_rad": motion.get("phase_2_rad"),
         "payload_kg": json.loads(log.metadata.get("payload_kg", "null")),
-        "step_s": float(log.metadata.get("period_s", np.median(np.diff(log.columns["time_s"])))),
     }
-    return {key: value for key, value in known.items() if value is not None}
+    trial = {key: value for key, value in known.items() if value is not None}
+    step_s = float(log.metadata.get("period_s", np.median(np.diff(log.columns["time_s"]))))
+    return msgspec.structs.replace(
+        mapping,
+        trial=trial | mapping.trial,
+        step_s=step_s if mapping.step_s == PERIOD_S else mapping.step_s,
+    )

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
 from models.shared.kinematics import base_corners_m
-from models.trials.deformation import DEFINITIONS, deformation_index, edge_lengths_m
+from models.trials.deformation import DEFINITIONS, deformation_index, marker_lengths_m
 
 LENGTHS = {"edges": 16, "base_to_marker": 16, "all_pairs": 120}
 
@@ -30,7 +30,7 @@ def occlude(trial, rows, *markers):
 @pytest.mark.parametrize("definition", DEFINITIONS)
 def test_rigid_motion_does_not_deform(make_trial, swing_rad, definition):
     trial = make_trial(swing_rad)
-    assert edge_lengths_m(trial, definition).shape == (len(trial), LENGTHS[definition])
+    assert marker_lengths_m(trial, definition).shape == (len(trial), LENGTHS[definition])
     assert deformation_index(trial, definition) == pytest.approx(0, abs=1e-14)
 
 
@@ -99,11 +99,11 @@ def test_the_mean_runs_over_the_lengths_that_are_seen(make_trial, swing_rad):
     trial = make_trial(swing_rad, stretch=stretch)
     rows = slice(20, 25)
     occlude(trial, rows, 6, 11)  # two lengths each
-    assert np.isnan(edge_lengths_m(trial)[rows]).sum(axis=1).tolist() == [4] * 5
+    assert np.isnan(marker_lengths_m(trial)[rows]).sum(axis=1).tolist() == [4] * 5
     assert deformation_index(trial)[3:] == pytest.approx(0.01)
     # a deformation that nobody sees must not be counted, one that is seen counts 1/12 more
     trial.columns["m16_x_m"][20] += 1.0
-    seen = np.abs(edge_lengths_m(trial)[20, 15] / edge_lengths_m(trial)[0, 15] - 1)
+    seen = np.abs(marker_lengths_m(trial)[20, 15] / marker_lengths_m(trial)[0, 15] - 1)
     assert deformation_index(trial)[20] == pytest.approx((11 * 0.01 + seen) / 12)
 
 
