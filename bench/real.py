@@ -1,13 +1,13 @@
-"""Measured data of others through the commands of ours: import, identify, gap, identify.
+"""Benchmark on measured data of two other machines, through the commands of this project.
 
-Two rigs, each described by a plant file and a map (models/plant/examples): the XL330 pendulum, a
-DYNAMIXEL that swings a weight (Rhoban/bam), and the EMPS, a car on a ball screw (Janot et al.).
-The program names what the plant lacks, until it finds nothing more. What it named is then refitted
-with each gain of the pendulum left out in turn and judged on the logs of that gain, beside Coulomb
-and viscous friction treated alike.
+Import, identify, gap, identify. Each system is described by a plant file and a map
+(models/plant/examples): the XL330 pendulum, a DYNAMIXEL that swings a weight (Rhoban/bam), and the
+EMPS, a car on a ball screw (Janot et al.). The gap workflow names what the plant lacks, until it
+finds nothing more. The named effects are then refitted with each gain of the pendulum left out in
+turn and judged on the logs of that gain, beside Coulomb and viscous friction treated alike.
 
-Writes OUT/real.json, OUT/real.html and the plants OUT/RIG/plant.json; exit 1 if a limit is missed.
-Steps that are done are not repeated.
+Writes OUT/real.json, OUT/real.html and the plants OUT/SYSTEM/plant.json; exit 1 if a limit is
+missed. Steps that are done are not repeated.
 
     python -m bench.real DATA --out build/bench_real
 """
@@ -28,6 +28,7 @@ import numpy as np
 from bench.real_page import write_real_page
 from firmware_py.console import DONE, NEGATIVE, Progress
 from models.__main__ import main as models
+from models.gap.report.gap_json import read_gap_document
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.identification.identification import identify
 from models.plant.plant import Plant, read_plant
@@ -43,7 +44,7 @@ ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class MeasuredSystem:
-    """One source of data.
+    """Recordings of one machine.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class MeasuredSystem:
     folder, pattern : str
         Where the recordings are.
     signal : str
-        What is compared.
+        Signal that is compared.
     unit, factor : str, float
         In which errors are shown.
     measure : str
@@ -74,7 +75,7 @@ class MeasuredSystem:
     leave_out: str = ""
 
 
-RIGS: Final = (
+SYSTEMS: Final = (
     MeasuredSystem(
         "xl330_pendulum", "bam_xl330", "*.json", "angle_1_rad", "mrad", 1e3, "mae",
         {BASELINE: ("coulomb_friction",)}, "duty_gain_1",
@@ -86,27 +87,29 @@ RIGS: Final = (
 )  # fmt: skip
 
 
-def import_recordings(rig: MeasuredSystem, data: Path, out: Path) -> TrialSet:
-    """Trials of every recording of a rig."""
-    nominal = read_plant(EXAMPLES / f"{rig.name}.toml")
-    for file in sorted((data / rig.folder).glob(rig.pattern)):
+def import_recordings(system: MeasuredSystem, data: Path, out: Path) -> TrialSet:
+    """Trials of every recording of a system."""
+    nominal = read_plant(EXAMPLES / f"{system.name}.toml")
+    for file in sorted((data / system.folder).glob(system.pattern)):
         if not (out / f"{file.stem}.toml").exists():
             command = ["import", str(file), "--as", "table", "--out", str(out)]
-            _command([*command, "--map", str(EXAMPLES / f"{rig.name}.map.toml")])
+            _command([*command, "--map", str(EXAMPLES / f"{system.name}.map.toml")])
     return read_trials(out, nominal.signals)
 
 
-def name_and_identify(rig: MeasuredSystem, trials: Path, out: Path) -> tuple[Path, list[list[str]]]:
+def name_and_identify(
+    system: MeasuredSystem, trials: Path, out: Path
+) -> tuple[Path, list[list[str]]]:
     """Plant with all that the program names, and what it named in each round."""
     plant, rounds = out / "identified_0.json", []
-    _identify(trials, EXAMPLES / f"{rig.name}.toml", plant)
+    _identify(trials, EXAMPLES / f"{system.name}.toml", plant)
     for k in range(1, ROUNDS + 1):
         gap = out / f"gap_{k}"
         if not (gap / "report.html").exists():
             command = ["gap", str(trials), "--plant", str(plant), "--out", str(gap)]
             _command(command, negative=True)
-        named = json.loads((gap / "gap.json").read_text(encoding="utf-8"))["named"]
-        rounds.append([e for row in named if row["kept"] for e in row["effect"].split(" + ")])
+        named = read_gap_document(gap / "gap.json").named
+        rounds.append([e for row in named if row.kept for e in row.effect.split(" + ")])
         if not rounds[-1]:
             break
         better = out / f"identified_{k}.json"
@@ -149,21 +152,21 @@ def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, di
 
 
 def judge_fit(
-    rig: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
+    system: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
     """Errors of one structure: of a fit to all trials, and with each condition left out."""
     full = identified_plant(plant, trials, out / "all.json", step)
     row: dict[str, Any] = {"effects": list(full.effects)}
-    row["all"] = _mean(errors_by_trial(full, trials, rig.signal), rig.measure)
-    if rig.leave_out:
+    row["all"] = _mean(errors_by_trial(full, trials, system.signal), system.measure)
+    if system.leave_out:
         left: dict[str, dict[str, float]] = {}
-        for value in sorted({t.meta.conditions[rig.leave_out] for t in trials}):
-            rest = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] != v)
-            own = trials.where(lambda t, v=value: t.meta.conditions[rig.leave_out] == v)
+        for value in sorted({t.meta.conditions[system.leave_out] for t in trials}):
+            rest = trials.where(lambda t, v=value: t.meta.conditions[system.leave_out] != v)
+            own = trials.where(lambda t, v=value: t.meta.conditions[system.leave_out] == v)
             fit = identified_plant(plant, rest, out / f"without_{value:.3g}.json", step)
-            left |= errors_by_trial(fit, own, rig.signal)
-        row["left_out"] = _mean(left, rig.measure)
-        row["left_out_by_trial"] = {name: e[rig.measure] for name, e in left.items()}
+            left |= errors_by_trial(fit, own, system.signal)
+        row["left_out"] = _mean(left, system.measure)
+        row["left_out_by_trial"] = {name: e[system.measure] for name, e in left.items()}
     return row
 
 
@@ -172,26 +175,26 @@ def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
 
 
 def run_system(
-    rig: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]
+    system: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Everything about one rig."""
-    trials = import_recordings(rig, data, out / "trials")
-    found, rounds = name_and_identify(rig, out / "trials", out)
+    """Everything about one system."""
+    trials = import_recordings(system, data, out / "trials")
+    found, rounds = name_and_identify(system, out / "trials", out)
     step("named")
     shutil.copyfile(found, out / "plant.json")
-    nominal, plant = read_plant(EXAMPLES / f"{rig.name}.toml"), read_plant(found)
+    nominal, plant = read_plant(EXAMPLES / f"{system.name}.toml"), read_plant(found)
     fits = {
-        label: judge_fit(rig, nominal.with_effects(*effects), trials, out / label, step)
-        for label, effects in rig.ladder.items()
+        label: judge_fit(system, nominal.with_effects(*effects), trials, out / label, step)
+        for label, effects in system.ladder.items()
     }
     held = [e for e in plant.effects if e not in nominal.effects]
-    fits[FOUND] = judge_fit(rig, nominal.with_effects(*held), trials, out / FOUND, step)
-    fits[FOUND]["all"] = _mean(errors_by_trial(plant, trials, rig.signal), rig.measure)
+    fits[FOUND] = judge_fit(system, nominal.with_effects(*held), trials, out / FOUND, step)
+    fits[FOUND]["all"] = _mean(errors_by_trial(plant, trials, system.signal), system.measure)
     return {
         "rounds": rounds,
         "plant": str(out / "plant.json"),
-        "unit": rig.unit,
-        "measure": rig.measure,
+        "unit": system.unit,
+        "measure": system.measure,
         "fits": fits,
         "parameters": {
             q.name: {"value": q.value, "error": q.error, "unit": q.unit}
@@ -202,7 +205,7 @@ def run_system(
 
 def real_data_verdicts(result: dict[str, Any]) -> list[dict[str, Any]]:
     """The figures that have limits."""
-    pendulum, car = (result[rig.name] for rig in RIGS)
+    pendulum, car = (result[system.name] for system in SYSTEMS)
     ratio = pendulum["fits"][FOUND]["left_out"] / pendulum["fits"][BASELINE]["left_out"]
     named = {e for round_ in car["rounds"] for e in round_}
     rows = [
@@ -223,14 +226,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("data", type=Path, metavar="DATA", help="folder of bam_xl330 and emps")
     parser.add_argument("--out", type=Path, default=Path("build/bench_real"))
     args = parser.parse_args(argv)
-    for rig in RIGS:
-        if not any((args.data / rig.folder).glob(rig.pattern)):
-            parser.error(f"{args.data / rig.folder} holds no {rig.pattern}")
+    for system in SYSTEMS:
+        if not any((args.data / system.folder).glob(system.pattern)):
+            parser.error(f"{args.data / system.folder} holds no {system.pattern}")
     progress = Progress("real", 16)
     result = {
-        rig.name: run_system(rig, args.data, args.out / rig.name, progress.step) for rig in RIGS
+        system.name: run_system(system, args.data, args.out / system.name, progress.step)
+        for system in SYSTEMS
     }
-    data = {"rigs": result, "verdicts": real_data_verdicts(result)}
+    data = {"systems": result, "verdicts": real_data_verdicts(result)}
     (args.out / "real.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     page = write_real_page(data, args.out)
     for v in data["verdicts"]:

@@ -1,4 +1,4 @@
-"""The page of `bench.real`: verdicts, what was named, fits side by side, pictures."""
+"""Page of `bench.real`: verdicts, named effects, fits side by side, curves."""
 
 from __future__ import annotations
 
@@ -32,31 +32,31 @@ def write_real_page(data: dict[str, Any], out: Path) -> Path:
         ],
     )  # fmt: skip
     parts = [Section("verdicts", "Verdicts", verdicts)]
-    parts += [_rig(name, rig, out / name) for name, rig in data["rigs"].items()]
+    parts += [_system(name, system, out / name) for name, system in data["systems"].items()]
     path = out / "real.html"
     opening = "<p>Recordings of others, imported, identified and diagnosed by our commands.</p>"
     path.write_text(page_of("Measured data", opening, parts), encoding="utf-8")
     return path
 
 
-def _rig(name: str, rig: dict[str, Any], out: Path) -> Section:
-    """What was named, the fits, and every trial."""
-    rounds = "; ".join(" + ".join(names) or "nothing more" for names in rig["rounds"])
-    shown = UNITS[rig["unit"]]
+def _system(name: str, system: dict[str, Any], out: Path) -> Section:
+    """Named effects, fits and trials of one system."""
+    rounds = "; ".join(" + ".join(names) or "nothing more" for names in system["rounds"])
+    shown = UNITS[system["unit"]]
     fits = table_of(
         ("fit", shown.label("all trials"), shown.label("condition left out")),
         [
             (html.escape(label), shown.number(row["all"]),
              shown.number(row["left_out"]) if "left_out" in row else "")
-            for label, row in rig["fits"].items()
+            for label, row in system["fits"].items()
         ],
-        MEASURE[rig["measure"]],
+        MEASURE[system["measure"]],
     )  # fmt: skip
     values = table_of(
         ("parameter", "value", "standard error", "unit"),
         [
             (html.escape(n), f"{q['value']:.4g}", f"{q['error']:.1g}", html.escape(q["unit"]))
-            for n, q in rig["parameters"].items()
+            for n, q in system["parameters"].items()
         ],
         "identified",
     )

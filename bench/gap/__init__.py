@@ -1,1 +1,1 @@
-"""How often the gap workflow names a hidden effect rightly, measured on the virtual laboratory."""
+"""Benchmark of the gap workflow: how often it names an effect that is hidden in the rig."""

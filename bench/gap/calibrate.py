@@ -1,12 +1,11 @@
-"""Measure what the gap workflow must know of data without a gap.
+"""Calibration of the gap workflow on data without a gap.
 
     python -m bench.gap.calibrate --plant build/plant.json --out build/calibrate
 
-Two sets of laboratories without a hidden effect, their nuisance drawn anew: from the first come the
-patterns of the plant's own error (`models/gap/estimation/model_discrepancy.npz`), from the second
-how far every
-effect seems to help there (`models/gap/search/null_distribution.json`). Resumable: one file per
-laboratory.
+Two sets of rigs without a hidden effect, their nuisance drawn anew: the first gives the patterns of
+the plant's own error (`models/gap/estimation/model_discrepancy.npz`), the second the null
+distribution of every effect (`models/gap/search/null_distribution.json`). Resumable: one file per
+rig.
 """
 
 from __future__ import annotations
@@ -20,9 +19,10 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
-from bench.gap.case_run import bench_trials, rig_of
+from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
 from bench.gap.cases import BenchCase, draw_cases
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
@@ -32,23 +32,23 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import PATH as PATTERNS
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
 from models.gap.estimation.noise_floor import group_frequencies_hz
-from models.gap.estimation.noise_floor_fit import noise_floor_of
-from models.gap.residuals.fit_parameters import nuisance_fit_parameters, trial_fit_parameters
+from models.gap.estimation.noise_floor_fit import nuisance_and_variation
 from models.gap.residuals.residuals import Residuals
-from models.gap.search.null_distribution import PATH as PRICES
+from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.search.null_distribution import calibrated_null_distribution
+from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
-SEEDS: Final = {"patterns": 9000, "prices": 9001}
+SEEDS: Final = {"patterns": 9000, "null": 9001}
 """Of the draws; the benchmark has others."""
 
 
 def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save what the nuisance fit leaves on one laboratory: spectra by payload."""
+    """Save the residual of the nuisance fit on one rig: spectra by payload."""
     rig = rig_of(case)
     try:
         trials = [run_case(rig, TrialCase(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
@@ -56,16 +56,13 @@ def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
         np.savez(path)
         return
     plant = read_plant(plant_path)
-    problem = Residuals(
-        plant, trials, nuisance_fit_parameters(plant, 1) + trial_fit_parameters(plant, trials)
-    )
-    floor = noise_floor_of(plant, 1)
-    assert floor is not None, "identify the plant on repeated trials first"
-    estimator = GaussNewton(problem, floor)
-    start = estimator.at(np.zeros(len(problem.knobs)))
-    point = estimator.fit(start, np.ones(len(problem.knobs), bool), 20)
-    (group,) = problem.groups
-    hz = group_frequencies_hz(group, problem.trials)
+    residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
+    floor = required_noise_floor(plant)
+    estimator = GaussNewton(residuals, floor)
+    steps = residuals.settings.nuisance_fit_steps
+    point = estimator.fit(estimator.start(), np.ones(len(residuals.fit_parameters), bool), steps)
+    (group,) = residuals.groups
+    hz = group_frequencies_hz(group, residuals.trials)
     noise = [np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals]
     np.savez(
         path, rows=point.rows[0] - estimator.means[0], noise=noise, key=group.key,
@@ -74,19 +71,17 @@ def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
 
 
 def null_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save how far each effect seems to help on one laboratory, and what is left without any."""
+    """Save the d′ of each effect on one rig, and the residual without any."""
     try:
         trials = bench_trials(rig_of(case), case.seed)
     except InputError:
         Path(path).write_text("{}")
         return
     found = diagnose(read_plant(plant_path), TrialSet(tuple(trials)))
-    result = dict(found.naming.screened)
-    for tried in found.naming.rounds[0]:
-        if len(tried.effects) == 1:
-            (effect,) = tried.effects
-            result[effect] = max(result[effect], tried.separation)
-    row = {"separations": result, "left": found.namer.left(found.naming.before)}
+    separations = dict(found.screened)
+    for effect, separation in found.refitted.items():
+        separations[effect] = max(separations[effect], separation)
+    row = {"separations": separations, "left": found.residual_before}
     Path(path).write_text(json.dumps(row))
 
 
@@ -95,8 +90,8 @@ def learn_patterns(files: list[Path]) -> ModelDiscrepancy:
     loaded = [dict(np.load(f)) for f in files]
     loaded = [d for d in loaded if "rows" in d]
     rows = np.array([d["rows"] for d in loaded])
-    table = patterns_of(rows, loaded[0]["noise"])
-    print(f"{len(table)} patterns from {len(rows)} laboratories")
+    table = patterns_of(rows, loaded[0]["noise"], DEFAULT_SETTINGS.discrepancy_patterns)
+    print(f"{len(table)} patterns from {len(rows)} rigs")
     return ModelDiscrepancy(
         str(loaded[0]["key"]), np.array(PAYLOADS_KG), tuple(loaded[0]["signals"].tolist()), table
     )
@@ -107,30 +102,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plant", type=Path, required=True, help="identified without effects")
     parser.add_argument("--out", type=Path, required=True, help="directory of results")
-    parser.add_argument("--patterns", type=int, default=64, help="laboratories for the patterns")
-    parser.add_argument("--prices", type=int, default=96, help="laboratories for the prices")
+    parser.add_argument("--patterns", type=int, default=64, help="rigs for the patterns")
+    parser.add_argument("--null", type=int, default=96, help="rigs for the null distribution")
     args = parser.parse_args()
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
     if args.patterns:
         work = _cases("patterns", args.patterns, args.out, "npz")
         learn_patterns(_run(pattern_case, work, args.plant)).write(PATTERNS)
-    if args.prices:
-        work = _cases("prices", args.prices, args.out, "json")
+    if args.null:
+        work = _cases("null", args.null, args.out, "json")
         rows = [json.loads(f.read_text()) for f in _run(null_case, work, args.plant)]
         rows = [r for r in rows if r]
         found = calibrated_null_distribution(
             [r["separations"] for r in rows], [r["left"] for r in rows]
         )
-        PRICES.write_text(json.dumps(found, indent=1) + "\n")
+        NULL_DISTRIBUTION.write_bytes(
+            msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n"
+        )
 
 
 Work = list[tuple[BenchCase, Path]]
 
 
-def _cases(what: str, count: int, out: Path, suffix: str) -> Work:
-    drawn = draw_cases(0, count, 0, 0, SEEDS[what])
-    return [(case, out / f"{what}_{case.key}.{suffix}") for case in drawn]
+def _cases(purpose: str, count: int, out: Path, suffix: str) -> Work:
+    drawn = draw_cases(0, count, 0, 0, SEEDS[purpose])
+    return [(case, out / f"{purpose}_{case.key}.{suffix}") for case in drawn]
 
 
 def _run(job: Callable[[BenchCase, str, str], None], work: Work, plant: Path) -> list[Path]:

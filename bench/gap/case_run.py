@@ -1,4 +1,7 @@
-"""Run one case: hide, simulate, diagnose, test on a sealed trial of another motion."""
+"""One case of the benchmark: hide, simulate, diagnose, test on another motion.
+
+The sealed trial is that of another motion, which nothing was fitted to.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ from bench.gap.cases import BenchCase
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from models.gap.diagnosis import diagnose
+from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
-from models.gap.search.look_alikes import look_alikes_of
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import RigParameters, read_parameters
@@ -51,32 +54,34 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     leave_out = list(case.hidden) if case.kind == "outside" else []
     found = diagnose(plant, trials, leave_out=leave_out)
     wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - cpu_s
-    naming = found.naming
     known = found.improved.parameters
     return {
         "verdict": found.verdict,
-        "named": list(naming.named),
-        "chosen": [list(c.effects) for c in naming.chosen],
-        "separation": [c.separation for c in naming.chosen],
-        "look_alikes": [
-            [list(c.effects) for c in look_alikes_of(naming, k)] for k in range(len(naming.chosen))
-        ],
-        "largest": max(naming.screened.values(), default=0.0),
+        "named": list(found.named),
+        "chosen": [list(c.effects) for c in found.inclusions],
+        "separation": [c.separation for c in found.inclusions],
+        "look_alikes": [[list(a.effects) for a in c.look_alikes] for c in found.inclusions],
+        "largest": max(found.screened.values(), default=0.0),
         "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
-        "own": {e: naming.screened.get(e) for e in case.hidden},
-        "scatter": {e: found.namer.null.least([e]) / found.namer.null.threshold
-                    for e in case.hidden},
+        "own": {e: found.screened.get(e) for e in case.hidden},
+        "null_standard_deviation": {
+            e: found.null_distribution.least([e]) / found.null_distribution.threshold
+            for e in case.hidden
+        },
         "estimates": {
             effect: [
                 [known[n].value, known[n].error, plant_value(plant, n)]
-                for k in found.namer.knobs if k.effect == effect for n in k.parameters if n in known
+                for q in found.fit_parameters if q.effect == effect
+                for n in q.parameters if n in known
             ]
-            for effect in naming.named
+            for effect in found.named
         },
-        "sealed": sealed_errors(rig, case, [plant, found.improved]) if naming.named else None,
-        "left": [found.namer.left(naming.before), found.namer.left(naming.after), found.left],
-        "constancy": {e: [c.spread, c.chance] for e, c in found.constancy.items()},
-        "separable": separable(plant, trials, case, naming.named),
+        "sealed": sealed_errors(rig, case, [plant, found.improved]) if found.named else None,
+        "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
+        "strength_consistency": {
+            e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()
+        },
+        "separable": separable(plant, trials, case, found.named),
         "wall_s": wall_s,
         "cpu_s": cpu_s,
     }  # fmt: skip
@@ -89,12 +94,12 @@ def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequen
     """
     if case.kind != "outside":
         return True
-    naming = diagnose(plant, trials).naming
+    found = diagnose(plant, trials)
     alike = {
-        e for turn, chosen in enumerate(naming.chosen) if set(chosen.effects) & set(case.hidden)
-        for c in look_alikes_of(naming, turn) for e in c.effects
+        e for c in found.inclusions if set(c.effects) & set(case.hidden)
+        for a in c.look_alikes for e in a.effects
     }  # fmt: skip
-    return set(case.hidden) <= set(naming.named) and not alike & set(stand_ins)
+    return set(case.hidden) <= set(found.named) and not alike & set(stand_ins)
 
 
 def plant_value(plant: Plant, name: str) -> float:
@@ -105,7 +110,7 @@ def plant_value(plant: Plant, name: str) -> float:
 def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) -> float:
     """Change that is to be found.
 
-    Where the plant has no such effect, what the laboratory always has (2 ms of dead time) comes in.
+    Where the plant has no such effect, the rig's own (2 ms of dead time) is added.
     """
     return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
 
@@ -123,8 +128,7 @@ def sealed_errors(
 
 def sealed_error(plant: Plant, trial: Trial) -> float:
     """Error on a trial: root mean square over signals, each in its own noise floor."""
-    floor = noise_floor_of(plant, 1)
-    assert floor is not None, "identify the plant on repeated trials first"
+    floor = required_noise_floor(plant)
     comparison = compare_with_trials(plant, [trial])[0]
     squares = [
         np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
@@ -133,14 +137,28 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def required_noise_floor(plant: Plant) -> NoiseFloor:
+    """Noise floor of a plant for one joint.
+
+    Raises
+    ------
+    InputError
+        If the plant carries none.
+    """
+    floor = noise_floor_of(plant, 1)
+    if floor is None:
+        raise InputError(plant.name, "carries no noise floor", "identify it on repeated trials")
+    return floor
+
+
 def rig_of(case: BenchCase) -> RigParameters:
-    """Laboratory of a case, without what is hidden in it."""
+    """Rig of a case, without the hidden effects."""
     rig = read_parameters()
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 
 def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
-    """Three payloads, two repetitions.
+    """Trials of three payloads, each repeated once.
 
     Raises
     ------

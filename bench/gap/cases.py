@@ -1,9 +1,9 @@
-"""Cases of the benchmark: what is hidden in the laboratory, drawn at random.
+"""Cases of the benchmark: effects hidden in the rig, drawn at random.
 
-The laboratory has its own formulation of every effect. Its stiffness, mass and damping are drawn
-anew in each case, so that the plant, identified on the default laboratory, is never nominally
-right. Strengths are drawn log-uniformly within a factor of two around what would be noticed on the
-bench (`TYPICAL`), or around a fifth of it.
+The rig has its own formulation of every effect. Its stiffness, mass and damping are drawn anew in
+each case, so that the plant, identified on the default rig, is never nominally right. Strengths are
+drawn log-uniformly within a factor of two around what would be noticed on the bench (`TYPICAL`), or
+around a fifth of it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ NUISANCE: Final = {
     "stiffness.bending_n_m2": 0.1, "stiffness.root_nm_rad": 0.1, "link.mass_kg": 0.1,
     "stiffness.damping_s": 0.2,
 }  # fmt: skip
-"""Spread of the laboratory's own parameters, as shares."""
+"""Standard deviation of the logarithm of the rig's own parameters."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class BenchCase:
     hidden : dict of str to float
         Strengths.
     nuisance : dict of str to float
-        Factors on the laboratory's parameters.
+        Factors on the rig's parameters.
     seed : int
         Of trial variation and noise.
     """

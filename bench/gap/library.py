@@ -1,10 +1,10 @@
-"""Library of physical terms for discrepancy modelling, and what the plant's equations miss.
+"""Library of physical terms for discrepancy modelling, and the residuals of the plant's equations.
 
-Three equations of the plant are left with a residual where something is missing: torque on the
-joint and bend, both of the link driven by the measured angle, and the command, the goal for which
-the measured motion and current would be right. Each term of the library is an effect of the
-catalogue. Columns equal to another's are left out: in the bend a tilted mocap frame and an offset
-of the encoder look like a prebend, in the torque a current's bias looks like a load's.
+Three equations of the plant keep a residual where an effect is missing: torque on the joint and
+bend, both of the link driven by the measured angle, and the command, the goal for which the
+measured motion and current would be right. Each term of the library is an effect of the catalogue.
+Columns equal to another's are left out: in the bend a tilted mocap frame and an offset of the
+encoder equal a prebend, in the torque a bias of the current equals that of a load.
 """
 
 from __future__ import annotations
@@ -22,26 +22,98 @@ CREEP_S: Final = 3.0
 PLAY_NM: Final = 0.5
 YIELD_RAD_S: Final = 0.005
 STRIBECK_RAD_S: Final = 0.1
-"""Shapes inside a column, at the catalogue's defaults: a linear library cannot fit them."""
+"""Parameters inside a column, at the catalogue's defaults: a linear library cannot fit them."""
 
 
 @dataclass(frozen=True)
 class Equation:
-    """What an equation of the plant misses in one trial, and what could explain it.
+    """Residual of an equation of the plant in one trial, and the terms that could explain it.
 
     Attributes
     ----------
     missing : ndarray, shape (n,)
         Residual of the equation.
     columns : dict of str to ndarray, shape (n,)
-        Library by effect; a name in parentheses is no effect and never named.
+        Library by effect; a name in parentheses is no effect and is never named.
     counts : ndarray of bool, shape (n,)
-        Rows on which the equation says something.
+        Rows on which the equation is determined.
     """
 
     missing: Array
     columns: dict[str, Array]
     counts: Any
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """Measured motion of the link in one trial, and the loads that follow from it.
+
+    Attributes
+    ----------
+    step_s : float
+        Time step.
+    time_s : ndarray, shape (n,)
+        Time since the motion began; zero before.
+    angle, rate, acceleration : ndarray, shape (n,)
+        Of the joint, in rad and s.
+    leaning, bend : ndarray, shape (n,)
+        Angle of the tip, and its difference from the joint's, in rad.
+    radius_m : float
+        From the joint's axis to the tip.
+    load_nm, off_axis_nm : ndarray, shape (n,)
+        Torque of gravity; torque per metre of the payload's offset.
+    gravity_per_rad_nm : ndarray, shape (n,)
+        Torque of gravity per radian of the joint.
+    direction : ndarray, shape (n,)
+        Smooth sign of the rate.
+    """
+
+    step_s: float
+    time_s: Array
+    angle: Array
+    rate: Array
+    acceleration: Array
+    leaning: Array
+    bend: Array
+    radius_m: float
+    load_nm: Array
+    off_axis_nm: Array
+    gravity_per_rad_nm: Array
+    direction: Array
+
+
+def link_motion(trial: Trial, p: dict[str, float]) -> LinkMotion:
+    """Motion of the link in a trial.
+
+    Parameters
+    ----------
+    trial : Trial
+        As measured.
+    p : dict of str to float
+        Parameters of the refitted plant.
+    """
+    meta, step_s = trial.meta, trial.step_s
+    angle = trial.columns["angle_1_rad"]
+    rate = derivative(angle, step_s)
+    leaning = np.arctan2(trial.columns["tip_x_m"], trial.columns["tip_z_m"])
+    radius = meta.base_offset_m + meta.link_length_m
+    own = p["link_mass_kg"] * (meta.base_offset_m + meta.link_length_m / 2)
+    gravity = p["gravity_m_s2"]
+    per_gravity = own + (p["tip_mass_kg"] + meta.payload_kg) * radius
+    return LinkMotion(
+        step_s=step_s,
+        time_s=np.maximum(step_s * (np.arange(len(trial)) - meta.rest_samples), 0.0),
+        angle=angle,
+        rate=rate,
+        acceleration=derivative(angle, step_s, 2),
+        leaning=leaning,
+        bend=leaning - angle,
+        radius_m=radius,
+        load_nm=gravity * per_gravity * np.sin(leaning),
+        off_axis_nm=meta.payload_kg * gravity * radius * np.cos(angle),
+        gravity_per_rad_nm=gravity * per_gravity * np.cos(angle),
+        direction=np.tanh(rate / p["friction_speed_1_rad_s"]),
+    )
 
 
 def missing_in_equations(
@@ -59,56 +131,72 @@ def missing_in_equations(
         Measured minus simulated signals: of the closed loop, and of the link whose joint moves as
         measured.
     """
-    meta, step_s = trial.meta, trial.step_s
-    angle, current = trial.columns["angle_1_rad"], trial.columns["current_1_a"]
-    rate, acceleration = derivative(angle, step_s), derivative(angle, step_s, 2)
-    leaning = np.arctan2(trial.columns["tip_x_m"], trial.columns["tip_z_m"])
-    bend, radius = leaning - angle, meta.base_offset_m + meta.link_length_m
-    own = p["link_mass_kg"] * (meta.base_offset_m + meta.link_length_m / 2)
-    gravity, constant = p["gravity_m_s2"], p["torque_constant_1_nm_a"]
-    per_gravity = own + (p["tip_mass_kg"] + meta.payload_kg) * radius
-    load = gravity * per_gravity * np.sin(leaning)
-    direction, one = np.tanh(rate / p["friction_speed_1_rad_s"]), np.ones(len(trial))
-    time_s = np.maximum(step_s * (np.arange(len(trial)) - meta.rest_samples), 0.0)
-    off_axis = meta.payload_kg * gravity * radius * np.cos(angle)
-    share = step_s / CREEP_S
-    crept = lfilter([share], [1, share - 1], bend, zi=[bend[0] * (1 - share)])[0]
-    runs, bend_rate = time_s > 0, derivative(bend, step_s)
-    torque = {
-        "load_offset": one, "coulomb_friction": direction, "viscous_friction": rate,
-        "stribeck_friction": direction * np.exp(-((rate / STRIBECK_RAD_S) ** 2)),
-        "load_dependent_friction": np.abs(load) * direction,
-        "aerodynamic_drag": rate * np.abs(rate), "torque_constant_drift": constant * current,
-        "unmodelled_payload": gravity * radius * np.sin(leaning) - radius**2 * acceleration,
-        "payload_offset": off_axis, "encoder_offset": gravity * per_gravity * np.cos(angle),
-    }  # fmt: skip
-    bending = {
-        "prebend": one, "sync_offset": rate, "directional_stiffness": np.abs(bend),
-        "stiffness_softening": bend * np.abs(bend), "stiffness_hardening": bend**3,
-        "pressure_leak": time_s * bend, "hysteresis": np.tanh(bend_rate / YIELD_RAD_S),
-        "creep": crept, "backlash": np.tanh(load / PLAY_NM), "joint_elasticity": bend,
-        "unmodelled_payload": np.sin(leaning), "payload_offset": off_axis,
-        "aerodynamic_drag": rate * np.abs(rate), "(damping)": bend_rate,
-    }  # fmt: skip
-    command = {
-        "dead_time": derivative(trial.columns["goal_1_rad"], step_s), "current_scale": current,
-        "current_saturation": np.sign(current) * (np.abs(current) > 0.95 * np.abs(current).max()),
-        "(constant)": one,
-    }  # fmt: skip
+    motion = link_motion(trial, p)
+    constant, runs = p["torque_constant_1_nm_a"], motion.time_s > 0
+    leaning = motion.leaning
     across = np.cos(leaning) * driven["tip_x_m"] - np.sin(leaning) * driven["tip_z_m"]
     # The cascade solved for its goal: i = k_v (e + ∫e / T_i), e = k_p (goal − q) − q̇.
-    leak = step_s / p["velocity_integral_time_1_s"]
+    leak = motion.step_s / p["velocity_integral_time_1_s"]
     error = lfilter([1, -1], [1 + leak, -1], twin["current_1_a"]) / p["velocity_gain_1_a_s_rad"]
     gain = p["position_gain_1_per_s"]
-    goal = twin["angle_1_rad"] + (derivative(twin["angle_1_rad"], step_s) + error) / gain
-    moves = runs & (np.abs(rate) > 2 * p["friction_speed_1_rad_s"])
+    goal = twin["angle_1_rad"] + (derivative(twin["angle_1_rad"], motion.step_s) + error) / gain
+    moves = runs & (np.abs(motion.rate) > 2 * p["friction_speed_1_rad_s"])
+    torque = _torque_terms(motion, p["gravity_m_s2"], constant * trial.columns["current_1_a"])
     return {
         "torque": Equation(constant * driven["current_1_a"], torque, moves),
-        "bend": Equation(across / radius, bending, one > 0),
-        "command": Equation(goal, command, runs),
+        "bend": Equation(across / motion.radius_m, _bend_terms(motion), np.ones(len(trial)) > 0),
+        "command": Equation(goal, _command_terms(trial), runs),
+    }
+
+
+def _torque_terms(m: LinkMotion, gravity: float, servo_torque: Array) -> dict[str, Array]:
+    payload = gravity * m.radius_m * np.sin(m.leaning) - m.radius_m**2 * m.acceleration
+    return {
+        "load_offset": np.ones(len(m.angle)), "coulomb_friction": m.direction,
+        "viscous_friction": m.rate,
+        "stribeck_friction": m.direction * np.exp(-((m.rate / STRIBECK_RAD_S) ** 2)),
+        "load_dependent_friction": np.abs(m.load_nm) * m.direction,
+        "aerodynamic_drag": m.rate * np.abs(m.rate), "torque_constant_drift": servo_torque,
+        "unmodelled_payload": payload, "payload_offset": m.off_axis_nm,
+        "encoder_offset": m.gravity_per_rad_nm,
+    }  # fmt: skip
+
+
+def _bend_terms(m: LinkMotion) -> dict[str, Array]:
+    bend, bend_rate, fraction = m.bend, derivative(m.bend, m.step_s), m.step_s / CREEP_S
+    start = [bend[0] * (1 - fraction)]
+    return {
+        "prebend": np.ones(len(bend)), "sync_offset": m.rate, "directional_stiffness": np.abs(bend),
+        "stiffness_softening": bend * np.abs(bend), "stiffness_hardening": bend**3,
+        "pressure_leak": m.time_s * bend, "hysteresis": np.tanh(bend_rate / YIELD_RAD_S),
+        "creep": lfilter([fraction], [1, fraction - 1], bend, zi=start)[0],
+        "backlash": np.tanh(m.load_nm / PLAY_NM), "joint_elasticity": bend,
+        "unmodelled_payload": np.sin(m.leaning), "payload_offset": m.off_axis_nm,
+        "aerodynamic_drag": m.rate * np.abs(m.rate), "(damping)": bend_rate,
+    }  # fmt: skip
+
+
+def _command_terms(trial: Trial) -> dict[str, Array]:
+    current = trial.columns["current_1_a"]
+    limited = np.abs(current) > 0.95 * np.abs(current).max()
+    return {
+        "dead_time": derivative(trial.columns["goal_1_rad"], trial.step_s),
+        "current_scale": current,
+        "current_saturation": np.sign(current) * limited,
+        "(constant)": np.ones(len(trial)),
     }
 
 
 def derivative(rows: Array, step_s: float, order: int = 1) -> Array:
-    """Derivative of smoothed rows (PySINDy's `SmoothedFiniteDifference` smooths alike)."""
+    """Derivative of smoothed rows (PySINDy's `SmoothedFiniteDifference` smooths alike).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n,)
+        Samples.
+    step_s : float
+        Time step.
+    order : int
+        Of the derivative.
+    """
     return np.asarray(savgol_filter(rows, 9, 3, deriv=order, delta=step_s))

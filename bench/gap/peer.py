@@ -1,19 +1,19 @@
-"""PySINDy on the benchmark's data sets: discrepancy modelling beside the gap workflow.
+"""Discrepancy modelling with PySINDy on the benchmark's data sets, beside the gap workflow.
 
     python -m bench.gap.peer --plant build/plant.json --out build/bench_gap
 
-As Kaheman et al. (2019) and Ebers, Steele and Kutz (2024) do it, what the plant misses is written
-as a sparse sum of library terms by sequentially thresholded least squares (STLSQ). It starts where
-the gap workflow does: identified plant, its known error, nuisance and trial variation refitted.
-Residuals are in units of what differs between repetitions and columns have unit size, so a
-coefficient is a contribution in noise floors; the effect with the greatest is named first, nothing
-where no term survives. Equations and library: `bench.gap.library`.
+As in Kaheman et al. (2019) and Ebers, Steele and Kutz (2024), the residual of the plant's equations
+is written as a sparse sum of library terms by sequentially thresholded least squares (STLSQ). It
+starts where the gap workflow does: identified plant, its known error, nuisance and trial variation
+refitted. Residuals are in units of the difference between repetitions and columns have unit size,
+so a coefficient is a contribution in noise floors; the effect with the greatest is named first,
+nothing where no term survives. Equations and library: `bench.gap.library`.
 
-How it was tuned: on 27 data sets without an effect, of other draws (seeds 1000 and 5000), as the
-least threshold, and a tenth, at which none of them raised an alarm. The ridge hardly matters: from
-0.003 to 1, each with its own such threshold, 8 to 10 of 25 large effects were named rightly. The
-library and its shapes were chosen on draw 1000 with effects; columns scaled by what they show
-without an effect, or a threshold found by leaving out payloads, did no better (8 to 12 of 26).
+Tuning: on 27 data sets without an effect, of other draws (seeds 1000 and 5000), the least
+threshold, to a tenth, at which none of them raised an alarm. The ridge hardly matters: from 0.003
+to 1, each with its own such threshold, 8 to 10 of 25 large effects were named rightly. The library
+and its shapes were chosen on draw 1000 with effects; columns scaled by their size without an
+effect, or a threshold found by leaving out payloads, did no better (8 to 12 of 26).
 """
 
 from __future__ import annotations
@@ -30,21 +30,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.gap.case_run import bench_trials, rig_of
+from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
 from bench.gap.cases import BenchCase
 from bench.gap.library import Equation, missing_in_equations
 from bench.gap.score_summary import peer_comparison
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import noise_floor_of
-from models.gap.residuals.fit_parameters import (
-    FitParameter,
-    nuisance_fit_parameters,
-    plant_with_every_effect,
-    trial_fit_parameters,
-)
-from models.gap.residuals.residuals import SUBSTEP_S, Residuals
+from models.gap.estimation.noise_floor_fit import nuisance_and_variation
+from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
+from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array, inverse_cosine_transform
 from models.plant.identification.simulation_fit import row_weights
 from models.plant.plant import ModelKind, Plant, read_plant
@@ -61,52 +56,60 @@ RIDGE: Final = 0.1
 
 def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
     """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
-    problem = Residuals(
-        plant, trials, nuisance_fit_parameters(plant, 1) + trial_fit_parameters(plant, trials)
-    )
-    floor = noise_floor_of(plant, 1)
-    assert floor is not None, "identify the plant on repeated trials first"
-    estimator = GaussNewton(problem, floor)
-    start = estimator.at(np.zeros(len(problem.knobs)))
-    values = estimator.fit(start, np.ones(len(problem.knobs), bool)).values
-    (group,), (means,) = problem.groups, estimator.means
-    units: dict[ModelKind, CompiledModel] = {}
-    for unit in ("twin", "driven"):
-        model = plant_with_every_effect(plant).step_model(1, unit)
-        units[unit] = CompiledModel(replace(model, max_substep_s=SUBSTEP_S))
+    residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
+    estimator = GaussNewton(residuals, required_noise_floor(plant))
+    every = np.ones(len(residuals.fit_parameters), bool)
+    values = estimator.fit(estimator.start(), every).values
+    (group,), (means,) = residuals.groups, estimator.means
+    models: dict[ModelKind, CompiledModel] = {}
+    for kind in ("twin", "driven"):
+        model = plant_with_every_effect(plant).step_model(1, kind)
+        models[kind] = CompiledModel(replace(model, max_substep_s=residuals.model.max_substep_s))
     result = []
     for k, trial in enumerate(trials):
-        knobs = zip(problem.knobs, values, strict=True)
-        turned = [(knob, value) for knob, value in knobs if knob.trial in (None, k)]
-        loop, p = simulated_signals(units["twin"], trial, turned)
+        own = [
+            (q, value) for q, value in zip(residuals.fit_parameters, values, strict=True)
+            if q.trial in (None, k)
+        ]  # fmt: skip
+        loop, p = simulated_signals(models["twin"], trial, own)
         moved = replace(trial, columns={**trial.columns, "angle_1_rad": loop["angle_1_rad"]})
         at_loop, at_measured = (
-            simulated_signals(units["driven"], t, turned)[0] for t in (moved, trial)
+            simulated_signals(models["driven"], t, own)[0] for t in (moved, trial)
         )
         twin = {}
         for b, s in enumerate(group.signals):
-            known = inverse_cosine_transform(means[k, b], len(trial)) / np.maximum(
-                row_weights(trial, s), 0.05
-            )
+            weight = np.maximum(row_weights(trial, s), 0.05)
+            known = inverse_cosine_transform(means[k, b], len(trial)) / weight
             twin[s] = trial.columns[s] - loop[s] - known if s in trial.columns else known
-        # Against the driven link on the loop's own motion: what its filter does drops out.
+        # Against the driven link on the loop's own motion: the effect of its filter cancels.
         driven = {s: twin[s] + at_loop[s] - y for s, y in at_measured.items() if s in twin}
         result.append(missing_in_equations(trial, p, twin, driven))
     return result
 
 
 def simulated_signals(
-    unit: CompiledModel, trial: Trial, turned: Sequence[tuple[FitParameter, float]]
+    model: CompiledModel, trial: Trial, changes: Sequence[tuple[FitParameter, float]]
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Outputs by name, and the parameters, with knobs turned."""
-    p = dict(zip(names(unit.model.parameters), trial_parameters(unit.model, trial), strict=True))
-    outputs = names(unit.model.outputs)
+    """Outputs by name, and the parameters, with some fit parameters changed.
+
+    Parameters
+    ----------
+    model : CompiledModel
+        Of the plant.
+    trial : Trial
+        Its goals or angles drive the model.
+    changes : sequence of tuple
+        Fit parameters and their values.
+    """
+    step = model.model
+    p = dict(zip(names(step.parameters), trial_parameters(step, trial), strict=True))
+    outputs = names(step.outputs)
     shift = np.zeros(len(outputs))
-    for knob, value in turned:
-        for name, weight in knob.parameters.items():
+    for q, value in changes:
+        for name, weight in q.parameters.items():
             p[name] += weight * value
-        shift += value * np.array([knob.outputs.get(name, 0.0) for name in outputs])
-    y = run_trial(unit, trial, np.array(list(p.values()))) + shift
+        shift += value * np.array([q.outputs.get(name, 0.0) for name in outputs])
+    y = run_trial(model, trial, np.array(list(p.values()))) + shift
     return dict(zip(outputs, y.T, strict=True)), p
 
 

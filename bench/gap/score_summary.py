@@ -1,4 +1,4 @@
-"""Shares of the benchmark with their 95 % intervals, and the confusion matrix."""
+"""Figures of the benchmark: fractions with their 95 % intervals, and the confusion matrix."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ FAINT = (3.5, 8.0)
 
 
 def clopper_pearson(count: int, total: int) -> tuple[float, float]:
-    """Clopper–Pearson 95 % interval of a share."""
+    """Clopper-Pearson 95 % interval of a fraction."""
     low = beta.ppf(0.025, count, total - count + 1) if count else 0.0
     high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
     return float(low), float(high)
 
 
 def fraction_with_interval(rows: Sequence[bool]) -> dict[str, Any]:
-    """A share with its interval."""
+    """Fraction of true rows, with its interval."""
     if not rows:
         return {"of": 0}
     low, high = clopper_pearson(sum(rows), len(rows))
-    return {"share": sum(rows) / len(rows), "interval": [low, high], "of": len(rows)}
+    return {"fraction": sum(rows) / len(rows), "interval": [low, high], "of": len(rows)}
 
 
 def benchmark_figures(directory: Path) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "outside_said": fraction_with_interval([_said(r) for r in of("outside") if r["separable"]]),
         "outside_said_all": fraction_with_interval([_said(r) for r in of("outside")]),
         "inside_said": fraction_with_interval([_said(r) for r in detected]),
-        "share_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
+        "fraction_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
         "coverage": fraction_with_interval([c for r in detected if (c := _covered(r)) is not None]),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
@@ -110,8 +110,10 @@ def confusion_matrix_svg(directory: Path) -> str:
 
 
 def _own(r: dict[str, Any]) -> float:
-    """d′ of the hidden effect itself in the first screen, in scatters of its d′ without a gap."""
-    return max(((v or 0.0) / r["scatter"][e] for e, v in r["own"].items()), default=0.0)
+    """d′ of the hidden effect in the first screen, in standard deviations of its d′ without one."""
+    return max(
+        ((v or 0.0) / r["null_standard_deviation"][e] for e, v in r["own"].items()), default=0.0
+    )
 
 
 def _true(r: dict[str, Any]) -> str:
@@ -129,7 +131,7 @@ def _in_class(r: dict[str, Any]) -> bool:
 
 
 def _pair_in_class(r: dict[str, Any]) -> bool:
-    """Two names, and each hidden effect is one of them or a declared look-alike of one."""
+    """Whether both hidden effects are among two named ones or their declared look-alikes."""
     alike = [
         {*names, *(e for c in others for e in c)}
         for names, others in zip(r["chosen"], r["look_alikes"], strict=True)

@@ -6,8 +6,9 @@ Writes OUT/gap.json (what was found), OUT/plant.json (the plant with it) and OUT
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
+
+import msgspec
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from models.plant.plant import read_plant
@@ -34,26 +35,23 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, write and print."""
     plant = read_plant(args.plant)
     trials = read_trials(args.trials, plant.signals)
-    from models.gap.diagnosis import (
-        diagnose,  # loads CasADi and SciPy, which a typo need not wait for
-    )
-    from models.gap.report.gap_json import gap_document, gap_in_words
+    # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
+    from models.gap.diagnosis import diagnose
+    from models.gap.report.gap_json import gap_document, write_gap_document
     from models.gap.report.gap_page import write_gap_page
+    from models.gap.report.gap_words import gap_in_words
     from models.gap.report.waterfall import waterfall_steps
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
     progress = Progress("gap", 12)
     found = diagnose(plant, trials, progress.step, args.without)
-    data = gap_document(found, trials)
-    data["waterfall"] = [
-        {"step": step, "floors": floors} for step, floors in waterfall_steps(found, trials)
-    ]
+    document = gap_document(found, trials, waterfall_steps(found, trials))
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "gap.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    write_gap_document(args.out / "gap.json", document)
     found.improved.write(args.out / "plant.json")
-    report = write_gap_page(data, found.plant, found.improved, trials, args.out / "report.html")
+    page = write_gap_page(document, found.plant, found.improved, trials, args.out / "report.html")
     progress.total = progress.done + 1
     progress.step("done")
-    emit(args, data, f"{gap_in_words(data)}\n{report}")
+    emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")
     return NEGATIVE if found.verdict == "not in the catalogue" else DONE

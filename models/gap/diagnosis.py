@@ -1,86 +1,133 @@
-"""The whole workflow: from trials and a plant to what is missing, how sure, and a better plant."""
+"""Diagnosis: from trials and a plant to the missing effects, their certainty and a better plant."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
-
-import msgspec
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor import NoiseFloor, floor_of_residual
-from models.gap.estimation.noise_floor_fit import fitted_point, guessed_noise_floor, noise_floor_of
-from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.noise_floor_fit import (
+    floor_of_nuisance_fit,
+    noise_floor_of,
+    nuisance_and_variation,
+)
+from models.gap.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.improved_plant import improved_plant
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     candidate_effects,
     effect_fit_parameters,
-    nuisance_fit_parameters,
-    trial_fit_parameters,
 )
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
-from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
-from models.plant.effects import EFFECTS
+from models.gap.search.look_alikes import LookAlike, look_alikes_of
+from models.gap.search.null_distribution import NullDistribution
+from models.gap.search.rejected_effects import RejectedEffect, rejected_effects
+from models.gap.search.strength_consistency import StrengthConsistency
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
-from models.plant.provenance import Provenance
-from models.trials.trial_files import TrialSet
+from models.trials.trial import Trial, TrialSet
 
-GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
-
-EQUATION: Final = {"stiffness": 0.3, "bend_torque": 0.3, "servo_torque": 0.1}
-"""What the equation of an effect may miss of its strength, by port; 0.03 elsewhere. Two hinges a
-plane stand for a whole beam [set after 16 laboratories of other draws than the benchmark's, where
-strengths were off by 31 to 35 %, 2 to 44 % and mostly up to 3 %]. Part of the standard errors."""
-
-UNUSUAL: Final = 1.5
-"""Mean squared residual, in noise floors, that the plant's own error passes on 2 to 3 % of links;
-6 % pass half as much beyond one [190 data sets without an effect]."""
-
-REDUCED: Final = 0.75
-"""Largest share of a gap (in amplitude) that may be left once one effect is named."""
-
-REDUCED_BY_MORE: Final = 0.5
-"""The same for several: two effects at once that leave more are no explanation."""
+__all__ = ["Diagnosis", "Inclusion", "all_fit_parameters", "diagnose"]
 
 
-@dataclass
+@dataclass(frozen=True)
+class Inclusion:
+    """One turn of the effect search that included something.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        One effect, or a pair.
+    kept : bool
+        Whether they were still needed beside those included later.
+    separation, least : float
+        Their d′, and the least that they need.
+    held_out_gain, held_out_error : float
+        Fall of the cost on trials left out, in squared noise floors, and its standard error.
+    look_alikes : tuple of LookAlike
+        Effects that these trials cannot tell from them.
+    """
+
+    effects: tuple[str, ...]
+    kept: bool
+    separation: float
+    least: float
+    held_out_gain: float
+    held_out_error: float
+    look_alikes: tuple[LookAlike, ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
-    """What the workflow found.
+    """Results of the gap workflow.
 
     Attributes
     ----------
     plant, improved : Plant
-        As given, and with what was named and the nuisance refitted.
-    namer : EffectSearch
-        With problem and estimator.
-    naming : SearchResult
-        Result of the search.
-    constancy : dict of str to StrengthConsistency
-        Whether the strength of each named effect is the same everywhere.
+        As given, and with the named effects and the nuisance refitted.
+    settings : GapSettings
+        Tuned numbers of this run.
     verdict : str
-        See `GapVerdict`.
-    left : float
-        Share of the gap's amplitude that is left, in units of the noise floor.
-    located, remaining : list of GapRegion
-        Where the gap is after the nuisance fit, and after what was named.
+        See `models.gap.gap_verdict.GapVerdict`.
+    gap_left_fraction : float
+        Fraction of the gap's amplitude, in units of the noise floor, that is left.
+    floor : NoiseFloor
+        Of the plant file, or of the nuisance fit.
+    null_distribution : NullDistribution
+        What every effect needs to be named.
+    dispersion, residual_before, residual_after : float
+        Mean squared residual in noise floors: of the nuisance fit, clipped to what noise explains;
+        of the nuisance fit; with the named effects.
+    nuisance_bias : dict of str to float
+        Kinds of variation in which all trials differ alike, in standard deviations.
+    goal_not_followed_at_row : dict of str to int
+        First row that does not count, by trial.
+    located, remaining : tuple of GapRegion
+        Where the gap is after the nuisance fit, and with the named effects.
+    named : tuple of str
+        Effects in order of inclusion, those deleted again left out.
+    inclusions : tuple of Inclusion
+        All of them.
+    strength_consistency : dict of str to StrengthConsistency
+        Of each named effect without a dead zone.
+    screened, refitted : dict of str to float
+        d′ of each effect in the first round: after one step, and of the best ones refitted alone.
+    rejected : tuple of RejectedEffect
+        All others.
+    fit_parameters : tuple of FitParameter
+        Nuisance, variation of each trial, and effects.
+    fitted_values : ndarray, shape (p,)
+        Of all of them with the named effects.
     """
 
     plant: Plant
     improved: Plant
-    namer: EffectSearch
-    naming: SearchResult
-    constancy: dict[str, StrengthConsistency]
+    settings: GapSettings
     verdict: GapVerdict
-    left: float
-    located: list[GapRegion]
-    remaining: list[GapRegion]
+    gap_left_fraction: float
+    floor: NoiseFloor
+    null_distribution: NullDistribution
+    dispersion: float
+    residual_before: float
+    residual_after: float
+    nuisance_bias: dict[str, float]
+    goal_not_followed_at_row: dict[str, int]
+    located: tuple[GapRegion, ...]
+    remaining: tuple[GapRegion, ...]
+    named: tuple[str, ...]
+    inclusions: tuple[Inclusion, ...]
+    strength_consistency: dict[str, StrengthConsistency]
+    screened: dict[str, float]
+    refitted: dict[str, float]
+    rejected: tuple[RejectedEffect, ...]
+    fit_parameters: tuple[FitParameter, ...]
+    fitted_values: Array
 
 
 def diagnose(
@@ -88,8 +135,9 @@ def diagnose(
     trials: TrialSet,
     report: ReportProgress = lambda text: None,
     leave_out: Sequence[str] = (),
+    settings: GapSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
-    """Find, name and add what is missing.
+    """Find, name and add the effects that a plant lacks.
 
     Parameters
     ----------
@@ -101,6 +149,8 @@ def diagnose(
         Called with one phrase after each part of the work.
     leave_out : sequence of str
         Effects that may not be named.
+    settings : GapSettings
+        Tuned numbers.
 
     Raises
     ------
@@ -115,124 +165,77 @@ def diagnose(
                 "choose from " + ", ".join(catalogue),
             )  # fmt: skip
     catalogue = [e for e in catalogue if e not in leave_out]
-    problem = Residuals(plant, trials.trials, all_fit_parameters(plant, trials, catalogue))
-    floor = noise_floor_of(plant, trials[0].meta.dof) or floor_of_nuisance_fit(problem)
-    namer = EffectSearch(GaussNewton(problem, floor), catalogue, report)
-    naming = namer.search()
-    constant = consistencies_of_named(namer, naming)
-    verdict, left = gap_verdict(namer, naming, constant)
-    where = [
-        locate_gap(problem.groups, problem.trials, namer.first.whitened(point.rows))
-        for point in (naming.before, naming.after)
-    ]
-    improved = improved_plant(plant, namer, naming, trials)
-    return Diagnosis(plant, improved, namer, naming, constant, verdict, left, *where)
+    parameters = all_fit_parameters(plant, trials, catalogue, settings)
+    residuals = Residuals(plant, trials.trials, parameters, settings)
+    floor = noise_floor_of(plant, trials[0].meta.dof) or floor_of_nuisance_fit(residuals)
+    search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
+    result = search.search()
+    consistencies = consistencies_of_named(search, result)
+    verdict, left = gap_verdict(search, result, consistencies)
+    located, remaining = (
+        locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
+        for p in (result.before, result.after)
+    )
+    return Diagnosis(
+        plant=plant,
+        improved=improved_plant(plant, search, result, trials),
+        settings=settings,
+        verdict=verdict,
+        gap_left_fraction=left,
+        floor=floor,
+        null_distribution=search.null_distribution,
+        dispersion=search.dispersion(result.before),
+        residual_before=search.mean_residual(result.before),
+        residual_after=search.mean_residual(result.after),
+        nuisance_bias=search.nuisance_bias(result.after),
+        goal_not_followed_at_row=residuals.goal_not_followed(),
+        located=tuple(located),
+        remaining=tuple(remaining),
+        named=tuple(result.named),
+        inclusions=_inclusions(result, settings),
+        strength_consistency=consistencies,
+        screened=result.screened,
+        refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},
+        rejected=rejected_effects(result, search.null_distribution),
+        fit_parameters=tuple(parameters),
+        fitted_values=result.after.values,
+    )
 
 
 def all_fit_parameters(
-    plant: Plant, trials: Sequence[Any], catalogue: Sequence[str]
+    plant: Plant,
+    trials: Sequence[Trial],
+    catalogue: Sequence[str],
+    settings: GapSettings = DEFAULT_SETTINGS,
 ) -> list[FitParameter]:
-    """Nuisance, trial variation and every effect of the catalogue."""
-    dof = trials[0].meta.dof
-    effects = [k for e in catalogue for k in effect_fit_parameters(plant, e, dof)]
-    return nuisance_fit_parameters(plant, dof) + trial_fit_parameters(plant, trials) + effects
+    """Fit parameters of nuisance, trial variation and every effect of a catalogue.
 
-
-def floor_of_nuisance_fit(problem: Residuals) -> NoiseFloor:
-    """Floor where the plant file carries none: the spectrum of what the nuisance fit leaves."""
-    base = np.array([k.kind != "effect" for k in problem.knobs])
-    floor = guessed_noise_floor(problem)
-    for _ in range(2):
-        point = fitted_point(problem, floor, base)
-        floor = floor_of_residual(problem.groups, problem.trials, point.rows)
-    return floor
-
-
-def consistencies_of_named(
-    namer: EffectSearch, naming: SearchResult
-) -> dict[str, StrengthConsistency]:
-    """Constancy of each strength; not of an effect with a threshold, which has no share."""
-    free = namer.free(naming.named)
-    return {
-        effect: strength_consistency_of(
-            namer.estimator, naming.after, free, namer.of[effect], EFFECTS[effect].port
-        )
-        for effect in naming.named if effect not in naming.unexcited
-    }  # fmt: skip
-
-
-def gap_verdict(
-    namer: EffectSearch, naming: SearchResult, constant: Mapping[str, StrengthConsistency]
-) -> tuple[GapVerdict, float]:
-    """Verdict, and the share of the gap's amplitude that is left.
-
-    What is named is not what is there where its strength would have to differ from one payload,
-    signal or band to the next, where most of the gap is left, or where it has gone into what
-    differs from trial to trial.
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    trials : sequence of Trial
+        Of one number of joints.
+    catalogue : sequence of str
+        Effects.
+    settings : GapSettings
+        Tuned numbers.
     """
-    before, after = (power_beyond_noise(namer, p.rows) for p in (naming.before, naming.after))
-    left = float(np.sqrt(after / before)) if before > 0 else 0.0
-    hides = bool(excessive_nuisance_bias(namer.knobs, naming.after))
-    if not naming.named:
-        gap = hides or namer.has_gap(naming.before)
-        return ("not in the catalogue", 1.0) if gap else ("no gap", 0.0)
-    clearly = namer.left(naming.after) > (1 + UNUSUAL) / 2
-    unclosed = namer.left(naming.before) > UNUSUAL and left > REDUCED
-    if len(naming.named) > 1:
-        unclosed = left > REDUCED_BY_MORE
-    if hides or (clearly and unclosed) or not all(c.holds for c in constant.values()):
-        return "not in the catalogue", left
-    return ("reduced" if namer.has_gap(naming.after) else "closed"), left
+    dof = trials[0].meta.dof
+    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, dof)]
+    return nuisance_and_variation(plant, trials, settings) + effects
 
 
-def power_beyond_noise(namer: EffectSearch, rows: list[Array]) -> float:
-    """Mean square of a residual, in noise floors, beyond that of noise."""
-    white = namer.first.whitened(rows)
-    return max(sum(float(np.sum(w**2)) for w in white) / sum(w.size for w in white) - 1.0, 0.0)
-
-
-def improved_plant(
-    plant: Plant, namer: EffectSearch, naming: SearchResult, trials: TrialSet
-) -> Plant:
-    """Plant with what was named and the refitted nuisance, its parentage in the provenance."""
-    free = namer.free(naming.named)
-    values = naming.after.values
-    own = namer.estimator.covariance(naming.after, free)
-    errors = np.zeros(len(values))
-    spread = np.sqrt(namer.dispersion(naming.after))
-    errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(own), 0.0)) * spread
-    full = plant.with_effects(*naming.named)
-    changed: dict[str, float] = {}
-    uncertain: dict[str, float] = {}
-    for k, knob in enumerate(namer.knobs):
-        if knob.trial is not None or not free[k]:
-            continue
-        for name, weight in knob.parameters.items():
-            if name not in full.parameters:
-                continue
-            q = full.parameters[name]
-            value = changed.get(name, q.value) + weight * values[k]
-            changed[name] = float(np.clip(value, q.low, q.high))
-            missed = 0.0
-            if knob.effect:
-                missed = EQUATION.get(EFFECTS[knob.effect].port, 0.03) * values[k]
-            parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
-            uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
-    provenance = Provenance(
-        parent_sha256=plant.sha256(),
-        data_sha256=trials.sha256(),
-        fitted_trials=plant.provenance.fitted_with(trials),
-        named=tuple(naming.named),
-        noise_floor=plant.provenance.noise_floor,
-    )
-    name = f"{plant.name.removesuffix(', gap closed')}, gap closed" if naming.named else plant.name
-    if not naming.named:
-        kept = msgspec.structs.replace(
-            plant.provenance,
-            parent_sha256=provenance.parent_sha256,
-            data_sha256=provenance.data_sha256,
-            fitted_trials=provenance.fitted_trials,
-            named=(),
+def _inclusions(result: SearchResult, settings: GapSettings) -> tuple[Inclusion, ...]:
+    return tuple(
+        Inclusion(
+            effects=c.effects,
+            kept=all(e in result.named for e in c.effects),
+            separation=c.separation,
+            least=c.least,
+            held_out_gain=c.held_out_gain,
+            held_out_error=c.held_out_error,
+            look_alikes=look_alikes_of(result, turn, settings),
         )
-        return replace(plant, provenance=kept)
-    return replace(full.with_values(changed, uncertain), name=name, provenance=provenance)
+        for turn, c in enumerate(result.chosen)
+    )

@@ -115,7 +115,8 @@ def test_both_are_counted_on_the_cases_that_both_have(tmp_path):
     result(tmp_path / "e.json", "null", {}, ["creep"])  # the peer has not come to it yet
     figures = peer_comparison(tmp_path)
     counted = {
-        who: [round(f["share"] * f["of"]) for f in rows.values()] for who, rows in figures.items()
+        who: [round(f["fraction"] * f["of"]) for f in rows.values()]
+        for who, rows in figures.items()
     }
     assert counted == {"pysindy": [0, 0, 1, 1], "ours": [2, 2, 0, 0]}
     assert figures["pysindy"]["top_1_detected"]["of"] == 1

@@ -37,11 +37,11 @@ def results(tmp_path_factory):
 
 def test_what_is_hidden_is_found_and_nothing_else(results):
     figures = benchmark_figures(results)
-    assert figures["detected"]["share"] == 1.0
-    assert figures["class"]["share"] == 1.0
-    assert figures["nothing_beside"]["share"] == 1.0
-    assert figures["false_alarms"]["share"] == 0.0
-    assert figures["share_of_gap_removed"]["median"] > 0.85
+    assert figures["detected"]["fraction"] == 1.0
+    assert figures["class"]["fraction"] == 1.0
+    assert figures["nothing_beside"]["fraction"] == 1.0
+    assert figures["false_alarms"]["fraction"] == 0.0
+    assert figures["fraction_of_gap_removed"]["median"] > 0.85
 
 
 def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.report.build_inputs import Json, LoopRun
 from hil.report.gap.gap_inputs import GapInputs
+from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.plant.identification.evaluation import TIP, compare_with_trials
 from models.plant.plant import Plant
 
@@ -35,7 +36,7 @@ def summary(inputs: GapInputs, hidden: Mapping[str, float]) -> dict[str, Any]:
     }
     heaviest_kg = max(inputs.loops["before"])
     return {
-        "verdict": inputs.found["verdict"],
+        "verdict": inputs.found.verdict,
         "hidden": {effect: _found(inputs, effect, s) for effect, s in hidden.items()},
         "also_named": [e for e in named_in(inputs.found) if e not in hidden],
         "unit": {
@@ -64,9 +65,9 @@ def judged_of(loop: LoopRun) -> Json | None:
     return parts.get(PART)
 
 
-def named_in(found: Json) -> dict[str, Json]:
+def named_in(found: GapDocument) -> dict[str, NamedEffect]:
     """Row of gap.json for every effect that was named and kept."""
-    return {e: row for row in found["named"] if row["kept"] for e in row["effect"].split(" + ")}
+    return {e: row for row in found.named if row.kept for e in row.effect.split(" + ")}
 
 
 def in_words(data: Mapping[str, Any]) -> str:
@@ -116,12 +117,12 @@ def _found(inputs: GapInputs, effect: str, strength: float) -> dict[str, Any]:
     result: dict[str, Any] = {"hidden": strength, "found": None, "error": None}
     if row := named_in(inputs.found).get(effect):
         strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)
-        q = row["parameters"][strengths[0]]  # the same in every joint of a servo
-        result |= {"found": q["value"] - q["before"], "error": q["error"]}
-        found, error = result["found"], q["error"] or 0.0
+        q = row.parameters[strengths[0]]  # the same in every joint of a servo
+        result |= {"found": q.value - q.before, "error": q.error}
+        found, error = result["found"], q.error or 0.0
         return result | {"said": f"{words}: {strength:g} hidden, {found:.3g} ± {error:.1g} found"}
     for name, other in named_in(inputs.found).items():
-        if effect in [e for alike in other["look_alikes"] for e in alike["effect"].split(" + ")]:
+        if effect in [e for alike in other.look_alikes for e in alike.effect.split(" + ")]:
             instead = name.replace("_", " ")
             said = f"{words} was hidden; {instead} was named, as far as these trials can tell"
             return result | {"said": said}

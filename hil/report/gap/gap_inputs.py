@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from hil.report.build_inputs import Json, LoopRun, read_commands, read_json, read_loop
+from models.gap.report.gap_json import GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.trials.trial_files import TrialSet, read_trials
 
@@ -42,7 +43,7 @@ class GapInputs:
 
     Attributes
     ----------
-    found : dict
+    found : GapDocument
         gap.json.
     before, after : Plant
         As given, and as improved.
@@ -60,7 +61,7 @@ class GapInputs:
         What made all this.
     """
 
-    found: Json
+    found: GapDocument
     before: Plant
     after: Plant
     trials: TrialSet
@@ -85,7 +86,7 @@ def read_gap(directory: Path, plant: Path) -> GapInputs:
             raise InputError(directory / needed, "is missing", MADE_BY)
     before = read_plant(plant)
     return GapInputs(
-        found=read_json(directory / "found" / "gap.json"),
+        found=read_gap_document(directory / "found" / "gap.json"),
         before=before,
         after=read_plant(directory / "found" / "plant.json"),
         trials=read_trials(directory / "trials", before.signals),

@@ -1,42 +1,44 @@
-"""Generalised least squares over the knobs, in units of the noise floor.
+"""Generalised least squares over the fit parameters, in units of the noise floor.
 
-The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / spread_k)²: W whitens by the floor and by the
-patterns of the plant's own error, m is what is known of that error, the second part holds nuisance
-and trial variation to their priors. Gauss–Newton steps stay in the bounds and are taken only where
-the cost falls. Exact derivatives cost twenty simulations, so between them they are
-carried on by secants (Broyden 1965).
+The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / s_k)²: W whitens by the floor and by the
+patterns of the plant's own error, m is the known mean of that error, s_k is the standard deviation
+of the prior of a nuisance or of a trial's variation. Gauss-Newton steps stay within the bounds and
+are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
+they are updated by secants (Broyden 1965).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from models.gap.estimation.model_discrepancy import discrepancy_of
 from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
-
-CONVERGED: Final = 0.3
-"""Fall of twice the cost (in squared noise floors) that is not worth another step."""
 
 
 @dataclass
 class FitPoint:
-    """Where the knobs stand, and what is left there.
+    """Values of all fit parameters, and the residual there.
 
     Attributes
     ----------
-    values : ndarray, shape (knobs,)
-        Of all knobs.
+    values : ndarray, shape (p,)
+        Of all fit parameters.
     cost : float
         See the module's text.
     rows : list of ndarray
         Residual spectra, as `Residuals.residuals`.
+    normal, gradient, slopes :
+        J'J with priors, the gradient of the fall, and the whitened derivatives by group; empty
+        before `GaussNewton.linearise`.
+    exact : bool
+        Whether the derivatives are exact; secants otherwise.
     """
 
     values: Array
@@ -49,32 +51,45 @@ class FitPoint:
 
 
 class GaussNewton:
-    """Fits knobs of a problem against a floor."""
+    """Fit of residuals against a noise floor.
 
-    def __init__(self, problem: Residuals, floor: NoiseFloor) -> None:
-        self.problem, self.floor = problem, floor
-        self.whiteners = [floor.whitener(g, problem.trials) for g in problem.groups]
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the trials; its settings hold here too.
+    floor : NoiseFloor
+        Of these signals.
+    """
+
+    def __init__(self, residuals: Residuals, floor: NoiseFloor) -> None:
+        self.residuals, self.floor, self.settings = residuals, floor, residuals.settings
+        trials, groups = residuals.trials, residuals.groups
+        self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
         self.basis, self.shrinkage = self._patterns()
-        self.means = [problem.as_counted(g, floor.mean(g, problem.trials)) for g in problem.groups]
-        spread = np.array([k.spread for k in problem.knobs])
-        self.precision = np.where(np.isfinite(spread), 1 / spread**2, 0.0)
-        self.low = np.array([k.low for k in problem.knobs])
-        self.high = np.array([k.high for k in problem.knobs])
+        self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
+        deviation = np.array([q.standard_deviation for q in residuals.fit_parameters])
+        self.precision = np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
+        self.low = np.array([q.low for q in residuals.fit_parameters])
+        self.high = np.array([q.high for q in residuals.fit_parameters])
+
+    def start(self) -> FitPoint:
+        """Plant as given: every fit parameter is zero."""
+        return self.at(np.zeros(len(self.residuals.fit_parameters)))
 
     def _patterns(self) -> tuple[Array, Array]:
         """Orthonormal patterns of the plant's own error, and what each loses by it.
 
         With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
         """
-        known = discrepancy_of(self.problem.plant) if self.floor.learned else None
+        known = discrepancy_of(self.residuals.plant) if self.floor.learned else None
         if known is None:
             return np.empty((0, 0)), np.empty(0)
         rows = [
-            self.problem.as_counted(g, known.rows(g, self.problem.trials))
-            for g in self.problem.groups
+            self.residuals.as_counted(g, known.rows(g, self.residuals.trials))
+            for g in self.residuals.groups
         ]
         scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
-        basis, size, _ = np.linalg.svd(_stack(scaled), full_matrices=False)
+        basis, size, _ = np.linalg.svd(stacked(scaled), full_matrices=False)
         return basis, 1 - 1 / np.sqrt(1 + size**2)
 
     def whitened(self, rows: list[Array]) -> list[Array]:
@@ -86,10 +101,10 @@ class GaussNewton:
         scaled = self._scaled(rows)
         if not len(self.shrinkage):
             return scaled
-        stacked = _stack(scaled)
-        stacked -= self.basis @ (self.shrinkage[:, None] * (self.basis.T @ stacked))
+        white = stacked(scaled)
+        white -= self.basis @ (self.shrinkage[:, None] * (self.basis.T @ white))
         ends = np.cumsum([w[..., 0].size if w.ndim > 3 else w.size for w in scaled])[:-1]
-        parts = np.split(stacked, ends)
+        parts = np.split(white, ends)
         return [part.reshape(w.shape) for part, w in zip(parts, scaled, strict=True)]
 
     def _scaled(self, rows: Sequence[Array]) -> list[Array]:
@@ -101,15 +116,14 @@ class GaussNewton:
 
     def at(self, values: Array) -> FitPoint:
         """Cost and residuals at some values."""
-        rows = self.problem.residuals(values)
-        squares = sum(float(np.sum(w**2)) for w in self.whitened(rows))
-        cost = 0.5 * squares + 0.5 * float(self.precision @ values**2)
+        rows = self.residuals.residuals(values)
+        cost = 0.5 * sum_of_squares(self.whitened(rows)) + 0.5 * float(self.precision @ values**2)
         return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
     def linearise(self, point: FitPoint) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
         if not point.exact:
-            _, slopes = self.problem.jacobian(point.values)
+            _, slopes = self.residuals.jacobian(point.values)
             white = [w.reshape(-1, w.shape[-1]) for w in self.whiten(slopes)]
             self._set_slopes(point, white)
             point.exact = True
@@ -123,7 +137,7 @@ class GaussNewton:
         point.gradient = np.asarray(gradient - self.precision * point.values)
 
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
-        """Derivatives at the end of a step: those at its start, put right along the step."""
+        """Derivatives at the end of a step: those at its start, corrected along the step."""
         if end.exact or end is start:
             return end
         moved = end.values - start.values
@@ -138,38 +152,59 @@ class GaussNewton:
         return end
 
     def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
-        """Bounded step of the free knobs (zero elsewhere), and the fall of the cost it promises."""
+        """Bounded step of the free fit parameters (others zero), and the fall of cost it predicts.
+
+        Parameters
+        ----------
+        point : FitPoint
+            Where the step starts.
+        free : ndarray of bool, shape (p,)
+            Fit parameters that may change.
+        """
         if not point.slopes:
             self.linearise(point)
         index = np.flatnonzero(free)
-        normal = point.normal[np.ix_(index, index)]
-        gradient = point.gradient[index]
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(len(index))
-        root = np.linalg.cholesky(scaled).T
-        right = np.linalg.solve(root.T, gradient / size)
+        equation = NormalEquation.of(point.normal, index)
+        size = equation.size
+        root = np.linalg.cholesky(equation.regular(self.settings.normal_ridge_fraction)).T
+        right = np.linalg.solve(root.T, point.gradient[index] / size)
         step = np.linalg.solve(root, right)
         low = (self.low - point.values)[index] * size
         high = (self.high - point.values)[index] * size
         if np.any(step < low) or np.any(step > high):
             low, high = np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12
             step = lsq_linear(root, right, (low, high), max_iter=60).x
-        promised = float(right @ right - np.sum((root @ step - right) ** 2)) / 2
+        predicted = float(right @ right - np.sum((root @ step - right) ** 2)) / 2
         result = np.zeros(len(point.values))
         result[index] = step / size
-        return result, promised
+        return result, predicted
 
-    def fit(self, start: FitPoint, free: Array, steps: int = 12, relative: float = 0.0) -> FitPoint:
-        """Lower the cost over the free knobs; never returns a higher one.
+    def fit(
+        self, start: FitPoint, free: Array, most_steps: int | None = None, relative: float = 0.0
+    ) -> FitPoint:
+        """Lower the cost over the free fit parameters; never returns a higher one.
 
-        Where secants promise less than `CONVERGED`, or than a share `relative` of the fall so far,
-        or lead nowhere, the derivatives are taken anew; where exact ones do, the fit ends.
+        Where secants predict less than `GapSettings.converged_cost_fall`, or than a fraction
+        `relative` of the fall so far, or lead nowhere, the derivatives are computed again; where
+        exact ones do, the fit ends.
+
+        Parameters
+        ----------
+        start : FitPoint
+            Where to start.
+        free : ndarray of bool, shape (p,)
+            Fit parameters that may change.
+        most_steps : int, optional
+            By default `GapSettings.floor_fit_steps`.
+        relative : float
+            See above.
         """
         point = start
-        for _ in range(steps):
-            step, promised = self.step(point, free)
+        for _ in range(self.settings.floor_fit_steps if most_steps is None else most_steps):
+            step, predicted = self.step(point, free)
             better = None
-            if promised >= max(CONVERGED / 2, relative * (start.cost - point.cost)):
+            least = self.settings.converged_cost_fall / 2
+            if predicted >= max(least, relative * (start.cost - point.cost)):
                 better = self.search(point, step)
             if better is not None:
                 point = better
@@ -181,22 +216,13 @@ class GaussNewton:
 
     def search(self, point: FitPoint, step: Array) -> FitPoint | None:
         """First point along a step whose cost is lower; None where there is none."""
-        for share in (1.0, 0.5, 0.2, 0.05):
-            values = np.clip(point.values + share * step, self.low, self.high)
+        for fraction in self.settings.line_search_fractions:
+            values = np.clip(point.values + fraction * step, self.low, self.high)
             tried = self.at(values)
             if tried.cost < point.cost:
                 return self.carry(point, tried)
         return None
 
     def covariance(self, point: FitPoint, free: Array) -> Array:
-        """Covariance of the free knobs, shape (free, free)."""
-        index = np.flatnonzero(free)
-        normal = self.linearise(point).normal[np.ix_(index, index)]
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-        inverse = np.linalg.pinv(normal / np.outer(size, size), hermitian=True)
-        return np.asarray(inverse / np.outer(size, size))
-
-
-def _stack(rows: Sequence[Array]) -> Array:
-    """Rows (trials, signals, K[, columns]) of all groups as one matrix."""
-    return np.concatenate([r.reshape(-1, r.shape[3] if r.ndim > 3 else 1) for r in rows])
+        """Covariance of the free fit parameters, shape (free, free)."""
+        return NormalEquation.of(self.linearise(point).normal, np.flatnonzero(free)).inverse()

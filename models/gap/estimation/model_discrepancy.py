@@ -1,11 +1,11 @@
-"""How the plant's own error varies from one link to the next.
+"""Model discrepancy: patterns of the plant's own error, which varies from one link to the next.
 
-The plant is simpler than any link, and what it misses changes with the link's stiffness, mass and
-damping: on links that it was not identified on it keeps an error that looks like friction near
-standstill, or like play. A few patterns hold most of that. They were measured on laboratories
-without any hidden effect, their nuisance drawn anew and refitted (`python -m bench.gap.calibrate`),
-and belong to the noise floor: residual = noise + Σ a_m pattern_m, a_m ~ N(0, 1), so that whatever
-looks like one of them is worth no more than it was there.
+The plant is simpler than any link, and its error changes with the link's stiffness, mass and
+damping: on links that it was not identified on it keeps an error that resembles friction near
+standstill, or play. A few patterns hold most of that. They were measured on rigs without any hidden
+effect, their nuisance drawn anew and refitted (`python -m bench.gap.calibrate`), and belong to the
+noise floor: residual = noise + Σ a_m pattern_m, a_m ~ N(0, 1), so that a residual that resembles
+one of them counts no more than it did there.
 """
 
 from __future__ import annotations
@@ -23,10 +23,6 @@ from models.plant.plant import Plant
 from models.trials.trial import Trial
 
 PATH: Final = Path(__file__).with_name("model_discrepancy.npz")
-
-MOST: Final = 16
-"""Patterns that are kept: on links left out they take the error from 8.9 to 2.0 times the noise's
-power; twice as many would take it to 1.8 (64 laboratories, four folds)."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +80,17 @@ def discrepancy_of(plant: Plant) -> ModelDiscrepancy | None:
         )  # fmt: skip
 
 
-def patterns_of(residuals: Array, noise: Array) -> Array:
+def patterns_of(residuals: Array, noise: Array, count: int) -> Array:
     """Largest patterns in the residuals of many links, in units of the noise.
 
     Parameters
     ----------
     residuals : ndarray, shape (links, P, signals, K)
-        Spectra of what the nuisance fit left on each.
+        Spectra of the nuisance fit's residual on each.
     noise : ndarray, shape (signals, K)
         Variance of the noise in them.
+    count : int
+        Number of patterns M (`GapSettings.discrepancy_patterns`).
 
     Returns
     -------
@@ -103,6 +101,6 @@ def patterns_of(residuals: Array, noise: Array) -> Array:
     scale = np.sqrt(noise)
     rows = (residuals / scale).reshape(links, -1)
     _, sizes, patterns = np.linalg.svd(rows, full_matrices=False)
-    power = (sizes[:MOST] ** 2 - rows.shape[1]) / links  # noise gives each some of its own
-    spread = np.sqrt(np.maximum(power, 0.0))[:, None] * patterns[:MOST]
-    return np.asarray(spread.reshape(-1, *residuals.shape[1:]) * scale)
+    power = (sizes[:count] ** 2 - rows.shape[1]) / links  # noise gives each some of its own
+    scaled = np.sqrt(np.maximum(power, 0.0))[:, None] * patterns[:count]
+    return np.asarray(scaled.reshape(-1, *residuals.shape[1:]) * scale)

@@ -1,10 +1,9 @@
-"""Measure the noise floor of a plant on trials without a gap: those that it was identified on."""
+"""Measurement of a plant's noise floor on trials without a gap: those it was identified on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -13,64 +12,104 @@ from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import (
     NoiseFloor,
     flat_floor,
-    floor_from_plain,
+    floor_from_record,
     floor_from_residuals,
-    floor_to_plain,
+    floor_of_residual,
+    floor_to_record,
 )
-from models.gap.residuals.fit_parameters import nuisance_fit_parameters, trial_fit_parameters
+from models.gap.residuals.fit_parameters import (
+    FitParameter,
+    nuisance_fit_parameters,
+    trial_fit_parameters,
+)
 from models.gap.residuals.residuals import Residuals, trial_group_key
+from models.gap.residuals.spectrum import Array
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import SCALE
 from models.plant.plant import Plant
 from models.plant.provenance import FloorRecord
 from models.trials.trial import Trial
 
-ROUNDS: Final = 3
-"""Times that floor and trial variation are found in turn."""
 
-
-def with_noise_floor(plant: Plant, trials: Sequence[Trial]) -> Plant:
-    """Plant whose provenance also holds the noise floor of trials that hold no hidden effect.
+def with_noise_floor(
+    plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
+) -> Plant:
+    """Plant whose provenance also holds the noise floor of trials without any hidden effect.
 
     Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
     of two joints get none yet: their sensitivities take minutes.
+
+    Parameters
+    ----------
+    plant : Plant
+        As identified.
+    trials : sequence of Trial
+        Those it was identified on.
+    settings : GapSettings
+        Tuned numbers.
     """
     floors: dict[str, FloorRecord] = {}
     for dof in sorted({t.meta.dof for t in trials} & {1}):
         own = [t for t in trials if t.meta.dof == dof]
         conditions = {(trial_group_key(t), t.meta.payload_kg) for t in own}
         if len(conditions) < len(own):
-            plain = floor_to_plain(measure_noise_floor(plant, own))
-            floors[str(dof)] = msgspec.convert(plain, FloorRecord)
+            floors[str(dof)] = floor_to_record(measure_noise_floor(plant, own, settings))
     return replace(plant, provenance=msgspec.structs.replace(plant.provenance, noise_floor=floors))
 
 
-def measure_noise_floor(plant: Plant, trials: Sequence[Trial]) -> NoiseFloor:
-    """Floor of trials of one number of joints; of the knobs only trial variation is fitted."""
-    dof = trials[0].meta.dof
-    knobs = nuisance_fit_parameters(plant, dof) + trial_fit_parameters(plant, trials)
-    problem = Residuals(plant, trials, knobs)
-    floor = guessed_noise_floor(problem)
-    free = np.array([k.kind == "trial" for k in knobs])
-    for _ in range(ROUNDS):
-        point = fitted_point(problem, replace(floor, curves={}), free)
-        floor = floor_from_residuals(problem.groups, problem.trials, point.rows)
+def measure_noise_floor(
+    plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
+) -> NoiseFloor:
+    """Floor of trials of one number of joints; only the variation between trials is fitted.
+
+    The parameters are those of `with_noise_floor`.
+    """
+    parameters = nuisance_and_variation(plant, trials, settings)
+    residuals = Residuals(plant, trials, parameters, settings)
+    floor = guessed_noise_floor(residuals)
+    free = np.array([q.kind == "trial" for q in parameters])
+    for _ in range(settings.noise_floor_rounds):
+        point = fitted_point(residuals, replace(floor, curves={}), free)
+        floor = floor_from_residuals(residuals.groups, residuals.trials, point.rows, settings)
     return floor
 
 
-def guessed_noise_floor(problem: Residuals) -> NoiseFloor:
+def nuisance_and_variation(
+    plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
+) -> list[FitParameter]:
+    """Fit parameters without any effect: nuisance, and the variation of each trial.
+
+    The parameters are those of `with_noise_floor`.
+    """
+    nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, settings)
+    return nuisance + trial_fit_parameters(plant, trials, settings)
+
+
+def floor_of_nuisance_fit(residuals: Residuals) -> NoiseFloor:
+    """Floor where the plant file carries none: the spectrum of the nuisance fit's residual."""
+    base = np.array([q.kind != "effect" for q in residuals.fit_parameters])
+    settings = residuals.settings
+    floor = guessed_noise_floor(residuals)
+    for _ in range(settings.nuisance_floor_rounds):
+        point = fitted_point(residuals, floor, base)
+        floor = floor_of_residual(residuals.groups, residuals.trials, point.rows, settings)
+    return floor
+
+
+def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
     """Floor before anything is known of the signals."""
-    units = {v.name: v.unit for v in problem.model.outputs}
-    signals = list(dict.fromkeys(s for g in problem.groups for s in g.signals))
-    return flat_floor(signals, {s: SCALE[units[s]] for s in signals})
+    units = {v.name: v.unit for v in residuals.model.outputs}
+    signals = list(dict.fromkeys(s for g in residuals.groups for s in g.signals))
+    return flat_floor(signals, {s: SCALE[units[s]] for s in signals}, residuals.settings)
 
 
-def fitted_point(problem: Residuals, floor: NoiseFloor, free: Any) -> FitPoint:
-    """Fit of the free knobs against a floor."""
-    estimator = GaussNewton(problem, floor)
-    return estimator.fit(estimator.at(np.zeros(len(problem.knobs))), free)
+def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoint:
+    """Fit of the free fit parameters against a floor, from the plant as given."""
+    estimator = GaussNewton(residuals, floor)
+    return estimator.fit(estimator.start(), free)
 
 
 def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
-    """Floor that the plant file carries for a number of joints."""
+    """Floor that the plant file carries for a number of joints; None where it carries none."""
     record = plant.provenance.noise_floor.get(str(dof))
-    return floor_from_plain(msgspec.to_builtins(record)) if record else None
+    return floor_from_record(record) if record else None

@@ -1,7 +1,7 @@
-"""OUT/report.html: one page without outside files, its pictures inline SVG.
+"""Page of a diagnosis (`report.html`): no outside files, its pictures inline SVG.
 
 Everything comes from gap.json, the two plants and the trials, so that whoever has those files can
-draw the same page again, and put more sections to it (`hil.report.gap.before_after_page`).
+draw the same page again and add sections to it (`hil.report.gap.before_after_page`).
 """
 
 from __future__ import annotations
@@ -10,12 +10,19 @@ import html
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from firmware_py.display_units import error_unit
-from models.gap.report.gap_json import goal_not_followed_in_words, nuisance_bias_in_words
+from models.gap.report.gap_json import (
+    GapDocument,
+    MappedRegion,
+    NamedEffect,
+    NamingEvidence,
+    SignalGap,
+)
+from models.gap.report.gap_words import goal_not_followed_in_words, nuisance_bias_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
@@ -40,14 +47,14 @@ RIVALS: Final = 8
 
 
 def write_gap_page(
-    data: Mapping[str, Any], before: Plant, after: Plant, trials: TrialSet, path: Path
+    document: GapDocument, before: Plant, after: Plant, trials: TrialSet, path: Path
 ) -> Path:
     """Write the page of a diagnosis.
 
     Parameters
     ----------
-    data : mapping
-        Content of gap.json.
+    document : GapDocument
+        Of the diagnosis.
     before, after : Plant
         As given, and as improved.
     trials : TrialSet
@@ -55,104 +62,117 @@ def write_gap_page(
     path : Path
         Page to write; returned.
     """
-    text = page_of("The gap between plant and measurement", gap_lead(data),
-                gap_sections(data, before, after, trials))  # fmt: skip
-    path.write_text(text, encoding="utf-8")
+    title = "The gap between plant and measurement"
+    parts = gap_sections(document, before, after, trials)
+    path.write_text(page_of(title, gap_lead(document), parts), encoding="utf-8")
     return path
 
 
-def gap_lead(data: Mapping[str, Any]) -> str:
-    """Verdict, where the gap is in one sentence, and what became of the tip."""
-    said = html.escape(data["sentence"])
-    for more in (goal_not_followed_in_words(data), nuisance_bias_in_words(data)):
-        said += f" {html.escape(more[0].upper() + more[1:])}." if more else ""
-    off = [_tip_m(data[when]) for when in ("before", "after")]
-    if data["named"] and off[0]:
-        said += (
-            f" The plant's tip is off by {readable(off[0], 'm')} before and "
-            f"{readable(off[1], 'm')} after."
+def gap_lead(document: GapDocument) -> str:
+    """Verdict, location of the gap in one sentence, and the tip's error before and after."""
+    text = html.escape(document.sentence)
+    for note in (goal_not_followed_in_words(document), nuisance_bias_in_words(document)):
+        text += f" {html.escape(note[0].upper() + note[1:])}." if note else ""
+    before_m, after_m = (_tip_m(errors) for errors in (document.before, document.after))
+    if document.named and before_m:
+        text += (
+            f" The error of the plant's tip is {readable(before_m, 'm')} before and "
+            f"{readable(after_m, 'm')} after."
         )
-    return f'<p class="lead"><b>{_verdict(data)}</b> {said}</p>'
+    return f'<p class="lead"><b>{_verdict(document)}</b> {text}</p>'
 
 
 def gap_sections(
-    data: Mapping[str, Any],
+    document: GapDocument,
     before: Plant,
     after: Plant,
     trials: TrialSet,
     hidden: Mapping[str, float] | None = None,
 ) -> list[Section]:
-    """What the page of a diagnosis shows; `hidden` is set beside what was found, where known."""
+    """Sections of the page of a diagnosis.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of the diagnosis.
+    before, after : Plant
+        As given, and as improved.
+    trials : TrialSet
+        Where the gap was looked for.
+    hidden : mapping of str to float, optional
+        Strength of each hidden effect, shown beside the result where it is known.
+    """
+    rate = document.settings.false_discovery_rate
     result = [
         Section(
-            "where", "Where it is", _where(data["map"], trials),
+            "where", "Location of the gap", _where(document.map, trials),
             "Root mean square of the residual after the nominal parameters were refitted, in noise "
             "floors: 1 is noise. Grey figures are not significant under a false-discovery rate of "
-            "5 %.",
+            f"{100 * rate:g} %.",
         ),
         Section(
-            "what", "What is missing", _named(data, hidden) + _rivals(data),
+            "what", "Missing effects", _named(document, hidden) + _rivals(document),
             "d′: distance from a plant without the effect, in standard deviations of the noise "
-            "floor. What each effect needs to be named was measured where nothing is missing; the "
-            "bars show how many times that it reached. A strength that differs much between "
-            "payloads, signals and frequencies belongs to something else.",
+            "floor. The d′ that each effect needs was measured where nothing is missing; the bars "
+            "show the ratio to it. A strength that differs much between payloads, signals and "
+            "frequencies indicates another effect.",
         ),
     ]  # fmt: skip
-    if data.get("waterfall"):
-        steps = [(step["step"], step["floors"]) for step in data["waterfall"]]
+    if document.waterfall:
+        steps = [(step.step, step.floors) for step in document.waterfall]
         result.append(
             Section(
                 "waterfall",
-                "What each step takes away",
+                "Error after each step",
                 panels_of([("", svg_charts.waterfall(steps))]),
                 "Root mean square of all signals in noise floors, on repetitions that no value was "
                 "fitted to: the plant as given, its nominal parameters refitted, and every effect "
-                "in turn. Pale is what the step took away.",
+                "in turn. Pale: what the step removed.",
             )
         )
-    result.append(_compared(data, before, after, trials))
-    result.append(Section("others", "Not named", _rejected(data)))
+    result.append(_compared(document, before, after, trials))
+    result.append(Section("others", "Effects not named", _rejected(document)))
     return result
 
 
-def _tip_m(errors: Mapping[str, Any]) -> float:
+def _tip_m(errors: Mapping[str, Mapping[str, SignalGap]]) -> float:
     """Root mean square distance of the tip, over the last trials; zero where there is no tip."""
     rows = errors.get("held_out", errors["fitted"])
-    return float(np.sqrt(sum(rows[axis]["rms"] ** 2 for axis in TIP if axis in rows)))
+    return float(np.sqrt(sum(rows[axis].rms ** 2 for axis in TIP if axis in rows)))
 
 
-def _verdict(data: Mapping[str, Any]) -> str:
-    names = ", ".join(_words(r["effect"]) for r in data["named"] if r["kept"])
+def _verdict(document: GapDocument) -> str:
+    names = ", ".join(_words(r.effect) for r in document.named if r.kept)
     return {
         "no gap": "No gap.",
         "closed": f"Closed by {names}.",
-        "reduced": f"Reduced by {names}; something is left.",
-        "not in the catalogue": "Something is missing that the catalogue does not hold."
+        "reduced": f"Reduced by {names}; a part of the gap is left.",
+        "not in the catalogue": "The missing effect is not in the catalogue."
         + (f" {names.capitalize()} can only stand in for it." if names else ""),
-    }[data["verdict"]]
+    }[document.verdict]
 
 
 def _words(name: str) -> str:
     return html.escape(name.replace("_", " "))
 
 
-def _where(cells: Sequence[Mapping[str, Any]], trials: TrialSet) -> str:
-    """One heat map for every way to look at the residual, all on one scale of colours."""
-    most = max([c["size"] for c in cells if c["factor"] in FACTORS] + [1.5])
-    signals = sorted({c["signal"] for c in cells})
+def _where(cells: Sequence[MappedRegion], trials: TrialSet) -> str:
+    """One heat map for every factor, all on one scale of colours."""
+    most = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
+    signals = sorted({c.signal for c in cells})
     panels = []
     for factor, title in FACTORS.items():
-        own = [c for c in cells if c["factor"] == factor]
+        own = [c for c in cells if c.factor == factor]
         if not own:
             continue
-        levels = sorted({c["level"] for c in own}, key=_order)
-        place = {c["level"]: _SHORT.get(c["level"], _plain(c["level"])) for c in own}
-        rows = {c["signal"]: short_signal(c["signal"]) for c in own}
+        levels = sorted({c.level for c in own}, key=_order)
+        place = {c.level: _SHORT.get(c.level, _plain(c.level)) for c in own}
+        rows = {c.signal: short_signal(c.signal) for c in own}
         drawing = svg_charts.heat_map(
             [rows[s] for s in signals if s in rows], [place[level] for level in levels],
-            {(rows[c["signal"]], place[c["level"]]): c["size"] for c in own},
+            {(rows[c.signal], place[c.level]): c.size for c in own},
             78, width=svg_charts.WIDTH, most=most,
-            quiet={(rows[c["signal"]], place[c["level"]]) for c in own if not c["significant"]},
+            quiet={(rows[c.signal], place[c.level]) for c in own if not c.significant},
             above=_cycle(trials[0]) if factor == "phase" else None,
         )  # fmt: skip
         panels.append((title, drawing))
@@ -160,12 +180,12 @@ def _where(cells: Sequence[Mapping[str, Any]], trials: TrialSet) -> str:
 
 
 def _order(level: str) -> tuple[float, str]:
-    """Levels with a number by it, others as they are told: out before back, minus before plus."""
+    """Sort key: levels with a number by it, others out before back and minus before plus."""
     number = re.match(r"[\d.]+", level)
     if number:
         return float(number[0]), level
-    told = [*_SHORT, "negative", "middle", "positive"]
-    return float(told.index(level) if level in told else len(told)), level
+    order = [*_SHORT, "negative", "middle", "positive"]
+    return float(order.index(level) if level in order else len(order)), level
 
 
 def _plain(level: str) -> str:
@@ -185,107 +205,102 @@ def short_signal(signal: str) -> str:
     return "DI" if signal == "di" else stem.replace("_", " ")
 
 
-def _named(data: Mapping[str, Any], hidden: Mapping[str, float] | None) -> str:
-    if not data["named"]:
+def _named(document: GapDocument, hidden: Mapping[str, float] | None) -> str:
+    if not document.named:
         return "<p>Nothing.</p>"
-    rows = []
-    for entry in data["named"]:
-        effects = entry["effect"].split(" + ")
-        meaning = "; ".join(CATALOGUE[e].strength for e in effects if e in CATALOGUE)
-        values = "<br>".join(
-            f"{_words(name)} {q['value']:.3g} ± {q['error'] or 0:.2g} {_unit(q['unit'])}"
-            f" (was {q['before']:.3g})"
-            for name, q in entry["parameters"].items()
-        )
-        alike = ", ".join(_words(c["effect"]) for c in entry["look_alikes"]) or "nothing"
-        if entry["look_alikes"]:
-            alike += f"; {_words(entry['separated_by']['motion'])} would tell them apart"
-        row = [
-            f"<b>{_words(entry['effect'])}</b><br><small>{html.escape(meaning)}</small>", values,
-            f"{entry['evidence']['separation']:.1f}", _spread(entry["evidence"]), alike,
-        ]  # fmt: skip
-        if hidden is not None:
-            told = [f"{hidden[e]:g} {_unit(CATALOGUE[e].unit)}" for e in effects if e in hidden]
-            row.insert(1, "<br>".join(told) or "nothing")
-        rows.append(row)
     head = ["effect", "value found", "d′", "strength differs by", "cannot be told from"]
     if hidden is not None:
         head.insert(1, "hidden")
-    return table_of(head, rows)
+    return table_of(head, [_named_row(entry, hidden) for entry in document.named])
 
 
-def _spread(evidence: Mapping[str, Any]) -> str:
-    """How far its strength differs between payloads, signals and frequencies."""
-    spread = f"{100 * evidence['strength_spread']:.0f} %"
-    return spread if evidence["strength_holds"] else f"<b>{spread}: a stand-in</b>"
+def _named_row(entry: NamedEffect, hidden: Mapping[str, float] | None) -> list[str]:
+    effects = entry.effect.split(" + ")
+    meaning = "; ".join(CATALOGUE[e].strength for e in effects if e in CATALOGUE)
+    values = "<br>".join(
+        f"{_words(name)} {q.value:.3g} ± {q.error or 0:.2g} {_unit(q.unit)} (was {q.before:.3g})"
+        for name, q in entry.parameters.items()
+    )
+    alike = ", ".join(_words(c.effect) for c in entry.look_alikes) or "nothing"
+    if entry.separated_by:
+        alike += f"; {_words(entry.separated_by.motion)} would tell them apart"
+    row = [
+        f"<b>{_words(entry.effect)}</b><br><small>{html.escape(meaning)}</small>", values,
+        f"{entry.evidence.separation:.1f}", _differs(entry.evidence), alike,
+    ]  # fmt: skip
+    if hidden is not None:
+        known = [f"{hidden[e]:g} {_unit(CATALOGUE[e].unit)}" for e in effects if e in hidden]
+        row.insert(1, "<br>".join(known) or "nothing")
+    return row
+
+
+def _differs(evidence: NamingEvidence) -> str:
+    """Difference of the strength between payloads, signals and frequencies."""
+    size = f"{100 * evidence.strength_standard_deviation:.0f} %"
+    return size if evidence.strength_holds else f"<b>{size}: a stand-in</b>"
 
 
 def _unit(unit: str) -> str:
     return "" if unit == "1" else html.escape(unit)
 
 
-def _rivals(data: Mapping[str, Any]) -> str:
-    """Named effects beside those that came next, each alone."""
+def _rivals(document: GapDocument) -> str:
+    """Named effects beside the next ones, each alone."""
     named = [
-        (_words(r["effect"]), r["evidence"]["separation"] / r["evidence"]["least"])
-        for r in data["named"][:1]
+        (_words(r.effect), r.evidence.separation / r.evidence.least) for r in document.named[:1]
     ]
-    others = [(_words(r["effect"]), r["separation"] / r["least"]) for r in data["rejected"]]
+    others = [(_words(r.effect), r.separation / r.least) for r in document.rejected]
     rows = named + sorted(others, key=lambda row: -row[1])[: RIVALS - len(named)]
     if not rows:
         return ""
-    title = "How well each effect alone explains the gap, beside what it needs to be named"
+    title = "d′ of each effect alone, as a multiple of what it needs to be named"
     return panels_of([(title, svg_charts.bars(rows, "", 1.0, "needed"))])
 
 
-def _rejected(data: Mapping[str, Any]) -> str:
+def _rejected(document: GapDocument) -> str:
     by_reason: dict[str, list[str]] = {}
-    for row in data["rejected"]:
-        said = f"{_words(row['effect'])} ({row['separation']:.1f})"
-        by_reason.setdefault(row["reason"], []).append(said)
-    rows = [[html.escape(why), ", ".join(names)] for why, names in by_reason.items()]
-    return table_of(["why", "effects, with their d′"], rows)
+    for row in document.rejected:
+        by_reason.setdefault(row.reason, []).append(f"{_words(row.effect)} ({row.separation:.1f})")
+    rows = [[html.escape(reason), ", ".join(names)] for reason, names in by_reason.items()]
+    return table_of(["reason", "effects, with their d′"], rows)
 
 
-def _compared(data: Mapping[str, Any], before: Plant, after: Plant, trials: TrialSet) -> Section:
-    """The error of both plants, by signal and on the heaviest of the last trials."""
-    part = "held_out" if "held_out" in data["before"] else "fitted"
+def _compared(document: GapDocument, before: Plant, after: Plant, trials: TrialSet) -> Section:
+    """Error of both plants, by signal and on the heaviest of the last trials."""
+    part = "held_out" if "held_out" in document.before else "fitted"
     rows = [
         [
-            html.escape(signal_in_words(signal)), readable(row["rms"], row["unit"]),
-            readable(data["after"][part][signal]["rms"], row["unit"]),
-            readable(row["rms"] / row["floors"], row["unit"]) if row["floors"] else "",
+            html.escape(signal_in_words(signal)), readable(row.rms, row.unit),
+            readable(document.after[part][signal].rms, row.unit),
+            readable(row.rms / row.floors, row.unit) if row.floors else "",
         ]
-        for signal, row in data["before"][part].items()
+        for signal, row in document.before[part].items()
     ]  # fmt: skip
     trial = max(trials.split()[1] or trials, key=lambda t: t.meta.payload_kg)
     both = [compare_with_trials(plant, [trial])[0] for plant in (before, after)]
+    key = svg_charts.legend([(BEFORE, "before"), (AFTER, "after"), (MUTED, "noise floor")])
     return Section(
         "residual", "Before and after",
         table_of(["root mean square error", "before", "after", "noise floor"], rows)
-        + svg_charts.legend([
-            (BEFORE, "before"), (AFTER, "after"),
-            (MUTED, "noise floor"),
-        ])
-        + panels_of(_residuals(data, part, both)),
-        f"Table: repetitions under every payload. Curves: measured minus simulated in "
+        + key + panels_of(_residuals(document.before[part], both)),
+        "Table: repetitions under every payload. Curves: measured minus simulated in "
         f"{html.escape(trial.name)}.",
     )  # fmt: skip
 
 
 def _residuals(
-    data: Mapping[str, Any], part: str, both: Sequence[Comparison]
+    before: Mapping[str, SignalGap], both: Sequence[Comparison]
 ) -> list[tuple[str, str]]:
     panels = []
     for signal in both[0].simulated:
         series = [-c.error(signal) for c in both]
         still = all(np.ptp(c.simulated[signal]) == 0 for c in both)  # across a single joint's plane
-        if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in data["before"][part]:
+        if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in before:
             continue
-        row = data["before"][part][signal]
-        unit, factor, _ = error_unit(row["unit"])
+        row = before[signal]
+        unit, factor, _ = error_unit(row.unit)
         named = list(zip(("before", "after"), (factor * s for s in series), strict=True))
-        floor = factor * row["rms"] / row["floors"] if row["floors"] else None
+        floor = factor * row.rms / row.floors if row.floors else None
         drawing = svg_charts.traces(both[0].trial.time_s, named, unit, floor)
         sizes = " → ".join(f"{np.sqrt(np.nanmean(values**2)):.3g}" for _, values in named)
         panels.append((f"{short_signal(signal)}, {sizes} {unit} RMS", drawing))

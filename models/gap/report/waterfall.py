@@ -1,82 +1,85 @@
-"""How far each inclusion lowers the error on trials that its values were not fitted to."""
+"""Waterfall: error on trials that no value was fitted to, after each inclusion."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from models.gap.diagnosis import Diagnosis, all_fit_parameters
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
-_STEPS: Final = 12
-
 
 def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:
     """Error on held-out trials, in noise floors: as given, refitted, with each effect in turn.
 
-    Common knobs are fitted to the trials of the study's split and then held. On the held-out
-    trials only the variation between trials is fitted, as the noise floor allows it, from where
-    it ended in the trials of the same payload: a large gap that is not explained yet leans on it.
+    Common fit parameters are fitted to the trials of the study's split and then held. On the
+    held-out trials only the variation between trials is fitted, as the noise floor allows it, from
+    where it ended in the trials of the same payload: a large gap that is not yet explained affects
+    it.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Its results.
+    trials : TrialSet
+        Where the gap was looked for.
     """
     fit, held_out = trials.split()
-    tested = held_out if len(held_out) else fit
-    namer, naming = found.namer, found.naming
-    learner = _estimator(found, fit.trials)
-    judge = _estimator(found, tested.trials)
-    zero = np.zeros(len(learner.problem.knobs))
-    steps = [("plant as given", _floors(judge, zero, learner))]
-    point = learner.at(zero)
+    fitted, tested = (_estimator(found, t.trials) for t in (fit, held_out if held_out else fit))
+    steps, parameters = found.settings.waterfall_steps, fitted.residuals.fit_parameters
+    point = fitted.start()
+    result = [("plant as given", _floors(tested, point.values, fitted))]
     named: list[str] = []
-    for label, effects in [("nuisance refitted", []), *((e, [e]) for e in naming.named)]:
+    for label, effects in [("nuisance refitted", []), *((e, [e]) for e in found.named)]:
         named += effects
         start = point.values.copy()
         for effect in effects:
-            own = [k for k, knob in enumerate(learner.problem.knobs) if knob.effect == effect]
-            here = [k for k, knob in enumerate(namer.knobs) if knob.effect == effect]
-            start[own] = naming.after.values[here]
-        free = np.array([k.kind != "effect" or k.effect in named for k in learner.problem.knobs])
-        candidates = [learner.at(start), point]
-        point = learner.fit(min(candidates, key=lambda p: p.cost), free, _STEPS, 1e-3)
-        steps.append((label.replace("_", " "), _floors(judge, point.values, learner)))
-    steps.append(("noise floor", 1.0))
-    return steps
+            own = [k for k, q in enumerate(parameters) if q.effect == effect]
+            here = [k for k, q in enumerate(found.fit_parameters) if q.effect == effect]
+            start[own] = found.fitted_values[here]
+        free = np.array([q.kind != "effect" or q.effect in named for q in parameters])
+        nearest = min([fitted.at(start), point], key=lambda p: p.cost)
+        point = fitted.fit(nearest, free, steps, found.settings.waterfall_relative_fall)
+        result.append((label.replace("_", " "), _floors(tested, point.values, fitted)))
+    result.append(("noise floor", 1.0))
+    return result
 
 
 def _estimator(found: Diagnosis, trials: Sequence[Trial]) -> GaussNewton:
-    catalogue = list(
-        dict.fromkeys(k.effect for k in found.namer.knobs if k.effect in found.naming.named)
-    )
-    knobs = all_fit_parameters(found.plant, trials, catalogue)
-    return GaussNewton(Residuals(found.plant, trials, knobs), found.namer.first.floor)
+    """Estimator of nuisance, variation and the named effects, in the catalogue's order."""
+    catalogue = dict.fromkeys(q.effect for q in found.fit_parameters if q.effect in found.named)
+    parameters = all_fit_parameters(found.plant, trials, list(catalogue), found.settings)
+    return GaussNewton(Residuals(found.plant, trials, parameters, found.settings), found.floor)
 
 
-def _floors(judge: GaussNewton, learned: Array, learner: GaussNewton) -> float:
-    """Root mean square in noise floors with the learner's common knobs."""
-    variation = np.array([k.kind == "trial" for k in judge.problem.knobs])
-    point = judge.fit(judge.at(_handed_over(judge, learned, learner)), variation, _STEPS, 1e-3)
-    white = judge.whitened(point.rows)
-    return float(np.sqrt(sum(np.sum(w**2) for w in white) / sum(w.size for w in white)))
+def _floors(tested: GaussNewton, values: Array, fitted: GaussNewton) -> float:
+    """Root mean square in noise floors with the common fit parameters of another estimator."""
+    settings = tested.settings
+    variation = np.array([q.kind == "trial" for q in tested.residuals.fit_parameters])
+    start = tested.at(_handed_over(tested, values, fitted))
+    point = tested.fit(start, variation, settings.waterfall_steps, settings.waterfall_relative_fall)
+    return float(np.sqrt(mean_square(tested.whitened(point.rows))))
 
 
-def _handed_over(judge: GaussNewton, learned: Array, learner: GaussNewton) -> Array:
-    """The learner's values by name: common ones, and a trial's own by its payload."""
-    values = dict(zip(_keys(learner.problem), learned, strict=True))
-    return np.array([values.get(key, 0.0) for key in _keys(judge.problem)])
+def _handed_over(tested: GaussNewton, values: Array, fitted: GaussNewton) -> Array:
+    """Fitted values by name: common ones, and a trial's own by its payload."""
+    by_key = dict(zip(_keys(fitted.residuals), values, strict=True))
+    return np.array([by_key.get(key, 0.0) for key in _keys(tested.residuals)])
 
 
-def _keys(problem: Residuals) -> list[tuple[str, float | None, int]]:
-    """Name, payload and turn of every knob: a name may come several times (one for each axis)."""
+def _keys(residuals: Residuals) -> list[tuple[str, float | None, int]]:
+    """Name, payload and number of every fit parameter: a name may occur once for each axis."""
     seen: Counter[tuple[str, int | None]] = Counter()
     result = []
-    for knob in problem.knobs:
-        payload_kg = None if knob.trial is None else problem.trials[knob.trial].meta.payload_kg
-        result.append((knob.name, payload_kg, seen[knob.name, knob.trial]))
-        seen[knob.name, knob.trial] += 1
+    for q in residuals.fit_parameters:
+        payload_kg = None if q.trial is None else residuals.trials[q.trial].meta.payload_kg
+        result.append((q.name, payload_kg, seen[q.name, q.trial]))
+        seen[q.name, q.trial] += 1
     return result

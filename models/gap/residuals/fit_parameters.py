@@ -1,9 +1,9 @@
-"""What may be turned to close a gap: directions in the parameters and outputs of the twin.
+"""Fit parameters: directions in the parameters and outputs of the twin that may close a gap.
 
-A knob at zero leaves the plant as it is. Three kinds: `nuisance` holds for all trials and never
-counts as missing; `trial` varies from trial to trial with a known spread, and so belongs to the
-noise floor; `effect` is what is looked for. All are linear in the parameters, p = p_0 + Σ w θ, so
-one run with exact sensitivities serves every knob.
+A fit parameter at zero leaves the plant as it is. There are three kinds: `nuisance` holds for all
+trials and never counts as missing; `trial` varies from trial to trial with a known standard
+deviation, and so belongs to the noise floor; `effect` is searched for. All are linear in the
+plant's parameters, p = p_0 + Σ w θ, so one run with exact sensitivities serves all of them.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.components.drives import DRIVES
 from models.plant.effects import EFFECTS, applicable
 from models.plant.parameter import Parameter
@@ -21,21 +22,6 @@ from models.plant.scope import Scope
 from models.trials.trial import Trial
 
 Kind = Literal["nuisance", "trial", "effect"]
-
-RELATIVE_PRIOR: Final = {"_stiffness_": 0.3, "_damping_": 0.5, "link_mass_kg": 0.2}
-"""Nuisance of the link by what its name holds: spread of its share [assumed]."""
-
-FRAME_SHIFT_M: Final = 0.005
-"""Spread of the mocap frame's shift, common to all trials [assumed]."""
-
-SYNC_LIMIT_S: Final = 0.010
-"""Clocks within this count as synchronised (docs/sources.md, "Naming a missing effect")."""
-
-TRIAL_SPREAD: Final = {
-    "pressure": 0.01, "friction": 0.05, "eccentricity_m": 0.003, "sync_s": 0.002,
-    "frame_m": 0.0003,
-}  # fmt: skip
-"""What differs between repetitions of one trial (standard deviations) [assumed]."""
 
 TIP: Final = ("tip_x_m", "tip_y_m", "tip_z_m")
 
@@ -47,17 +33,17 @@ class FitParameter:
     Attributes
     ----------
     name : str
-        For people.
+        Name of the parameter of the plant, or of the variation.
     kind : str
         See `Kind`.
     parameters, outputs : dict of str to float
         How far each parameter, and each output at once, moves per unit.
-    spread : float
-        Standard deviation of the prior around zero; infinite for none.
+    standard_deviation : float
+        Of the prior around zero; infinite for none.
     low, high : float
         Bounds.
     trial : int, optional
-        Index of the only trial that it turns.
+        Index of the only trial that it acts on.
     effect : str
         Effect that it belongs to; empty for none.
     """
@@ -66,7 +52,7 @@ class FitParameter:
     kind: Kind
     parameters: Mapping[str, float] = field(default_factory=dict)
     outputs: Mapping[str, float] = field(default_factory=dict)
-    spread: float = math.inf
+    standard_deviation: float = math.inf
     low: float = -math.inf
     high: float = math.inf
     trial: int | None = None
@@ -90,35 +76,58 @@ def candidate_effects(plant: Plant) -> list[str]:
     return [name for name in every if name not in plant.effects]
 
 
-def nuisance_fit_parameters(plant: Plant, dof: int) -> list[FitParameter]:
-    """Nominal parameters that are refitted before anything counts as missing."""
+def nuisance_fit_parameters(
+    plant: Plant, dof: int, settings: GapSettings = DEFAULT_SETTINGS
+) -> list[FitParameter]:
+    """Nominal parameters that are refitted before anything counts as missing.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    dof : int
+        Number of joints.
+    settings : GapSettings
+        Tuned numbers.
+    """
     full = plant_with_every_effect(plant)
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
         return [
-            FitParameter(q.name, "nuisance", {q.name: 1.0}, {}, (q.high - q.low) / 4,
-                 q.low - q.value, q.high - q.value)
+            FitParameter(q.name, "nuisance", {q.name: 1.0}, {},
+                 (q.high - q.low) * settings.bound_prior_fraction, q.low - q.value,
+                 q.high - q.value)
             for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
-    for part, spread in RELATIVE_PRIOR.items():
+    for part, fraction in settings.nuisance_prior_fraction.items():
         for name in (n for n in names if part in n and full.parameters[n].role == "nuisance"):
-            result.append(_relative(full.parameters[name], spread))
+            result.append(_relative(full.parameters[name], fraction))
+    shift_m, clock_s = settings.frame_shift_prior_m, settings.clock_limit_s
     for axis in TIP:
-        result.append(
-            FitParameter(f"frame shift {axis[4]}", "nuisance", {}, {axis: 1.0}, FRAME_SHIFT_M)
-        )
+        name = f"frame shift {axis[4]}"
+        result.append(FitParameter(name, "nuisance", {}, {axis: 1.0}, shift_m))
+    clock = {"sync_offset_s": 1.0}
     result.append(
-        FitParameter("synchronisation", "nuisance", {"sync_offset_s": 1.0}, {}, SYNC_LIMIT_S,
-             -SYNC_LIMIT_S, SYNC_LIMIT_S)
-    )  # fmt: skip
-    return sorted(result, key=lambda k: k.name)
+        FitParameter("synchronisation", "nuisance", clock, {}, clock_s, -clock_s, clock_s)
+    )
+    return sorted(result, key=lambda q: q.name)
 
 
 def trial_fit_parameters(
-    plant: Plant, trials: Sequence[Trial], spread: Mapping[str, float] = TRIAL_SPREAD
+    plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
 ) -> list[FitParameter]:
-    """What varies from trial to trial, for each trial."""
+    """Variation between trials: pressure, friction, payload, clock and frame of each trial.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given; of loads other than the link nothing varies.
+    trials : sequence of Trial
+        Their order numbers the fit parameters.
+    settings : GapSettings
+        Tuned numbers.
+    """
     if LOADS[plant.load].kind != "link":
         return []
     full = plant_with_every_effect(plant)
@@ -127,28 +136,37 @@ def trial_fit_parameters(
         own = [full.parameters[n] for n in _owned(full, trial.meta.dof)]
         stiff = [q for q in own if q.unit == "N.m/rad" or q.name == "root_limit_moment_nm"]
         friction = [q for q in own if "_friction_" in q.name]
-
-        def add(
-            name: str, parameters: Mapping[str, float], outputs: Mapping[str, float], s: float,
-            k: int = k,
-        ) -> None:  # fmt: skip
-            result.append(FitParameter(name, "trial", parameters, outputs, s, trial=k))
-
-        add("pressure", {q.name: q.value for q in stiff}, {}, spread["pressure"])
-        add("friction", {q.name: q.value for q in friction}, {}, spread["friction"])
-        add("eccentricity_m", {"payload_offset_share": 1 / trial.meta.link_length_m}, {},
-            spread["eccentricity_m"])  # fmt: skip
-        add("sync_s", {"sync_offset_s": 1.0}, {}, spread["sync_s"])
-        for axis in TIP:
-            add("frame_m", {}, {axis: 1.0}, spread["frame_m"])
+        off_centre = {"payload_offset_share": 1 / trial.meta.link_length_m}
+        rows: list[tuple[str, dict[str, float], dict[str, float], float]] = [
+            ("pressure", {q.name: q.value for q in stiff}, {},
+             settings.pressure_variation_fraction),
+            ("friction", {q.name: q.value for q in friction}, {},
+             settings.friction_variation_fraction),
+            ("eccentricity_m", off_centre, {}, settings.eccentricity_variation_m),
+            ("sync_s", {"sync_offset_s": 1.0}, {}, settings.clock_variation_s),
+            *(("frame_m", {}, {axis: 1.0}, settings.frame_variation_m) for axis in TIP),
+        ]  # fmt: skip
+        result += [
+            FitParameter(name, "trial", parameters, outputs, deviation, trial=k)
+            for name, parameters, outputs, deviation in rows
+        ]
     return result
 
 
 def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParameter]:
-    """Knobs of one effect: its strength first, then what else of it may be fitted.
+    """Fit parameters of one effect: its strength first, then others that may be fitted.
 
-    A servo's effect is the same in every joint (`models.shared.catalogue`); the bend's may differ
-    by plane, and then have a strength each.
+    A servo's effect is the same in every joint (`models.shared.catalogue`); that of the bend may
+    differ by plane, and then has a strength for each.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    name : str
+        Effect of the catalogue.
+    dof : int
+        Number of joints.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
@@ -178,27 +196,19 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
                 effect=name,
             )
         )  # fmt: skip
-    return sorted(result, key=lambda k: k.name not in strengths)
+    return sorted(result, key=lambda q: q.name not in strengths)
 
 
-def moved_parameters(knobs: Iterable[FitParameter]) -> list[str]:
-    """Every parameter that some knob moves, once."""
-    return list(dict.fromkeys(n for k in knobs for n in k.parameters))
+def moved_parameters(fit_parameters: Iterable[FitParameter]) -> list[str]:
+    """Every parameter of the plant that some fit parameter moves, once."""
+    return list(dict.fromkeys(n for q in fit_parameters for n in q.parameters))
 
 
-def _relative(q: Parameter, spread: float) -> FitParameter:
-    return FitParameter(
-        q.name, "nuisance", {q.name: q.value}, {}, spread, q.low / q.value - 1, q.high / q.value - 1
-    )
+def _relative(q: Parameter, fraction: float) -> FitParameter:
+    low, high = q.low / q.value - 1, q.high / q.value - 1
+    return FitParameter(q.name, "nuisance", {q.name: q.value}, {}, fraction, low, high)
 
 
 def _owned(full: Plant, dof: int) -> list[str]:
     """Parameters of the plant that a twin of `dof` joints has."""
     return [v.name for v in full.step_model(dof, "twin").parameters]
-
-
-def strength_of(plant: Plant, name: str, dof: int) -> dict[str, Any]:
-    """Present value of each strength of an effect."""
-    scope = Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[plant.load].suffix))
-    full = plant_with_every_effect(plant)
-    return {n: full.parameters[n].value for n in EFFECTS[name].strengths(scope)}

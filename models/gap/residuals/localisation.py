@@ -1,9 +1,9 @@
-"""Where the gap is: by signal, trial, phase, direction of motion, region and frequency band.
+"""Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
 
-The residual in noise floors is brought back to time and its power compared cell by cell with a
+The residual in noise floors is brought back to time and its power compared region by region with a
 block bootstrap: differences of repeated trials hold no common gap, so blocks of them, drawn with
-random signs, say what noise alone does (without repetitions, white noise does). A cell counts where
-it stays significant under a false-discovery rate of 5 % (Benjamini and Hochberg 1995).
+random signs, show the effect of noise alone (without repetitions, white noise does). A region
+counts where it stays significant under a false-discovery rate (Benjamini and Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,20 +21,13 @@ from models.gap.residuals.spectrum import (
     coefficient_frequencies_hz,
     inverse_cosine_transform,
 )
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
-
-BANDS_HZ: Final = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
-PHASES: Final = 8
-BLOCK_S: Final = 1.0
-DRAWS: Final = 400
-FALSE_DISCOVERY: Final = 0.05
-REST_RAD_S: Final = 0.02
-"""Joint rate below which the motion counts as standing."""
 
 
 @dataclass(frozen=True)
 class GapRegion:
-    """One cell of one way to look at a signal.
+    """One region of one signal, by one factor.
 
     Attributes
     ----------
@@ -45,7 +38,7 @@ class GapRegion:
     mean : float
         Its mean, with sign: measured minus simulated.
     p : float
-        Share of the null's draws that are as large.
+        Fraction of the bootstrap's draws that are as large.
     significant : bool
         Under the false-discovery rate.
     """
@@ -60,33 +53,41 @@ class GapRegion:
 
 
 def locate_gap(
-    groups: Sequence[TrialGroup], trials: Sequence[Trial], white: Sequence[Array], seed: int = 0
+    groups: Sequence[TrialGroup],
+    trials: Sequence[Trial],
+    white: Sequence[Array],
+    settings: GapSettings = DEFAULT_SETTINGS,
+    seed: int = 0,
 ) -> list[GapRegion]:
-    """Cells of all signals and factors, largest first.
+    """Regions of all signals and factors, largest first.
 
     Parameters
     ----------
     groups, trials : sequence
-        Of the problem.
+        Of the residuals.
     white : list of ndarray, shape (trials, signals, K)
         Residual in noise floors.
+    settings : GapSettings
+        Tuned numbers.
     seed : int
         Of the bootstrap.
     """
     rng = np.random.default_rng(seed)
-    cells: list[GapRegion] = []
+    regions: list[GapRegion] = []
     for group, rows in zip(groups, white, strict=True):
         own = [trials[k] for k in group.trials]
-        series = _series(rows, len(own[0]))
-        pairs = _pairs(own, rows, len(own[0]))
-        masks = _masks(own)
-        null = _null(rng, pairs, series.shape, round(BLOCK_S / own[0].step_s))
+        samples, step_s = len(own[0]), own[0].step_s
+        hz = coefficient_frequencies_hz(group.coefficients, samples, step_s)
+        series = _series(rows, samples)
+        pairs = _pairs(own, rows, samples)
+        masks = _masks(own, settings)
+        block = round(settings.bootstrap_block_s / step_s)
+        noise = _noise(rng, pairs, series.shape, block, settings.bootstrap_draws)
         for b, signal in enumerate(group.signals):
-            cells += _cells(signal, series[:, b], masks, null)
-            cells += _bands(
-                signal, rows[:, b], coefficient_frequencies_hz(len(own[0]), own[0].step_s), rng
-            )
-    return sorted(_discover(cells), key=lambda c: (not c.significant, -c.floors))
+            regions += _regions(signal, series[:, b], masks, noise)
+            regions += _bands(signal, rows[:, b], hz, rng, settings)
+    found = _significant(regions, settings.false_discovery_rate)
+    return sorted(found, key=lambda c: (not c.significant, -c.floors))
 
 
 def _series(rows: Array, samples: int) -> Array:
@@ -109,27 +110,30 @@ def _pairs(own: Sequence[Trial], rows: Array, samples: int) -> Array:
     return np.concatenate(result) if result else np.empty((0, samples))
 
 
-def _null(rng: np.random.Generator, pairs: Array, shape: tuple[int, ...], block: int) -> Array:
+def _noise(
+    rng: np.random.Generator, pairs: Array, shape: tuple[int, ...], block: int, draws: int
+) -> Array:
     """Draws of noise for one signal, (draws, trials, n)."""
     trials, samples = shape[0], shape[-1]
     if not len(pairs):
-        return rng.standard_normal((DRAWS, trials, samples))
+        return rng.standard_normal((draws, trials, samples))
     count = -(-samples // block)
-    row = rng.integers(len(pairs), size=(DRAWS, trials, count))
+    row = rng.integers(len(pairs), size=(draws, trials, count))
     start = rng.integers(max(samples - block, 1), size=row.shape)
     sign = rng.choice([-1.0, 1.0], size=row.shape)
     offset = np.arange(block)
     drawn = pairs[row[..., None], start[..., None] + offset] * sign[..., None]
-    return np.asarray(drawn.reshape(DRAWS, trials, -1)[..., :samples])
+    return np.asarray(drawn.reshape(draws, trials, -1)[..., :samples])
 
 
-def _masks(own: Sequence[Trial]) -> dict[tuple[str, str], Array]:
+def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str], Array]:
     """Weights by factor and level, (trials, n)."""
     angle = np.array([t.joint[:, 0] for t in own])
     rate = np.gradient(angle, own[0].step_s, axis=1)
     time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
-    phase = np.floor(PHASES * ((time_s / own[0].meta.period_s) % 1.0)).astype(int)
-    moving = time_s >= 0
+    phases = settings.location_phases
+    phase = np.floor(phases * ((time_s / own[0].meta.period_s) % 1.0)).astype(int)
+    moving, still = time_s >= 0, settings.standing_rate_rad_s
     third = np.max(np.abs(angle)) / 3
     masks: dict[tuple[str, str], Array] = {}
     for a, t in enumerate(own):
@@ -139,30 +143,30 @@ def _masks(own: Sequence[Trial]) -> dict[tuple[str, str], Array]:
     for payload in sorted({t.meta.payload_kg for t in own}):
         chosen = np.array([t.meta.payload_kg == payload for t in own])
         masks["payload", f"{payload:g} kg"] = np.broadcast_to(chosen[:, None], angle.shape)
-    for k in range(PHASES):
-        masks["phase", f"{k + 1}/{PHASES}"] = (phase == k) & moving
-    masks["direction", "towards +"] = rate > REST_RAD_S
-    masks["direction", "towards −"] = rate < -REST_RAD_S
-    masks["direction", "standing"] = np.abs(rate) <= REST_RAD_S
+    for k in range(phases):
+        masks["phase", f"{k + 1}/{phases}"] = (phase == k) & moving
+    masks["direction", "towards +"] = rate > still
+    masks["direction", "towards −"] = rate < -still
+    masks["direction", "standing"] = np.abs(rate) <= still
     masks["angle", "negative"] = angle < -third
     masks["angle", "middle"] = np.abs(angle) <= third
     masks["angle", "positive"] = angle > third
     for side, name in ((angle > 0, "positive"), (angle < 0, "negative")):
-        out = side & (rate * angle > 0) & (np.abs(rate) > REST_RAD_S)
-        back = side & (rate * angle < 0) & (np.abs(rate) > REST_RAD_S)
+        out = side & (rate * angle > 0) & (np.abs(rate) > still)
+        back = side & (rate * angle < 0) & (np.abs(rate) > still)
         masks["stroke", f"way out to {name} angles"] = out
         masks["stroke", f"return from {name} angles"] = back
-    return {key: mask for key, mask in masks.items() if mask.sum() > 20}
+    return {key: mask for key, mask in masks.items() if mask.sum() > settings.least_region_samples}
 
 
-def _cells(
-    signal: str, series: Array, masks: dict[tuple[str, str], Array], null: Array
+def _regions(
+    signal: str, series: Array, masks: dict[tuple[str, str], Array], noise: Array
 ) -> list[GapRegion]:
     result = []
     for (factor, level), mask in masks.items():
         chosen = series[mask]
         power = float(np.mean(chosen**2))
-        drawn = np.mean(null[:, mask] ** 2, axis=1)
+        drawn = np.mean(noise[:, mask] ** 2, axis=1)
         p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
         result.append(
             GapRegion(
@@ -172,94 +176,100 @@ def _cells(
     return result
 
 
-def _bands(signal: str, rows: Array, hz: Array, rng: np.random.Generator) -> list[GapRegion]:
+def _bands(
+    signal: str, rows: Array, hz: Array, rng: np.random.Generator, settings: GapSettings
+) -> list[GapRegion]:
     result = []
-    for low, high in itertools.pairwise(BANDS_HZ):
+    for low, high in itertools.pairwise(settings.location_bands_hz):
         chosen = rows[:, (hz >= low) & (hz < high)].ravel()
-        if len(chosen) < 4:
+        if len(chosen) < settings.least_band_coefficients:
             continue
         power = float(np.mean(chosen**2))
-        drawn = rng.chisquare(len(chosen), DRAWS) / len(chosen)
-        p = (1 + np.sum(drawn >= power)) / (1 + DRAWS)
+        drawn = rng.chisquare(len(chosen), settings.bootstrap_draws) / len(chosen)
+        p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
         level = f"{low:g} to {high:g} Hz"
         result.append(GapRegion(signal, "band", level, float(np.sqrt(power)), 0.0, float(p)))
     return result
 
 
-def _discover(cells: list[GapRegion]) -> list[GapRegion]:
-    """Mark the cells that pass the false-discovery rate."""
-    order = sorted(range(len(cells)), key=lambda k: cells[k].p)
+def _significant(regions: list[GapRegion], rate: float) -> list[GapRegion]:
+    """Regions, those that pass the false-discovery rate marked."""
+    order = sorted(range(len(regions)), key=lambda k: regions[k].p)
     limit = 0
     for rank, k in enumerate(order, start=1):
-        if cells[k].p <= FALSE_DISCOVERY * rank / len(cells):
+        if regions[k].p <= rate * rank / len(regions):
             limit = rank
     passed = set(order[:limit])
-    return [replace(c, significant=k in passed) for k, c in enumerate(cells)]
+    return [replace(c, significant=k in passed) for k, c in enumerate(regions)]
 
 
-SPOKEN: Final = {
+IN_WORDS: Final = {
     "tip_x_m": "the tip (x)", "tip_y_m": "the tip (y)", "tip_z_m": "the tip's height",
     "di": "the Deformation Index",
 }  # fmt: skip
 
 
-def location_sentence(cells: Sequence[GapRegion]) -> str:
-    """Where the gap is, in one sentence."""
-    found = [c for c in cells if c.significant]
+def location_sentence(
+    regions: Sequence[GapRegion], settings: GapSettings = DEFAULT_SETTINGS
+) -> str:
+    """Location of the gap in one sentence.
+
+    Parameters
+    ----------
+    regions : sequence of GapRegion
+        As `locate_gap` returns them.
+    settings : GapSettings
+        Tuned numbers.
+
+    Examples
+    --------
+    >>> location_sentence([])
+    'Simulation and measurement agree within the noise floor.'
+    """
+    found = [c for c in regions if c.significant]
     if not found:
         return "Simulation and measurement agree within the noise floor."
     top = max(found, key=lambda c: c.floors if c.factor == "stroke" else 0.0)
     if top.factor != "stroke":
         top = found[0]
-    own = [c for c in cells if c.signal == top.signal]
-    where = f"on the {top.level}" if top.factor == "stroke" else f"{top.factor} {top.level}"
-    side = ""
-    if abs(top.mean) > 0.5 * top.floors:
-        side = " too large" if top.mean > 0 else " too small"
-    band = _largest(own, "band")
-    parts = [f"{signal_in_words(top.signal)} is off most {where}"]
-    if side:
-        parts = [f"{signal_in_words(top.signal)} is measured{side} for the plant {where}"]
+    own = [c for c in regions if c.signal == top.signal]
+    where = f"on the {top.level}" if top.factor == "stroke" else f"for {top.factor} {top.level}"
+    parts = [f"{signal_in_words(top.signal)} differs most {where}"]
+    if abs(top.mean) > settings.one_sided_fraction * top.floors:
+        side = "larger" if top.mean > 0 else "smaller"
+        parts = [f"{signal_in_words(top.signal)} is measured {side} than simulated {where}"]
     parts.append(f"{top.floors:.1f} noise floors")
+    band = _largest(own, "band")
     if band:
         parts.append(f"mostly at {band.level}")
     payload = sorted((c for c in own if c.factor == "payload"), key=_payload)
-    if len(payload) > 1 and payload[-1].floors > 1.5 * payload[0].floors:
+    ratio = settings.payload_trend_ratio
+    if len(payload) > 1 and payload[-1].floors > ratio * payload[0].floors:
         parts.append("growing with payload")
-    elif len(payload) > 1 and payload[0].floors > 1.5 * payload[-1].floors:
+    elif len(payload) > 1 and payload[0].floors > ratio * payload[-1].floors:
         parts.append("falling with payload")
     text = ", ".join(parts) + "."
     return text[0].upper() + text[1:]
 
 
-def _payload(cell: GapRegion) -> float:
-    return float(cell.level.split()[0])
+def _payload(region: GapRegion) -> float:
+    return float(region.level.split()[0])
 
 
-def _largest(cells: Sequence[GapRegion], factor: str) -> GapRegion | None:
-    own = [c for c in cells if c.factor == factor and c.significant]
+def _largest(regions: Sequence[GapRegion], factor: str) -> GapRegion | None:
+    own = [c for c in regions if c.factor == factor and c.significant]
     return max(own, key=lambda c: c.floors) if own else None
 
 
 def signal_in_words(signal: str) -> str:
-    """A signal in words."""
-    if signal in SPOKEN:
-        return SPOKEN[signal]
-    what, joint, _ = (*signal.split("_"), "", "")[:3]
-    return f"the {what} of joint {joint}" if joint.isdigit() else signal
+    """A signal in words.
 
-
-def plain(cell: GapRegion) -> dict[str, Any]:
-    """Plain form of a cell for gap.json; sizes are in noise floors."""
-    return {
-        "signal": cell.signal, cell.factor: cell.level, "size": round(cell.floors, 3),
-        "mean": round(cell.mean, 3), "p": round(cell.p, 4),
-    }  # fmt: skip
-
-
-def as_row(cell: GapRegion) -> dict[str, Any]:
-    """A cell of the map that gap.json holds, whether significant or not."""
-    return {
-        "signal": cell.signal, "factor": cell.factor, "level": cell.level,
-        "size": round(cell.floors, 3), "significant": cell.significant,
-    }  # fmt: skip
+    Examples
+    --------
+    >>> signal_in_words("current_1_a"), signal_in_words("tip_z_m")
+    ('the current of joint 1', "the tip's height")
+    """
+    if signal in IN_WORDS:
+        return IN_WORDS[signal]
+    quantity, joint, _ = (*signal.split("_"), "", "")[:3]
+    return f"the {quantity} of joint {joint}" if joint.isdigit() else signal

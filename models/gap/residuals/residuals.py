@@ -1,4 +1,4 @@
-"""The twin beside the trials: residual spectra and their exact derivatives by every knob."""
+"""Residual spectra of the twin over trials, and their exact derivatives by every fit parameter."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from models.gap.residuals.spectrum import (
     cosine_transform,
     inverse_cosine_transform,
 )
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import (
@@ -33,15 +34,7 @@ from models.plant.step_model import names
 from models.trials.trial import Trial
 
 WORKERS: Final = 2
-SUBSTEP_S: Final = 2.9e-3
-"""Longest internal step: what a dead time of zero allows (`models.plant.effects.command`). Six a
-period are within 5 µm and 0.5 mA of a step of 0.25 ms; 46 µm with ten times the usual friction.
-Only for the link: the bristles of a small gear turn over faster than that."""
-
-LOST_RAD: Final = 0.03
-GIVEN: Final = 0.95
-"""A joint loses its goal where it follows that much worse than the twin ever does, with at least
-that share of the largest current."""
+"""Threads that simulate; CasADi lets go of the interpreter meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +75,13 @@ class Residuals:
     Parameters
     ----------
     plant : Plant
-        Where all knobs are at zero.
+        Where all fit parameters are zero.
     trials : sequence of Trial
         To compare with; of one number of joints.
-    knobs : sequence of FitParameter
-        What may be turned.
+    fit_parameters : sequence of FitParameter
+        Directions in which the twin may be changed.
+    settings : GapSettings
+        Tuned numbers.
 
     Attributes
     ----------
@@ -94,44 +89,58 @@ class Residuals:
         By motion.
     model : StepModel
         The twin with every effect.
+
+    Raises
+    ------
+    InputError
+        If the trials are of one and of two joints.
     """
 
     def __init__(
-        self, plant: Plant, trials: Sequence[Trial], knobs: Sequence[FitParameter]
+        self,
+        plant: Plant,
+        trials: Sequence[Trial],
+        fit_parameters: Sequence[FitParameter],
+        settings: GapSettings = DEFAULT_SETTINGS,
     ) -> None:
         dofs = {t.meta.dof for t in trials}
         if len(dofs) != 1:
             raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
-        self.plant, self.trials, self.knobs = plant, tuple(trials), tuple(knobs)
+        self.plant, self.trials = plant, tuple(trials)
+        self.fit_parameters, self.settings = tuple(fit_parameters), settings
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
-        substep_s = SUBSTEP_S if plant.load == "link" else model.max_substep_s
+        is_link = plant.load == "link"
+        substep_s = settings.longest_substep_s if is_link else model.max_substep_s
         self.model = replace(model, max_substep_s=substep_s)
-        moved = [n for n in moved_parameters(knobs) if n in names(model.parameters)]
+        moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._plain = CompiledModel(self.model)
         self._sensitive = CompiledModel(sensitivity_model(model, moved, substep_s))
         self._outputs = names(model.outputs)
-        known = names(model.parameters)
         self._base = [trial_parameters(model, t) for t in trials]
-        self._by_parameter = np.zeros((len(known), len(knobs)))
-        self._by_output = np.zeros((len(self._outputs), len(knobs)))
-        for k, knob in enumerate(knobs):
-            for name, weight in knob.parameters.items():
-                self._by_parameter[known.index(name), k] = weight
-            for name, weight in knob.outputs.items():
-                self._by_output[self._outputs.index(name), k] = weight
-        self._moved = self._by_parameter[[known.index(n) for n in moved]]
-        self._turns = np.array(
-            [[k.trial is None or k.trial == i for k in knobs] for i in range(len(trials))]
-        )
-        self._measured = [measured_signals(t) for t in trials]
-        self.groups = self._group()
         self._low = np.array([v.minimum for v in model.parameters])
         self._high = np.array([v.maximum for v in model.parameters])
-        driven = plant.load == "link"
-        self._counted = [
-            rows_that_follow(t, self._follows(k)) if driven else np.ones(len(t))
+        self._set_directions(names(model.parameters), moved)
+        self._measured = [measured_signals(t) for t in trials]
+        self.groups = self._group()
+        self._follows = [
+            rows_that_follow(t, self._usual_error_rad(k), settings) if is_link else np.ones(len(t))
             for k, t in enumerate(trials)
         ]
+
+    def _set_directions(self, known: Sequence[str], moved: Sequence[str]) -> None:
+        """Matrices from the fit parameters to the model's parameters and outputs."""
+        count = len(self.fit_parameters)
+        self._by_parameter = np.zeros((len(known), count))
+        self._by_output = np.zeros((len(self._outputs), count))
+        for k, direction in enumerate(self.fit_parameters):
+            for name, weight in direction.parameters.items():
+                self._by_parameter[known.index(name), k] = weight
+            for name, weight in direction.outputs.items():
+                self._by_output[self._outputs.index(name), k] = weight
+        self._moved = self._by_parameter[[known.index(n) for n in moved]]
+        self._acts = np.array(
+            [[q.trial in (None, i) for q in self.fit_parameters] for i in range(len(self.trials))]
+        )
 
     def _group(self) -> list[TrialGroup]:
         found: dict[str, list[int]] = {}
@@ -145,11 +154,8 @@ class Residuals:
                        for k in rows)
             ]  # fmt: skip
             first = self.trials[rows[0]]
-            result.append(
-                TrialGroup(
-                    key, tuple(rows), tuple(seen), coefficient_count(len(first), first.step_s)
-                )
-            )
+            count = coefficient_count(len(first), first.step_s, self.settings.highest_frequency_hz)
+            result.append(TrialGroup(key, tuple(rows), tuple(seen), count))
         return result
 
     def residuals(self, values: Array) -> list[Array]:
@@ -159,93 +165,105 @@ class Residuals:
         return [self._spectra(g, runs) for g in self.groups]
 
     def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
-        """Residual spectra, and derivatives of the simulated ones (trials, signals, K, knobs)."""
+        """Residual spectra, and derivatives of the simulated ones, (trials, signals, K, p)."""
         with ThreadPoolExecutor(WORKERS) as pool:
             both = list(pool.map(lambda k: self._run_sensitive(k, values), range(len(self.trials))))
         rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
         slopes = []
         for g in self.groups:
-            block = np.empty((len(g.trials), len(g.signals), g.coefficients, len(self.knobs)))
+            shape = len(g.trials), len(g.signals), g.coefficients, len(self.fit_parameters)
+            block = np.empty(shape)
             for a, k in enumerate(g.trials):
                 for b, signal in enumerate(g.signals):
-                    block[a, b] = self._coefficients(
-                        k, signal, both[k][1][self._outputs.index(signal)]
-                    )
+                    slope = both[k][1][self._outputs.index(signal)]
+                    block[a, b] = self._coefficients(k, signal, slope, g.coefficients)
             slopes.append(block)
         return rows, slopes
 
-    def lost(self) -> dict[str, int]:
-        """First row that no longer counts, of each trial whose joint has lost its goal."""
+    def goal_not_followed(self) -> dict[str, int]:
+        """First row that no longer counts, of each trial whose joint does not follow its goal."""
         return {
             t.name: int(rows.sum())
-            for t, rows in zip(self.trials, self._counted, strict=True) if not rows.all()
+            for t, rows in zip(self.trials, self._follows, strict=True) if not rows.all()
         }  # fmt: skip
 
-    def _follows(self, k: int) -> Array:
+    def _usual_error_rad(self, k: int) -> Array:
         """Largest following error of each joint of the twin as given, rad."""
-        y, goal = self._run(k, np.zeros(len(self.knobs))), self.trials[k].goal_rad
+        y, goal = self._run(k, np.zeros(len(self.fit_parameters))), self.trials[k].goal_rad
         angle = [self._outputs.index(f"angle_{j}_rad") for j in range(1, goal.shape[1] + 1)]
         return np.asarray(np.abs(goal - y[:, angle]).max(axis=0))
 
     def _parameters(self, k: int, values: Array) -> Array:
-        p = self._base[k] + self._by_parameter @ (values * self._turns[k])
+        p = self._base[k] + self._by_parameter @ (values * self._acts[k])
         return np.asarray(np.clip(p, self._low, self._high))
 
     def _run(self, k: int, values: Array) -> Array:
         y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
-        return np.asarray(y + self._by_output @ (values * self._turns[k]))
+        return np.asarray(y + self._by_output @ (values * self._acts[k]))
 
     def _run_sensitive(self, k: int, values: Array) -> tuple[Array, list[Array]]:
-        """Outputs (n, outputs) and, by output, their derivatives (n, knobs)."""
+        """Outputs (n, outputs) and, by output, their derivatives (n, fit parameters)."""
         y = run_trial(self._sensitive, self.trials[k], self._parameters(k, values))
         count = len(self._outputs)
         slopes = [
-            (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._turns[k]
+            (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._acts[k]
             for o in range(count)
         ]
-        return y[:, :count] + self._by_output @ (values * self._turns[k]), slopes
+        return y[:, :count] + self._by_output @ (values * self._acts[k]), slopes
 
     def _spectra(self, g: TrialGroup, runs: Sequence[Array]) -> Array:
         rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
         for a, k in enumerate(g.trials):
             for b, signal in enumerate(g.signals):
                 residual = self._measured[k][signal] - runs[k][:, self._outputs.index(signal)]
-                rows[a, b] = self._coefficients(k, signal, interpolate_missing(residual))
+                seen = interpolate_missing(residual)
+                rows[a, b] = self._coefficients(k, signal, seen, g.coefficients)
         return rows
 
     def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
-        """Spectra (…, trials, signals, K) of what the counted rows of each trial would hold."""
+        """Spectra (…, trials, signals, K) in which only the rows that count are not zero."""
         result = spectra.copy()
         for a, k in enumerate(g.trials):
-            rows, trial = self._counted[k], self.trials[k]
+            rows, trial = self._follows[k], self.trials[k]
             if not rows.all():
                 curves = inverse_cosine_transform(
                     np.moveaxis(spectra[..., a, :, :], -1, 0), len(trial)
                 )
-                kept_rows = cosine_transform((rows * curves.T).T, trial.step_s)
+                kept_rows = cosine_transform((rows * curves.T).T, g.coefficients)
                 result[..., a, :, :] = np.moveaxis(kept_rows, 0, -1)
         return result
 
-    def _coefficients(self, k: int, signal: str, rows: Array) -> Array:
-        trial = self.trials[k]
-        weight = self._counted[k] * row_weights(trial, signal)
-        return cosine_transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, trial.step_s)
+    def _coefficients(self, k: int, signal: str, rows: Array, count: int) -> Array:
+        weight = self._follows[k] * row_weights(self.trials[k], signal)
+        return cosine_transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, count)
 
 
-def rows_that_follow(trial: Trial, follows_rad: Array) -> Array:
-    """1 for each row up to where a joint has lost its goal, 0 after: no two falls are alike.
+def rows_that_follow(
+    trial: Trial, usual_error_rad: Array, settings: GapSettings = DEFAULT_SETTINGS
+) -> Array:
+    """1 for each row up to where a joint no longer follows its goal, 0 after.
+
+    There the current saturates and the joint falls behind. Two such falls differ, so no simulation
+    follows them.
 
     Parameters
     ----------
     trial : Trial
         As measured.
-    follows_rad : ndarray, shape (joints,)
+    usual_error_rad : ndarray, shape (joints,)
         Following error that is to be expected.
+    settings : GapSettings
+        Tuned numbers.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
     error, current = np.abs(trial.goal_rad - trial.angle_rad), np.abs(trial.current_a)
-    behind = error > follows_rad + LOST_RAD
-    lost = np.any(behind & (current > GIVEN * current.max(axis=0)), axis=1)
-    return np.asarray(np.cumsum(lost) == 0, dtype=np.float64)
+    behind = error > usual_error_rad + settings.not_followed_error_rad
+    saturated = current > settings.not_followed_current_fraction * current.max(axis=0)
+    not_followed = np.any(behind & saturated, axis=1)
+    return np.asarray(np.cumsum(not_followed) == 0, dtype=np.float64)
 
 
 def interpolate_missing(rows: Array) -> Array:

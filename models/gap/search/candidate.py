@@ -1,35 +1,52 @@
-"""What the search for a missing effect handles: candidates, and what was found."""
+"""Candidates of the effect search, and its result."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
 
-ALIKE: Final = 3.0
-"""Separation below which two effects cannot be told apart
-(docs/sources.md, "Naming a missing effect")."""
-
 
 @dataclass
 class Candidate:
-    """A candidate (one effect, or two) and its fit."""
+    """A candidate (one effect, or two) and its fit.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names.
+    point : FitPoint
+        Where the fit ended.
+    gain : float
+        Fall of the cost.
+    least : float
+        Least d′ that the effects must reach.
+    predicted : float
+        Fall of the cost that derivatives predict.
+    held_out_gain, held_out_error : float
+        Fall of the cost on trials left out and its standard error; not a number before
+        cross-validation.
+    """
 
     effects: tuple[str, ...]
     point: FitPoint
     gain: float
     least: float
-    promised: float = 0.0
+    predicted: float = 0.0
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
 
     @property
     def score(self) -> float:
-        """Twice the gain, less what it must be at least."""
+        """Twice the gain, less the square of the least d′."""
         return 2 * self.gain - self.least**2
+
+    @property
+    def hope(self) -> float:
+        """Score that a screened candidate may reach, halfway to the prediction of derivatives."""
+        return self.score + max(self.predicted - self.gain, 0.0)
 
     @property
     def separation(self) -> float:
@@ -39,20 +56,22 @@ class Candidate:
 
 @dataclass
 class SearchResult:
-    """What the search found.
+    """Result of the effect search.
 
     Attributes
     ----------
     before, after : FitPoint
-        Fit of nuisance and trial variation alone, and with what was named.
+        Fit of nuisance and trial variation alone, and with the named effects.
     named : list of str
-        In order of inclusion.
+        In order of inclusion, without those deleted again.
     rounds : list of list of Candidate
         Refitted candidates of each round, best first.
     screened : dict of str to float
         d′ of every effect in the first round's screen.
     unexcited : list of str
         Effects that these trials could not show at any strength within bounds.
+    chosen : list of Candidate
+        Included in each round.
     """
 
     before: FitPoint

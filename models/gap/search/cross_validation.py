@@ -1,10 +1,10 @@
-"""Whether an effect also helps on trials that its values were not fitted to.
+"""Cross-validation of an effect on trials that its values were not fitted to.
 
 Whole payloads are left out in turn (where there is one, other conditions such as a gain, motions,
-or repetitions), and the effects fitted without them. Both models are taken as linear around their
-fits, which costs no simulation; nuisance stays where all trials put it, for to extrapolate it to
-another payload is not the question. The variation of a trial that was left out is fitted to it,
-within its spread.
+or repetitions), and the effects fitted without them. Both models are linear around their fits,
+which costs no simulation. The nuisance keeps the values of all trials: extrapolating it to another
+payload is not tested here. The variation of a trial that was left out is fitted to it, within its
+prior.
 """
 
 from __future__ import annotations
@@ -15,27 +15,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.normal_equation import NormalEquation
 from models.gap.residuals.spectrum import Array
 from models.trials.trial import Trial
 
 FittedModel = tuple[FitPoint, Array]
-"""Where a model was fitted, and the knobs that it may turn."""
+"""Point where a model was fitted, and its free fit parameters."""
 
 
 def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
-    """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that."""
+    """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of the trials.
+    without, with_ : tuple
+        Fitted model without the candidate, and with it.
+    """
     return np.array(
         [
             _held_out_cost(estimator, *without, fold) - _held_out_cost(estimator, *with_, fold)
-            for fold in left_out_folds(estimator.problem.trials)
+            for fold in left_out_folds(estimator.residuals.trials)
         ]
     )
 
 
 def left_out_folds(trials: Sequence[Trial]) -> list[list[int]]:
-    """Trials that are left out together."""
-    for what in ("payload_kg", "conditions", "motion", "trial"):
-        keys = [str(getattr(t.meta, what)) for t in trials]
+    """Indices of the trials that are left out together."""
+    for condition in ("payload_kg", "conditions", "motion", "trial"):
+        keys = [str(getattr(t.meta, condition)) for t in trials]
         if len(set(keys)) > 1:
             return [[i for i, k in enumerate(keys) if k == own] for own in sorted(set(keys))]
     return [[i] for i in range(len(trials))]
@@ -49,42 +58,45 @@ def _held_out_cost(
     inside: tuple[list[Array], list[Array]] = ([], [])
     outside: tuple[list[Array], list[Array]] = ([], [])
     white = estimator.whitened(point.rows)
-    for group, rows, slopes in zip(estimator.problem.groups, white, point.slopes, strict=True):
+    for group, rows, slopes in zip(estimator.residuals.groups, white, point.slopes, strict=True):
         blocks = slopes.reshape(len(group.trials), -1, slopes.shape[-1])
         for a, k in enumerate(group.trials):
             side = inside if k in fold else outside
             side[0].append(rows[a].ravel())
             side[1].append(blocks[a])
     precision = estimator.precision
-    own = np.array([k.trial in fold for k in estimator.problem.knobs])
-    effect = np.array([k.kind == "effect" for k in estimator.problem.knobs])
+    own = np.array([q.trial in fold for q in estimator.residuals.fit_parameters])
+    effect = np.array([q.kind == "effect" for q in estimator.residuals.fit_parameters])
     train = np.flatnonzero(free & effect)
-    step = np.zeros(len(estimator.problem.knobs))
+    step = np.zeros(len(estimator.residuals.fit_parameters))
     if outside[0]:
-        step[train] = _ridge(outside, train, precision, point.values)
+        step[train] = _step(estimator, outside, train, point.values)
     left = [
         (r - b @ step, b) for r, b in zip(*inside, strict=True)
-    ]  # common knobs stand where the others put them
+    ]  # common fit parameters keep the values of the other trials
     test = np.flatnonzero(free & own)
     parts = ([r for r, _ in left], [b for _, b in left])
-    step[test] = _ridge(parts, test, precision, point.values)
+    step[test] = _step(estimator, parts, test, point.values)
     after = [r - b[:, test] @ step[test] for r, b in left]
     values = point.values + step
     prior = float(precision[test] @ values[test] ** 2)
     return 0.5 * (sum(float(r @ r) for r in after) + prior)
 
 
-def _ridge(
-    parts: tuple[list[Array], list[Array]], index: NDArray[np.intp], precision: Array, values: Array
+def _step(
+    estimator: GaussNewton,
+    parts: tuple[list[Array], list[Array]],
+    index: NDArray[np.intp],
+    values: Array,
 ) -> Array:
-    """Least squares step of some knobs, their priors included."""
+    """Least-squares step of some fit parameters, their priors included."""
     if not len(index):
         return np.empty(0)
-    normal = np.diag(precision[index] + 1e-30)
-    right = -precision[index] * values[index]
+    precision = estimator.precision[index]
+    normal = np.diag(precision + 1e-30)
+    right = -precision * values[index]
     for r, b in zip(*parts, strict=True):
         normal = normal + b[:, index].T @ b[:, index]
         right = right + b[:, index].T @ r
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-    scaled = normal / np.outer(size, size) + 1e-9 * np.eye(len(index))
-    return np.asarray(np.linalg.solve(scaled, right / size) / size)
+    ridge = estimator.settings.held_out_ridge_fraction
+    return NormalEquation.of(normal).solve(right, ridge)

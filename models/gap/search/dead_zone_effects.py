@@ -1,7 +1,7 @@
-"""Effects that show nothing where they are absent: a limit that is never met, play never crossed.
+"""Effects with a dead zone: they show nothing where they are absent, like a limit never met.
 
-Derivatives there say nothing, so strengths are tried one by one: shares of the bound, and where the
-effect itself reads a first strength from the trials (`Effect.dead_zone_strength`), that one
+Their derivatives vanish there, so strengths are tried one by one: fractions of the bound and, where
+the effect itself reads a first strength from the trials (`Effect.dead_zone_strength`), that one
 too. Then between the best and its neighbours.
 """
 
@@ -9,20 +9,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.normal_equation import NormalEquation
 from models.gap.residuals.spectrum import Array
-from models.gap.search.candidate import ALIKE
 from models.plant.effects import EFFECTS
-
-LADDER: Final = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
-"""Shares of its bound at which an effect is tried that shows nothing where it is absent."""
-
-REFINED: Final = 5
-"""Times that the ladder is made denser around its best rung."""
 
 
 def unexcited_effects(
@@ -35,25 +28,23 @@ def unexcited_effects(
     estimator : GaussNewton
         Of the trials.
     point : FitPoint
-        Where nothing is missing but the nuisance.
-    base : ndarray of bool, shape (knobs,)
-        Knobs of nuisance and trial variation.
+        Fit of nuisance and trial variation alone.
+    base : ndarray of bool, shape (p,)
+        Fit parameters of nuisance and trial variation.
     of : mapping of str to ndarray of bool
-        Knobs of each effect.
+        Those of each effect, its strength first.
     """
     result = []
     normal = estimator.linearise(point).normal
     index = np.flatnonzero(base)
-    inner = normal[np.ix_(index, index)]
-    knobs = estimator.problem.knobs
+    inner, ridge = NormalEquation.of(normal, index), estimator.settings.normal_ridge_fraction
     for effect, own in of.items():
         k = int(np.flatnonzero(own)[0])
         across = normal[index, k]
-        left = normal[k, k] - across @ np.linalg.solve(
-            inner + 1e-12 * np.eye(len(index)) * np.trace(inner), across
-        )
-        reach = max(abs(knobs[k].low), abs(knobs[k].high))
-        if np.sqrt(max(left, 0.0)) * reach < ALIKE:
+        left = normal[k, k] - across @ inner.solve(across, ridge)
+        strength = estimator.residuals.fit_parameters[k]
+        reach = max(abs(strength.low), abs(strength.high))
+        if np.sqrt(max(left, 0.0)) * reach < estimator.settings.indistinguishable_separation:
             result.append(effect)
     return result
 
@@ -68,14 +59,15 @@ def strength_ladder(
     estimator : GaussNewton
         Of the trials.
     here : FitPoint
-        Where the other knobs stand.
+        Values of the other fit parameters.
     effect : str
         Its name.
-    own : ndarray of bool, shape (knobs,)
-        Its knobs, the strength first.
+    own : ndarray of bool, shape (p,)
+        Its fit parameters, the strength first.
     """
-    problem, at = estimator.problem, int(np.flatnonzero(own)[0])
-    knob = problem.knobs[at]
+    residuals, settings = estimator.residuals, estimator.settings
+    at = int(np.flatnonzero(own)[0])
+    strength = residuals.fit_parameters[at]
     rungs = [here]
 
     def climb(value: float) -> None:
@@ -83,12 +75,13 @@ def strength_ladder(
         values[at] = value
         rungs.append(estimator.at(values))
 
-    known = {n: q.value for n, q in problem.plant.parameters.items()}
-    met = EFFECTS[effect].dead_zone_strength(known, problem.trials)
-    met -= known.get(next(iter(knob.parameters)), 0.0)
-    for value in (*(share * knob.high for share in LADDER), met):
-        climb(float(np.clip(value, 0.0, knob.high)))
-    for _ in range(REFINED):
+    known = {n: q.value for n, q in residuals.plant.parameters.items()}
+    met = EFFECTS[effect].dead_zone_strength(known, residuals.trials)
+    met -= known.get(next(iter(strength.parameters)), 0.0)
+    first = [fraction * strength.high for fraction in settings.ladder_bound_fractions]
+    for value in (*first, met):
+        climb(float(np.clip(value, 0.0, strength.high)))
+    for _ in range(settings.ladder_refinements):
         rungs.sort(key=lambda p: p.values[at])
         best = min(range(len(rungs)), key=lambda k: rungs[k].cost)
         around = [p.values[at] for p in rungs[max(best - 1, 0) : best + 2]]

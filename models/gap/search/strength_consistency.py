@@ -1,13 +1,13 @@
-"""Whether one strength of an effect serves everywhere.
+"""Strength consistency: whether one strength of an effect fits everywhere.
 
 An effect that stands in for another fits one signal, payload or band of frequencies at one strength
 and the next at another. So the contribution of a named effect is cut into such blocks, and the
-strength of each is freed by a share δ_b around the common fit, to first order, with nuisance and
+strength of each is freed by a fraction δ_b around the common fit, to first order, with nuisance and
 every common strength refitted. With s the scores of δ and Λ their information,
 
     D² = Σ (s_i² − λ_i) / (λ_i + 1) / Σ λ_i        in the axes of Λ
 
-is the mean square by which the strengths differ, noise and what the data cannot tell taken out;
+is the mean square by which the strengths differ, noise and undetermined directions taken out;
 Σ s_i² / (λ_i + τ² λ_i²) is χ² where they differ by no more than τ, which a simpler equation may.
 """
 
@@ -16,58 +16,42 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.normal_equation import NormalEquation, stacked
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
-
-BANDS: Final = 3
-"""Of equal width on a logarithmic scale."""
-
-TOLERATED: Final = {"sensor": 0.15, "joint_torque": 0.15}
-"""Share by which strengths may differ by the effect's port, 0.25 elsewhere: two hinges that stand
-for a beam, or a smooth sign, miss that much; a sensor's equation is exact. Set on 45 development
-cases: rightly named effects stayed below 0.17 (backlash 0.22), stand-ins reached 0.2 to 2."""
-
-CHANCE: Final = 1e-3
-"""Probability of a larger χ² below which strengths differ."""
-
-SEEN: Final = 1.0
-"""Least information (in squared noise floors) of a block, or of a direction of the blocks."""
 
 
 @dataclass(frozen=True)
 class StrengthConsistency:
-    """How constant a strength is.
+    """Difference of an effect's strengths between payloads, signals and bands.
 
     Attributes
     ----------
-    spread : float
-        D of the module's text.
-    chance : float
-        Probability of a larger χ² if strengths differ by no more than is tolerated.
+    standard_deviation : float
+        D of the module's text, as a fraction of the strength.
+    probability : float
+        Of a larger χ² if strengths differ by no more than is tolerated.
     tolerated : float
-        See `TOLERATED`.
+        Fraction by which they may differ.
+    holds : bool
+        Whether one strength fits everywhere.
     """
 
-    spread: float
-    chance: float
+    standard_deviation: float
+    probability: float
     tolerated: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether one strength serves everywhere."""
-        return self.spread <= self.tolerated or self.chance >= CHANCE
+    holds: bool
 
 
 def strength_consistency_of(
     estimator: GaussNewton, point: FitPoint, free: Array, own: Array, port: str
 ) -> StrengthConsistency:
-    """Constancy of the strength of one effect.
+    """Consistency of the strength of one effect.
 
     Parameters
     ----------
@@ -75,48 +59,54 @@ def strength_consistency_of(
         Whose floor allows for errors of the equations.
     point : FitPoint
         Common fit.
-    free : ndarray of bool, shape (knobs,)
-        Knobs that were fitted.
-    own : ndarray of bool, shape (knobs,)
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted.
+    own : ndarray of bool, shape (p,)
         Those of the effect.
     port : str
         Where the effect acts.
     """
-    tolerated = TOLERATED.get(port, 0.25)
+    settings = estimator.settings
+    tolerated = settings.tolerated_difference_fraction_by_port.get(
+        port, settings.tolerated_difference_fraction
+    )
+    least = settings.least_block_information
     values = point.values.copy()
     values[own] = 0.0
-    without = estimator.problem.residuals(values)
+    without = estimator.residuals.residuals(values)
     part = [w - r for w, r in zip(without, point.rows, strict=True)]
-    blocks = np.array([_stack(estimator.whiten(b)) for b in _blocks(estimator, part)])
-    blocks = blocks[np.sum(blocks**2, axis=1) > SEEN].T
+    blocks = np.array([stacked(estimator.whiten(b)).ravel() for b in _blocks(estimator, part)])
+    blocks = blocks[np.sum(blocks**2, axis=1) > least].T
     if not blocks.size:
-        return StrengthConsistency(0.0, 1.0, tolerated)
+        return StrengthConsistency(0.0, 1.0, tolerated, True)
     scores, information = _released(estimator, point, free, blocks)
     size, axes = np.linalg.eigh(information)
     size, scores = np.maximum(size, 0.0), axes.T @ scores
     square = np.sum((scores**2 - size) / (size + 1)) / max(size.sum(), 1e-12)
-    seen = size > SEEN
+    seen = size > least
     size, scores = size[seen], scores[seen]
     deviation = np.sum(scores**2 / (size + tolerated**2 * size**2))
-    chance = float(chi2.sf(deviation, max(len(size), 1)))
-    return StrengthConsistency(float(np.sqrt(max(square, 0.0))), chance, tolerated)
+    probability = float(chi2.sf(deviation, max(len(size), 1)))
+    differs = float(np.sqrt(max(square, 0.0)))
+    holds = differs <= tolerated or probability >= settings.inconsistency_probability
+    return StrengthConsistency(differs, probability, tolerated, holds)
 
 
 def _blocks(estimator: GaussNewton, part: Sequence[Array]) -> Iterator[list[Array]]:
     """Contribution of an effect, a payload, signal and band at a time."""
-    problem = estimator.problem
-    for g, group in enumerate(problem.groups):
-        payload = np.array([problem.trials[k].meta.payload_kg for k in group.trials])
+    residuals, bands = estimator.residuals, estimator.settings.consistency_bands
+    for g, group in enumerate(residuals.groups):
+        payload = np.array([residuals.trials[k].meta.payload_kg for k in group.trials])
         for p in np.unique(payload):
             for s in range(len(group.signals)):
-                for band in _bands(group):
+                for band in _bands(group, bands):
                     block = [np.zeros_like(rows) for rows in part]
                     block[g][payload == p, s, band] = part[g][payload == p, s, band]
                     yield block
 
 
-def _bands(group: TrialGroup) -> list[slice]:
-    edges = np.round(np.geomspace(1, group.coefficients, BANDS + 1)).astype(int)
+def _bands(group: TrialGroup, count: int) -> list[slice]:
+    edges = np.round(np.geomspace(1, group.coefficients, count + 1)).astype(int)
     edges[0] = 0
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
@@ -124,20 +114,14 @@ def _bands(group: TrialGroup) -> list[slice]:
 def _released(
     estimator: GaussNewton, point: FitPoint, free: Array, blocks: Array
 ) -> tuple[Array, Array]:
-    """Scores and information of the blocks' strengths, the common knobs refitted."""
+    """Scores and information of the blocks' strengths, the common fit parameters refitted."""
     index = np.flatnonzero(free)
     estimator.linearise(point)
     slopes = np.concatenate([s[:, index] for s in point.slopes])
-    residual = _stack(estimator.whitened(point.rows))
-    normal = point.normal[np.ix_(index, index)]
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-    scaled = normal / np.outer(scale, scale) + 1e-10 * np.eye(len(index))
+    residual = stacked(estimator.whitened(point.rows)).ravel()
     across = slopes.T @ blocks
-    refit = np.linalg.solve(scaled, across / scale[:, None]) / scale[:, None]
+    ridge = estimator.settings.normal_ridge_fraction
+    refit = NormalEquation.of(point.normal, index).solve(across, ridge)
     scores = blocks.T @ residual - refit.T @ point.gradient[index]
     information = blocks.T @ blocks - across.T @ refit
     return scores, (information + information.T) / 2
-
-
-def _stack(rows: Sequence[Array]) -> Array:
-    return np.concatenate([r.ravel() for r in rows])

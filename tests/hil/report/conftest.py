@@ -19,7 +19,8 @@ from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
-from models.gap.report.gap_json import errors_in_floors
+from models.gap.report.gap_json import GapDocument, SignalFloor, errors_in_floors
+from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
@@ -66,7 +67,9 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
         write_study(directory / f"study_2dof_{name}" / "study.json", of_phase.document)
     plant = read_plant()
     few = TrialSet((*held_out[:1], *one[:1]))
-    (directory / "evaluate_unseen_20deg.json").write_text(json.dumps(evaluate_plant(plant, few)))
+    (directory / "evaluate_unseen_20deg.json").write_bytes(
+        msgspec.json.encode(evaluate_plant(plant, few))
+    )
     unit = build_twin(NOMINAL, 1, directory)
     with FmuArchive(unit) as archive:
         report = check_fmu(archive, embedded_parts(archive.directory / "resources"))
@@ -102,7 +105,8 @@ def as_if_by(plant, trials):
 
 def diagnosis(before, after, trials):
     """A gap.json that names softening."""
-    floor = {s: {"rms": 1e-3} for s in ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m")}
+    signals = ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m")
+    floor = {s: SignalFloor(1e-3, 0.0, 1e-3) for s in signals}
     fit, held_out = trials.split()
     levels = {
         "phase": ("1/8", "2/8"),
@@ -119,20 +123,30 @@ def diagnosis(before, after, trials):
     steps = (("plant as given", 4.0), ("noise floor", 1.0))
     rival = {"effect": "load_dependent_friction", "separation": 7.0, "least": 5.0, "reason": "none"}
     value = {"value": 0.19, "unit": "1", "error": 0.01, "before": 0.0}
-    return {
-        "schema": 1, "verdict": "closed", "sentence": "The tip (x) is off most.", "map": cells,
+    evidence = {
+        "separation": 40.0, "least": 5.0, "held_out_gain": 100.0, "held_out_error": 10.0,
+        "strength_standard_deviation": 0.07, "strength_holds": True,
+    }  # fmt: skip
+    errors = {
+        when: {
+            part: errors_in_floors(plant, own, floor, {})
+            for part, own in (("fitted", fit), ("held_out", held_out))
+        }
+        for when, plant in (("before", before), ("after", after))
+    }
+    return msgspec.to_builtins({
+        "schema": GapDocument.VERSION, "verdict": "closed", "gap_left_fraction": 0.1,
+        "noise_floor": {"learned": True, "signals": floor, "dispersion": 1.0},
+        "nuisance_bias": {}, "goal_not_followed_at_row": {},
+        "sentence": "The tip (x) differs most.", "located": [], "map": cells,
         "named": [{
             "effect": "stiffness_softening", "kept": True, "look_alikes": [],
-            "parameters": {"softening_share": value},
-            "evidence": {"separation": 40.0, "least": 5.0, "strength_spread": 0.07,
-                         "strength_holds": True},
+            "parameters": {"softening_share": value}, "evidence": evidence,
         }],
-        "rejected": [rival],
+        "remaining": {"sentence": "", "located": []}, "rejected": [rival],
         "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
-        **{when: {part: errors_in_floors(plant, own, floor, {})
-                  for part, own in (("fitted", fit), ("held_out", held_out))}
-           for when, plant in (("before", before), ("after", after))},
-    }  # fmt: skip
+        "settings": DEFAULT_SETTINGS, **errors,
+    })  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,9 @@ import pytest
 
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
+from models.gap.diagnosis import diagnose
 from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -15,7 +17,11 @@ from models.trials.trial import Trial, TrialMeta, TrialSet
 
 NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
 REST_ROWS = 60
-SPREAD = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
+CONSIDERED = (
+    "dead_time", "current_bias", "current_scale", "viscous_friction", "creep",
+    "unmodelled_payload", "marker_frame_tilt", "current_saturation",
+)  # fmt: skip
+VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 
 
 def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
@@ -40,17 +46,17 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
                 {"time_s": PERIOD_S * np.arange(len(goal)), "goal_1_rad": goal},
             )  # fmt: skip
             p = compiled.model.parameter_values()
-            stiff, rough = 1 + np.array([SPREAD["pressure"], SPREAD["friction"]]) * rng.normal(
-                size=2
-            )
+            stiff, rough = 1 + np.array(
+                [VARIATION["pressure"], VARIATION["friction"]]
+            ) * rng.normal(size=2)
             for k, name in enumerate(known):
                 if name.endswith("stiffness_1_nm_rad") or name == "root_limit_moment_nm":
                     p[k] *= stiff
                 if "_friction_" in name:
                     p[k] *= rough
-            p[known.index("sync_offset_s")] += SPREAD["sync_s"] * rng.standard_normal()
+            p[known.index("sync_offset_s")] += VARIATION["sync_s"] * rng.standard_normal()
             y = run_trial(compiled, trial, p)
-            shift = SPREAD["frame_m"] * rng.standard_normal(3)
+            shift = VARIATION["frame_m"] * rng.standard_normal(3)
             columns = dict(trial.columns)
             for k, name in enumerate(outputs):
                 noise = NOISE[name.rsplit("_", 1)[-1]] * rng.standard_normal(len(y))
@@ -71,3 +77,36 @@ def plant():
 def trials_of():
     """Function (plant, seed, payloads, repeats) -> trials as that plant makes them."""
     return make_trials
+
+
+@pytest.fixture(scope="session")
+def hidden(plant):
+    """Function (parameter=change, …) -> trials of two payloads of the plant with these changes.
+
+    Their seed is never that of the noise floor.
+    """
+
+    def hide(**strengths):
+        full = plant.with_effects(*candidate_effects(plant))
+        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
+        return make_trials(full.with_values(values), 7, (0.0, 1.0))
+
+    return hide
+
+
+@pytest.fixture(scope="session")
+def diagnosed():
+    """Function (plant, trials) -> diagnosis over the effects of `CONSIDERED`."""
+
+    def run(plant, trials):
+        others = [e for e in candidate_effects(plant) if e not in CONSIDERED]
+        return diagnose(plant, trials, leave_out=others)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def late(plant, hidden, diagnosed):
+    """Diagnosis of 20 ms of dead time, and its trials."""
+    trials = hidden(dead_time_1_s=0.02)
+    return diagnosed(plant, trials), trials

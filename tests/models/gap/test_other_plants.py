@@ -54,7 +54,7 @@ def test_a_plant_without_a_measured_current_is_diagnosed(pendulum):
     trials = swings(full.with_values({"coulomb_friction_1_nm": 0.05}), 5)
     others = [e for e in candidate_effects(pendulum) if e not in CONSIDERED]
     found = diagnose(pendulum, trials, leave_out=others)
-    assert found.naming.named == ["coulomb_friction"]
+    assert found.named == ("coulomb_friction",)
     q = found.improved.parameters["coulomb_friction_1_nm"]
     assert q.value == pytest.approx(0.05, rel=0.2)
 

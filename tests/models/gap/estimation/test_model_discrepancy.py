@@ -8,7 +8,6 @@ import pytest
 from models.gap.estimation import gauss_newton
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import (
-    MOST,
     ModelDiscrepancy,
     discrepancy_of,
     patterns_of,
@@ -16,15 +15,13 @@ from models.gap.estimation.model_discrepancy import (
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import coefficient_count
-from models.gap.search.null_distribution import (
-    LEAST,
-    NullDistribution,
-    calibrated_null_distribution,
-)
+from models.gap.search.null_distribution import calibrated_null_distribution
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import read_plant
 
 COUNT, STEP_S = 200, 0.017
-SIZE = coefficient_count(COUNT, STEP_S)
+SIZE = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
+MOST = DEFAULT_SETTINGS.discrepancy_patterns
 PAYLOADS_KG = np.array([0.0, 1.0])
 
 
@@ -48,7 +45,7 @@ def planted(rng, links=60, sizes=(30.0, 15.0)):
 
 def test_planted_patterns_are_found_with_their_size():
     patterns, rows = planted(np.random.default_rng(0))
-    found = patterns_of(rows, np.ones((1, SIZE))).reshape(MOST, -1)
+    found = patterns_of(rows, np.ones((1, SIZE)), MOST).reshape(MOST, -1)
     sizes = np.linalg.norm(found, axis=1)
     assert sizes[:2] == pytest.approx([30.0, 15.0], rel=0.35)
     assert sizes[2:].max() < 2.0
@@ -67,12 +64,13 @@ def test_rows_follow_the_payload_and_vanish_for_another_motion(trials, group):
 
 @dataclass
 class Still:
-    """A problem that is never simulated."""
+    """Residuals that are never simulated."""
 
     plant: object
     trials: list
     groups: list
-    knobs: tuple = ()
+    fit_parameters: tuple = ()
+    settings: GapSettings = DEFAULT_SETTINGS
 
     def as_counted(self, group, spectra):
         return spectra
@@ -106,15 +104,15 @@ def test_other_loads_have_none_and_the_links_file_holds_the_studys_motion():
     assert np.all(np.diff(known.payload_kg) > 0)
 
 
-def test_prices_rise_with_what_an_effect_shows_without_a_gap():
+def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
     rng = np.random.default_rng(2)
     rows = [{"quiet": abs(q), "loud": 6 * abs(s)} for q, s in rng.standard_normal((400, 2))]
-    found = calibrated_null_distribution(rows, [1.0] * 400)
-    assert found["scatter"]["quiet"] == pytest.approx(1.0, abs=0.1)
-    assert found["scatter"]["loud"] == pytest.approx(6.0, rel=0.1)
-    assert found["threshold"] == LEAST
-    null = NullDistribution(found["threshold"], found["explained"], found["scatter"])
-    assert null.least(["loud"]) == pytest.approx(6 * LEAST, rel=0.1)
+    null = calibrated_null_distribution(rows, [1.0] * 400)
+    assert null.standard_deviation["quiet"] == pytest.approx(1.0, abs=0.1)
+    assert null.standard_deviation["loud"] == pytest.approx(6.0, rel=0.1)
+    least = DEFAULT_SETTINGS.least_threshold
+    assert null.threshold == least
+    assert null.least(["loud"]) == pytest.approx(6 * least, rel=0.1)
     assert null.least(["quiet", "loud"]) ** 2 == pytest.approx(
         null.least(["quiet"]) ** 2 + null.least(["loud"]) ** 2
     )

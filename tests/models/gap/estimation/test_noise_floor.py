@@ -13,6 +13,7 @@ from models.gap.residuals.spectrum import (
     cosine_transform,
     inverse_cosine_transform,
 )
+from models.gap.settings import DEFAULT_SETTINGS
 
 COUNT, STEP_S = 512, 0.017
 
@@ -28,13 +29,14 @@ def ar_noise(rng, trials, pole):
 
 def group_of(trials):
     """The only group of trials of one motion with a signal x."""
-    size = coefficient_count(COUNT, STEP_S)
+    size = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
     return TrialGroup(trial_group_key(trials[0]), tuple(range(len(trials))), ("x",), size)
 
 
 def spectra(rows):
     """(trials, 1, K)."""
-    return cosine_transform(rows.T, STEP_S).T[:, None]
+    size = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
+    return cosine_transform(rows.T, size).T[:, None]
 
 
 @pytest.fixture

@@ -1,44 +1,46 @@
-"""Trials that all differ alike hide an effect; trials that differ by chance do not."""
+"""Bias of the nuisance: trials that all differ alike hide an effect, chance does not."""
 
 import numpy as np
 import pytest
 
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.estimation.nuisance_bias import STRAINED, excessive_nuisance_bias, nuisance_biases
+from models.gap.estimation.nuisance_bias import excessive_nuisance_bias, nuisance_biases
 from models.gap.residuals.fit_parameters import FitParameter
+from models.gap.settings import DEFAULT_SETTINGS
 
 TRIALS = 6
-KNOBS = [
-    FitParameter(name, "trial", {}, outputs, spread, trial=t)
+PARAMETERS = [
+    FitParameter(name, "trial", {}, outputs, deviation, trial=t)
     for t in range(TRIALS)
-    for name, outputs, spread in (
+    for name, outputs, deviation in (
         ("eccentricity_m", {}, 0.003), ("frame_m", {"tip_x_m": 1.0}, 3e-4), ("sync_s", {}, 0.002),
     )
 ] + [FitParameter("link_mass_kg", "nuisance", {}, {}, 0.1)]  # fmt: skip
-SPREAD = np.array([k.spread for k in KNOBS])
+DEVIATION = np.array([q.standard_deviation for q in PARAMETERS])
 
 
 def point(values):
     return FitPoint(values, 0.0, [])
 
 
-def test_chance_is_standard_normal_and_never_strains():
+def test_chance_is_standard_normal_and_is_never_a_bias():
     rng = np.random.default_rng(11)
-    drawn = [
-        nuisance_biases(KNOBS, point(SPREAD * rng.standard_normal(len(KNOBS)))) for _ in range(400)
-    ]
+    drawn = []
+    for _ in range(400):
+        values = DEVIATION * rng.standard_normal(len(PARAMETERS))
+        drawn.append(nuisance_biases(PARAMETERS, point(values)))
     assert set(drawn[0]) == {"eccentricity_m", "frame_m tip_x_m", "sync_s"}, "no nuisance of all"
     every = np.array([list(z.values()) for z in drawn])
     assert abs(every.mean()) < 0.15 and abs(every.std() - 1) < 0.1
-    assert np.abs(every).max() < STRAINED
+    assert np.abs(every).max() < DEFAULT_SETTINGS.nuisance_bias_limit_sd
 
 
 def test_what_all_trials_share_adds_up_and_what_cancels_does_not():
-    values = np.zeros(len(KNOBS))
-    own = np.array([k.name == "eccentricity_m" for k in KNOBS])
+    values = np.zeros(len(PARAMETERS))
+    own = np.array([q.name == "eccentricity_m" for q in PARAMETERS])
     values[own] = 4 * 0.003
-    assert excessive_nuisance_bias(KNOBS, point(values)) == pytest.approx(
+    assert excessive_nuisance_bias(PARAMETERS, point(values)) == pytest.approx(
         {"eccentricity_m": 4 * TRIALS**0.5}
     )
     values[own] *= np.resize([1.0, -1.0], TRIALS)
-    assert not excessive_nuisance_bias(KNOBS, point(values))
+    assert not excessive_nuisance_bias(PARAMETERS, point(values))

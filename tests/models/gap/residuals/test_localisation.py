@@ -6,6 +6,7 @@ import pytest
 from models.gap.residuals.localisation import locate_gap, location_sentence
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import coefficient_count, cosine_transform
+from models.gap.settings import DEFAULT_SETTINGS
 
 COUNT, STEP_S = 512, 0.017
 
@@ -26,7 +27,7 @@ def group_of(trials):
         trial_group_key(trials[0]),
         tuple(range(len(trials))),
         signals,
-        coefficient_count(COUNT, STEP_S),
+        coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz),
     )
 
 
@@ -53,7 +54,7 @@ def test_a_lag_on_the_return_is_said_so(trials):
     back = (angle > 0.05) & (np.gradient(angle) < 0)
     rows = noise(rng, group)
     for a, trial in enumerate(trials):
-        rows[a, 1] += cosine_transform(6.0 * trial.meta.payload_kg * back, STEP_S)
+        rows[a, 1] += cosine_transform(6.0 * trial.meta.payload_kg * back, group.coefficients)
     cells = locate_gap([group], trials, [rows])
     top = next(c for c in cells if c.factor == "stroke")
     assert top.significant

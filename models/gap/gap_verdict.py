@@ -1,0 +1,84 @@
+"""Verdict on a gap: whether the named effects explain it, and consistently."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from models.gap.estimation.normal_equation import mean_square
+from models.gap.residuals.spectrum import Array
+from models.gap.search.candidate import SearchResult
+from models.gap.search.effect_search import EffectSearch
+from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
+from models.plant.effects import EFFECTS
+
+GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
+
+
+def consistencies_of_named(
+    search: EffectSearch, result: SearchResult
+) -> dict[str, StrengthConsistency]:
+    """Strength consistency of each named effect; not of one with a dead zone.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    """
+    free = search.free(result.named)
+    return {
+        effect: strength_consistency_of(
+            search.estimator, result.after, free, search.of[effect], EFFECTS[effect].port
+        )
+        for effect in result.named
+        if effect not in result.unexcited
+    }
+
+
+def gap_verdict(
+    search: EffectSearch,
+    result: SearchResult,
+    consistencies: Mapping[str, StrengthConsistency],
+) -> tuple[GapVerdict, float]:
+    """Verdict, and the fraction of the gap's amplitude that is left.
+
+    A named effect is a stand-in where its strength would have to differ from one payload, signal or
+    band to the next, where most of the gap is left, or where the gap went into the variation
+    between trials.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    consistencies : mapping of str to StrengthConsistency
+        Of the named effects.
+    """
+    settings = search.settings
+    before, after = (
+        _power_beyond_noise(search, point.rows) for point in (result.before, result.after)
+    )
+    left = float(np.sqrt(after / before)) if before > 0 else 0.0
+    biased = bool(search.nuisance_bias(result.after))
+    if not result.named:
+        gap = biased or search.has_gap(result.before)
+        return ("not in the catalogue", 1.0) if gap else ("no gap", 0.0)
+    residual_before, residual_after = map(search.mean_residual, (result.before, result.after))
+    clearly = residual_after > (1 + settings.unusual_residual) / 2
+    unclosed = residual_before > settings.unusual_residual
+    unclosed = unclosed and left > settings.gap_left_limit_fraction
+    if len(result.named) > 1:
+        unclosed = left > settings.gap_left_limit_fraction_of_several
+    if biased or (clearly and unclosed) or not all(c.holds for c in consistencies.values()):
+        return "not in the catalogue", left
+    return ("reduced" if search.has_gap(result.after) else "closed"), left
+
+
+def _power_beyond_noise(search: EffectSearch, rows: Sequence[Array]) -> float:
+    """Mean square of a residual, in noise floors, beyond that of noise."""
+    return max(mean_square(search.first.whitened(list(rows))) - 1.0, 0.0)

@@ -1,0 +1,74 @@
+"""Gap document in words, for the console and the page."""
+
+from __future__ import annotations
+
+from models.gap.report.gap_json import GapDocument, NamedEffect
+from models.gap.search.rejected_effects import UNEXCITED
+
+
+def goal_not_followed_in_words(document: GapDocument) -> str:
+    """Rows that were not used, and why; empty where all were."""
+    rows = document.goal_not_followed_at_row
+    if not rows:
+        return ""
+    where = ", ".join(f"{name} from row {row}" for name, row in rows.items())
+    return f"not used, because the current saturates and the joint does not follow: {where}"
+
+
+def nuisance_bias_in_words(document: GapDocument) -> str:
+    """Variations in which all trials would have to differ alike; empty if in none."""
+    kinds = ", ".join(
+        f"{kind} by {z:+.0f} standard deviations" for kind, z in document.nuisance_bias.items()
+    )
+    return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"
+
+
+def gap_in_words(document: GapDocument) -> str:
+    """Text for the console.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    """
+    lines = [f"verdict: {document.verdict}", document.sentence]
+    notes = goal_not_followed_in_words(document), nuisance_bias_in_words(document)
+    lines += [text for text in notes if text]
+    for row in document.named:
+        lines += _named_in_words(row)
+    if document.verdict in ("reduced", "not in the catalogue"):
+        lines.append("remaining gap: " + document.remaining.sentence)
+    part = "held_out" if "held_out" in document.before else "fitted"
+    lines.append(f"{part.replace('_', '-')} trials, in noise floors, before and after:")
+    for signal, before in document.before[part].items():
+        after = document.after[part].get(signal, before)
+        lines.append(f"  {signal:14s}{_floors(before.floors)}{_floors(after.floors)}")
+    unexcited = [r.effect for r in document.rejected if r.reason == UNEXCITED]
+    if unexcited:
+        lines.append("not excited: " + ", ".join(unexcited))
+    return "\n".join(lines)
+
+
+def _named_in_words(row: NamedEffect) -> list[str]:
+    """An effect with its values, its look-alikes and whether its strength is consistent."""
+    values = ", ".join(
+        f"{name} = {q.value:.4g} ± {q.error or 0:.2g} {q.unit}"
+        for name, q in row.parameters.items()
+    )
+    lines = [f"named: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
+    if row.separated_by:
+        others = ", ".join(c.effect for c in row.look_alikes)
+        lines.append(
+            f"  these trials cannot tell it from {others}; {row.separated_by.motion} would"
+        )
+    if not row.evidence.strength_holds:
+        differs = row.evidence.strength_standard_deviation
+        lines.append(
+            f"  its strength would have to differ by {differs:.0%} between payloads, signals "
+            "and frequencies: it stands in for another effect"
+        )
+    return lines
+
+
+def _floors(value: float | None) -> str:
+    return f"{'-' if value is None else format(value, '.2f'):>10s}"

@@ -1,0 +1,102 @@
+"""Motion that would separate a named effect from its look-alikes.
+
+The menu's motions are simulated with the named effect, and the other is fitted to them: the motion
+on which it fits worst separates best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.motion import Kind, Motion
+from firmware_py.signals import PERIOD_S
+from models.gap.diagnosis import Diagnosis
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.residuals.residuals import Residuals
+from models.gap.residuals.spectrum import Array
+from models.gap.search.look_alikes import LookAlike
+from models.plant.plant import Plant
+from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.step_model import names
+from models.trials.trial import Trial
+
+MENU: Final[dict[str, Kind]] = {
+    "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
+    "step and hold": "steps", "free decay": "decay",
+}  # fmt: skip
+NO_MOTION: Final = "none of the menu"
+"""Recommendation for a plant that cannot run the menu."""
+
+
+def separating_motion(
+    found: Diagnosis, trials: Sequence[Trial], alike: Sequence[LookAlike]
+) -> tuple[str, dict[str, float]]:
+    """Motion of the menu that tells a named effect from its look-alikes best.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Whose improved plant has the named effect.
+    trials : sequence of Trial
+        Where the gap was looked for.
+    alike : sequence of LookAlike
+        Of one inclusion; at least one.
+
+    Returns
+    -------
+    tuple
+        Its name, and for every motion the least d′ from any of them; the menu is that of the link.
+    """
+    if found.improved.load != "link":
+        return NO_MOTION, {}
+    heaviest = max(t.meta.payload_kg for t in trials)
+    swapped = found.settings.swapped_payload_kg
+    result = {}
+    for label, kind in MENU.items():
+        payload = heaviest
+        if label == "payload swap":
+            payload = swapped if heaviest <= swapped / 2 else 0.0
+        rest = found.settings.menu_rest_samples
+        trial = _simulated(found.improved, trials[0], kind, payload, rest)
+        result[label] = min(_separation(found, trial, other) for other in alike)
+    return max(result, key=lambda label: result[label]), result
+
+
+def _simulated(plant: Plant, like: Trial, kind: Kind, payload_kg: float, rest: int) -> Trial:
+    """Trial of a motion as a plant runs it."""
+    meta = like.meta
+    motion = Motion(kind, meta.amplitude_rad, meta.period_s, meta.phase_2_rad, meta.dof)
+    goal_rad = motion.table_rad(rest_samples=rest)
+    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
+    for j in range(meta.dof):
+        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
+    conditions = msgspec.structs.replace(
+        meta, motion=kind, payload_kg=payload_kg, rest_samples=rest, source="simulated"
+    )
+    trial = Trial(kind, conditions, columns)
+    compiled = CompiledModel(plant.step_model(meta.dof, "twin"))
+    y = run_trial(compiled, trial)
+    outputs: dict[str, Array] = {
+        name: y[:, k] for k, name in enumerate(names(compiled.model.outputs))
+    }
+    return replace(trial, columns=columns | outputs)
+
+
+def _separation(found: Diagnosis, trial: Trial, other: LookAlike) -> float:
+    """d′ that is left when another effect is fitted to a trial, to first order."""
+    common = [k for k, q in enumerate(found.fit_parameters) if q.trial in (None, 0)]
+    parameters = [found.fit_parameters[k] for k in common]
+    residuals = Residuals(found.plant, [trial], parameters, found.settings)
+    estimator = GaussNewton(residuals, replace(found.floor, curves={}))
+    point = estimator.linearise(estimator.at(other.values[common]))
+    others = [e for e in found.named if e not in other.effects]
+    kept = {*others[: len(found.named) - len(other.effects)], *other.effects}
+    free = np.array([q.kind != "effect" or q.effect in kept for q in parameters])
+    _, predicted = estimator.step(point, free)
+    return math.sqrt(max(2 * (point.cost - predicted), 0.0))

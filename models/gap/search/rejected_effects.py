@@ -1,0 +1,66 @@
+"""Effects that were not named, each with its reason."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.gap.search.candidate import SearchResult
+from models.gap.search.null_distribution import NullDistribution
+
+UNEXCITED = "not excited by these trials"
+
+
+class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An effect that was not named.
+
+    Attributes
+    ----------
+    effect : str
+        Name.
+    separation, least : float
+        Its d′ in the first round, and the least that it needs.
+    reason : str
+        One phrase.
+    """
+
+    effect: str
+    separation: float
+    least: float
+    reason: str
+
+
+def rejected_effects(
+    result: SearchResult, null_distribution: NullDistribution
+) -> tuple[RejectedEffect, ...]:
+    """Every effect of the catalogue that was not named, largest d′ first.
+
+    Parameters
+    ----------
+    result : SearchResult
+        Of the effect search.
+    null_distribution : NullDistribution
+        What each effect needs.
+    """
+    refitted = {e: c for r in result.rounds for c in r for e in c.effects}
+    rows = []
+    for effect, size in sorted(result.screened.items(), key=lambda row: -row[1]):
+        if effect in result.named:
+            continue
+        if effect in result.unexcited:
+            reason = UNEXCITED
+        elif effect in refitted and not np.isnan(refitted[effect].held_out_gain):
+            reason = "its gain does not hold on trials left out"
+        elif result.named:
+            reason = "explains less than what was named"
+        else:
+            reason = "explains no more than noise"
+        least = round(null_distribution.least([effect]), 3)
+        rows.append(RejectedEffect(effect, round(size, 3), least, reason))
+    known = {row.effect for row in rows} | set(result.named)
+    rows += [
+        RejectedEffect(e, 0.0, null_distribution.least([e]), UNEXCITED)
+        for e in result.unexcited
+        if e not in known
+    ]
+    return tuple(rows)

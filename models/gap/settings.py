@@ -1,0 +1,251 @@
+"""Tuned numbers of the gap workflow, each with its effect and its origin."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+__all__ = ["DEFAULT_SETTINGS", "GapSettings"]
+
+
+class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Every tuned number of the gap workflow.
+
+    The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`) were measured with
+    the default values. Whoever changes those of the residuals, the noise floor or the estimation
+    measures them again (`python -m bench.gap.calibrate`). A fraction is of the quantity named.
+    Residuals and d′ are in standard deviations of the noise floor, costs in their squares.
+
+    Examples
+    --------
+    >>> stricter = GapSettings(false_discovery_rate=0.01)
+    >>> stricter.false_discovery_rate, stricter.highest_frequency_hz
+    (0.01, 8.0)
+    """
+
+    # Residuals
+    highest_frequency_hz: float = 8.0
+    """Highest frequency of the spectra; the first mode lies at 1.4 to 3.5 Hz
+    (docs/sources.md, "The link")."""
+    longest_substep_s: float = 2.9e-3
+    """Longest internal step of the link's simulation: what a dead time of zero allows
+    (`models.plant.effects.command`). Measured: six a period are within 5 µm and 0.5 mA of a step of
+    0.25 ms; 46 µm with ten times the usual friction. Other loads keep the step of their model: the
+    bristles of a small gear are faster."""
+    not_followed_error_rad: float = 0.03
+    """Following error, beyond the largest of the twin, from which a goal is not followed [assumed].
+    """
+    not_followed_current_fraction: float = 0.95
+    """Fraction of a trial's largest current that the joint must draw for that [assumed]."""
+
+    # Prior distributions
+    nuisance_prior_fraction: dict[str, float] = msgspec.field(
+        default_factory=lambda: {"_stiffness_": 0.3, "_damping_": 0.5, "link_mass_kg": 0.2}
+    )
+    """Standard deviation of a nuisance parameter of the link, as a fraction of its value, by a part
+    of its name [assumed]."""
+    bound_prior_fraction: float = 0.25
+    """The same for other loads, as a fraction of the distance between the bounds [assumed]."""
+    frame_shift_prior_m: float = 0.005
+    """Standard deviation of the mocap frame's shift that is common to all trials [assumed]."""
+    clock_limit_s: float = 0.010
+    """Clocks within this of each other count as synchronised [assumed]."""
+    pressure_variation_fraction: float = 0.01
+    """Standard deviation of stiffness between repetitions of a trial [assumed]."""
+    friction_variation_fraction: float = 0.05
+    """The same of friction [assumed]."""
+    eccentricity_variation_m: float = 0.003
+    """The same of the payload's eccentricity [assumed]."""
+    clock_variation_s: float = 0.002
+    """The same of the clock [assumed]."""
+    frame_variation_m: float = 0.0003
+    """The same of each coordinate of the mocap frame [assumed]."""
+
+    # Noise floor
+    noise_floor_rounds: int = 3
+    """Times that floor and trial variation are found in turn [assumed]."""
+    nuisance_floor_rounds: int = 2
+    """The same where the plant file carries no floor [assumed]."""
+    samples_per_independent_sample: float = 12.0
+    """Samples that count as one in the first guess of a floor
+    (docs/sources.md, "Naming a missing effect")."""
+    smoothing_fraction: float = 0.25
+    """Half width of the smoothing of a spectrum, as a fraction of the frequency [assumed]."""
+    smoothing_coefficients: int = 4
+    """Least half width, in coefficients [assumed]."""
+    model_error_left_fraction: float = 0.35
+    """Fraction of the plant's own error (in amplitude) that neither its mean curve nor the patterns
+    of `models.gap.estimation.model_discrepancy` take away; measured by bench.gap.calibrate on links
+    left out."""
+    equation_error_fraction: float = 0.1
+    """Fraction of a named effect's contribution that its equation may miss; measured: the plant
+    reproduces the link itself to 6 to 10 %."""
+    equation_error_repeated_fraction: float = 0.8
+    """Fraction of an equation's error (in power) that repeats when a trial is repeated [assumed]:
+    near instability no two trials are alike."""
+    payload_reach_kg: float = 1.0
+    """Difference in payload over which the plant's own error changes [assumed]."""
+    least_noise_fraction: float = 1e-9
+    """Least noise, as a fraction of a signal's largest variance: keeps matrices regular."""
+    discrepancy_patterns: int = 16
+    """Patterns of the plant's own error. Measured by bench.gap.calibrate (64 rigs, four folds): on
+    links left out they take the error from 8.9 to 2.0 times the noise's power; twice as many would
+    take it to 1.8."""
+
+    # Estimation
+    converged_cost_fall: float = 0.3
+    """Fall of twice the cost that is not worth another step [assumed]."""
+    line_search_fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)
+    """Fractions of a step that are tried in turn [assumed]."""
+    floor_fit_steps: int = 12
+    """Most steps of a fit while the noise floor is measured [assumed]."""
+    nuisance_fit_steps: int = 20
+    """The same of the nuisance fit and of what was chosen [assumed]."""
+    candidate_start_steps: int = 2
+    """The same of each start of a candidate [assumed]."""
+    candidate_fit_steps: int = 8
+    """The same of a candidate from its best start [assumed]."""
+    candidate_relative_fall: float = 1e-3
+    """Fall of the cost, as a fraction of that so far, below which a candidate's fit takes exact
+    derivatives [assumed]."""
+    restart_steps: int = 3
+    """Most steps of a fit from another strength (`restart_bound_fractions`) [assumed]."""
+    deletion_steps: int = 5
+    """The same without an effect that was included earlier [assumed]."""
+    normal_ridge_fraction: float = 1e-10
+    """Ridge of a scaled normal equation: keeps it regular."""
+    held_out_ridge_fraction: float = 1e-9
+    """The same in cross-validation, where fewer trials determine it."""
+    nuisance_bias_limit_sd: float = 8.0
+    """Least |z| of the nuisance that is too much to be chance. Measured on development cases of the
+    benchmark: up to 4.4 where nothing had gone into the variation, 15 to 24 where a denied payload
+    offset, clock or dead time had."""
+    nuisance_bias_kinds: tuple[str, ...] = ("eccentricity_m", "frame_m", "sync_s")
+    """Kinds of trial variation that are judged: the set-up. Pressure and friction also take up what
+    equations miss; measured: z was 4 with nothing hidden, 9 beside a rightly named softening."""
+
+    # Effect search
+    widening_rounds: int = 2
+    """Times that the floor is widened by a fraction of the gap and the nuisance refitted."""
+    refitted_candidates: int = 5
+    """Candidates of a round that are refitted, best first [assumed]."""
+    refitted_pairs: int = 3
+    """The same of pairs [assumed]."""
+    most_named: int = 3
+    """Effects that one diagnosis may include [assumed]."""
+    acceptable_score_fraction: float = 0.5
+    """Candidates below this fraction of the best score are not considered [assumed]."""
+    further_effect_fraction: float = 0.1
+    """Fraction of the d′ already named that a further effect must have beyond its own least: the
+    equation's error of the first looks like another effect [assumed]."""
+    further_effect_fraction_by_port: dict[str, float] = msgspec.field(
+        default_factory=lambda: {"stiffness": 0.2, "bend_torque": 0.2}
+    )
+    """The same by the port of what was named [assumed]."""
+    inconsistent_further_effect_fraction: float = 0.35
+    """The same where the strength of the further effect is not consistent. Measured on single
+    hidden effects: stand-ins for an equation's error reached 0.25 of the first."""
+    restart_bound_fractions: tuple[float, ...] = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
+    """Fractions of its bounds from which a chosen effect is fitted again where much is left
+    [assumed]."""
+    indistinguishable_separation: float = 3.0
+    """d′ below which two effects cannot be told apart
+    (docs/sources.md, "Naming a missing effect")."""
+    ladder_bound_fractions: tuple[float, ...] = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
+    """Fractions of its bound at which an effect with a dead zone is tried [assumed]."""
+    ladder_refinements: int = 5
+    """Times that these are made denser around the best [assumed]."""
+    menu_rest_samples: int = 60
+    """Samples at rest before a motion that is simulated to separate look-alikes [assumed]."""
+    swapped_payload_kg: float = 2.0
+    """Payload of the swap among these, or none where trials carried more than half of it [assumed].
+    """
+
+    # Strength consistency
+    consistency_bands: int = 3
+    """Frequency bands, of equal width on a logarithmic scale [assumed]."""
+    tolerated_difference_fraction: float = 0.25
+    """Fraction by which the strengths of an effect may differ: two hinges that stand for a beam, or
+    a smooth sign, miss that much. Measured on 45 development cases: rightly named effects stayed
+    below 0.17 (backlash 0.22), stand-ins reached 0.2 to 2."""
+    tolerated_difference_fraction_by_port: dict[str, float] = msgspec.field(
+        default_factory=lambda: {"sensor": 0.15, "joint_torque": 0.15}
+    )
+    """The same by port: a sensor's equation is exact."""
+    inconsistency_probability: float = 1e-3
+    """Probability of a larger χ² below which strengths differ [assumed]."""
+    least_block_information: float = 1.0
+    """Least information of a block, or of a direction of the blocks [assumed]."""
+
+    # Null distribution
+    null_quantile: float = 0.98
+    """Fraction of data sets without an effect on which nothing shall be named."""
+    residual_limit_log_sd: float = 4.0
+    """Standard deviations of the logarithm, over data sets without an effect, up to which a
+    residual counts as noise: a link with little damping is fitted much worse than others
+    [assumed]."""
+    least_residual_limit: float = 2.0
+    """Least such limit, a mean square. Measured: that of 190 data sets without an effect, the
+    calibration's 40 among them. These alone gave 1.7, and 4 of the other 150 lay above 1.5."""
+    least_threshold: float = 4.5
+    """Least d′ of a named effect, in standard deviations of its d′ without a gap. Measured: at 4.0,
+    which Gaussian noise of 25 effects would pass in one of 500 data sets, 4 of 105 without an
+    effect were given a name, at 4.25, 4.43, 4.47 and 7.5; of 66 hidden effects none was named below
+    4.5."""
+    uncalibrated_threshold: float = 5.0
+    """The same for loads without a measured null distribution [assumed]."""
+    uncalibrated_residual_limit: float = 1.6
+    """Mean square up to which a residual counts as noise for these loads [assumed]."""
+
+    # Verdict
+    unusual_residual: float = 1.5
+    """Mean square of a residual that the plant's own error passes on 2 to 3 % of links; 6 % pass
+    half as much beyond one. Measured on 190 data sets without an effect."""
+    gap_left_limit_fraction: float = 0.75
+    """Largest fraction of a gap (in amplitude) that may be left once one effect is named [assumed].
+    """
+    gap_left_limit_fraction_of_several: float = 0.5
+    """The same for several: two effects that leave more are no explanation [assumed]."""
+    strength_error_fraction: float = 0.03
+    """Error of an effect's equation as a fraction of its strength: part of the standard error.
+    Measured on 16 rigs of other draws than the benchmark's."""
+    strength_error_fraction_by_port: dict[str, float] = msgspec.field(
+        default_factory=lambda: {"stiffness": 0.3, "bend_torque": 0.3, "servo_torque": 0.1}
+    )
+    """The same by port: two hinges a plane stand for a whole beam. On those rigs strengths were off
+    by 31 to 35 %, 2 to 44 % and mostly up to 3 %."""
+
+    # Localisation
+    location_bands_hz: tuple[float, ...] = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
+    """Edges of the frequency bands [assumed]."""
+    location_phases: int = 8
+    """Parts of a period [assumed]."""
+    standing_rate_rad_s: float = 0.02
+    """Joint rate below which the motion counts as standing [assumed]."""
+    bootstrap_block_s: float = 1.0
+    """Length of a block of the bootstrap [assumed]."""
+    bootstrap_draws: int = 400
+    """Draws of the bootstrap [assumed]."""
+    false_discovery_rate: float = 0.05
+    """Rate of false discoveries (Benjamini and Hochberg 1995)."""
+    least_region_samples: int = 20
+    """A region with no more samples is not looked at [assumed]."""
+    least_band_coefficients: int = 4
+    """A band with fewer coefficients is not looked at [assumed]."""
+    one_sided_fraction: float = 0.5
+    """Mean of a residual, as a fraction of its root mean square, from which its sign is reported
+    [assumed]."""
+    payload_trend_ratio: float = 1.5
+    """Ratio between heaviest and lightest payload from which a gap grows with payload [assumed]."""
+
+    # Waterfall
+    waterfall_steps: int = 12
+    """Most steps of each fit [assumed]."""
+    waterfall_relative_fall: float = 1e-3
+    """Fall of the cost, as a fraction of that so far, at which these fits take derivatives anew
+    [assumed]."""
+
+
+DEFAULT_SETTINGS: Final = GapSettings()
+"""Settings that the calibrated data files were measured with."""
