@@ -17,6 +17,7 @@ from firmware_py.documents import Document, schema_of
 from firmware_py.summary import RunDocument
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
+from models.gap.report.gap_json import GapDocument
 from models.plant.plant_document import PlantDocument
 from models.rig.conditions_record import ConditionsRecord
 from models.study.study_document import StudyDocument
@@ -25,6 +26,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,
     "rig_conditions": ConditionsRecord,
     "faults": FaultsDocument,
+    "gap": GapDocument,
     "plant": PlantDocument,
     "study": StudyDocument,
     "timing": TimingDocument,

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from models.gap.residuals.spectrum import Array
 
-__all__ = ["NormalEquation", "mean_square", "stacked", "sum_of_squares"]
-
 
 def stacked(rows: Sequence[Array]) -> Array:
     """Rows (trials, signals, K[, columns]) of all groups as one matrix (all rows, columns or 1)."""

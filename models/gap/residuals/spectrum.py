@@ -12,14 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-__all__ = [
-    "coefficient_count",
-    "coefficient_frequencies_hz",
-    "cosine_transform",
-    "inverse_cosine_transform",
-    "smoothed_power",
-]
-
 Array = NDArray[np.float64]
 
 
