@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-import html
-import io
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_py.display_units import ANGLE_ERROR, LENGTH, TIME, signal_unit, signal_words
+from firmware_py.display_units import (
+    ANGLE_ERROR,
+    LENGTH,
+    TIME,
+    signal_unit,
+    signal_words,
+    symbol_of,
+)
 from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import read_plant
-from models.shared.html_page import Section, page_of, table_of
+from models.shared.html_page import render_page
+from models.shared.page_parts import (
+    NO_VALUE,
+    Figure,
+    LegendEntry,
+    Panel,
+    Paragraph,
+    Section,
+    Table,
+    TableCell,
+)
 from models.shared.palette import MUTED, SIMULATED
-from models.shared.svg_charts import legend
+from models.shared.svg_drawing import Drawing
 from models.trials.trial_files import read_trials
 
-COLUMNS: Final = 3
 SHOWN_ROWS: Final = 400
 UNITS: Final = {unit.name: unit for unit in (ANGLE_ERROR, LENGTH)}
 MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
@@ -23,19 +37,18 @@ MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
 def write_real_page(data: dict[str, Any], out: Path) -> Path:
     """Write OUT/real.html; returns its path."""
-    verdicts = table_of(
-        ("figure", "value", "at most", ""),
+    verdicts = Table(
+        "", ("figure", "value", "at most"),
         [
-            (html.escape(v["limit"]), f"{v['value']:.3g}", f"{v['at_most']:g}",
-             "met" if v["met"] else "missed")
+            (v["limit"], TableCell(f"{v['value']:.3g}", v["met"]), f"{v['at_most']:g}")
             for v in data["verdicts"]
         ],
     )  # fmt: skip
-    parts = [Section("verdicts", "Verdicts", verdicts)]
-    parts += [_system(name, system, out / name) for name, system in data["systems"].items()]
+    sections = [Section("verdicts", "Verdicts", [verdicts])]
+    sections += [_system(name, system, out / name) for name, system in data["systems"].items()]
     path = out / "real.html"
-    opening = "<p>Recordings of others, imported, identified and diagnosed by our commands.</p>"
-    path.write_text(page_of("Measured data", opening, parts), encoding="utf-8")
+    lead = [Paragraph("Published recordings, imported, identified and diagnosed.", "lead")]
+    path.write_text(render_page("Measured data", lead, sections), encoding="utf-8")
     return path
 
 
@@ -43,59 +56,47 @@ def _system(name: str, system: dict[str, Any], out: Path) -> Section:
     """Named effects, fits and trials of one system."""
     rounds = "; ".join(" + ".join(names) or "nothing more" for names in system["rounds"])
     shown = UNITS[system["unit"]]
-    fits = table_of(
+    fits = Table(
+        MEASURE[system["measure"]],
         ("fit", shown.label("all trials"), shown.label("condition left out")),
         [
-            (html.escape(label), shown.number(row["all"]),
-             shown.number(row["left_out"]) if "left_out" in row else "")
+            (label, shown.number(row["all"]),
+             shown.number(row["left_out"]) if "left_out" in row else NO_VALUE)
             for label, row in system["fits"].items()
         ],
-        MEASURE[system["measure"]],
     )  # fmt: skip
-    values = table_of(
-        ("parameter", "value", "standard error", "unit"),
+    values = Table(
+        "Identified parameters", ("parameter", "value", "standard error", "unit"),
         [
-            (html.escape(n), f"{q['value']:.4g}", f"{q['error']:.1g}", html.escape(q["unit"]))
+            (n, f"{q['value']:.4g}", f"{q['error']:.1g}", symbol_of(q["unit"]))
             for n, q in system["parameters"].items()
         ],
-        "identified",
-    )
+    )  # fmt: skip
     plant = read_plant(out / "plant.json")
-    picture = _picture(compare_with_trials(plant, read_trials(out / "trials", plant.signals)))
-    body = f"<p>Named, round by round: {html.escape(rounds)}.</p>{fits}{values}{picture}"
-    return Section(name, plant.name, body)
+    picture = Figure(
+        "Measured and simulated", "",
+        _panels(compare_with_trials(plant, read_trials(out / "trials", plant.signals))),
+        legend=[LegendEntry(MUTED, "measured"), LegendEntry(SIMULATED, "plant")],
+    )  # fmt: skip
+    named = Paragraph(f"Effects named, round by round: {rounds}.")
+    return Section(name, plant.name, [named, fits, values, picture])
 
 
-def _picture(comparisons: list[Comparison]) -> str:
-    """Measured and simulated coordinate of every trial as one SVG."""
-    from matplotlib import pyplot
-
-    from models.shared.svg_drawing import STYLE  # loads matplotlib
-
-    columns = min(COLUMNS, len(comparisons))
-    rows = -(-len(comparisons) // columns)
-    text = io.StringIO()
-    with pyplot.rc_context(STYLE):
-        figure, axes = pyplot.subplots(
-            rows, columns, squeeze=False, figsize=(3.2 * columns, 1.9 * rows), layout="constrained"
-        )
-        for axis, c in zip(axes.flat, comparisons, strict=False):
-            every = max(1, len(c.trial) // SHOWN_ROWS)
-            (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
-            unit = signal_unit(signal)
+def _panels(comparisons: list[Comparison]) -> list[Panel]:
+    """Measured and simulated coordinate of every trial."""
+    panels = []
+    for c in comparisons:
+        every = max(1, len(c.trial) // SHOWN_ROWS)
+        (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
+        unit = signal_unit(signal)
+        with Drawing(2.2) as (drawing, ax):
             for values, colour, width in (
                 (c.measured[signal], MUTED, 2.0),
                 (c.simulated[signal], SIMULATED, 0.9),
             ):
                 shown = unit.shown(values[::every])
-                axis.plot(c.trial.time_s[::every], shown, color=colour, lw=width)
-            axis.set_title(c.trial.name, fontsize=8)
-            axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)
-            axis.set_xlabel(TIME.label("time"), fontsize=7)
-            axis.tick_params(labelsize=7)
-        figure.savefig(text, format="svg", metadata={"Date": None})
-        pyplot.close(figure)
-    drawn = text.getvalue()
-    return f"<figure>{drawn[drawn.index('<svg') :]}</figure>" + legend(
-        [(MUTED, "measured"), (SIMULATED, "plant")]
-    )
+                ax.plot(c.trial.time_s[::every], shown, color=colour, lw=width)
+            ax.set(xlabel=TIME.label("time"), ylabel=unit.label(signal_words(signal)))
+        alt = f"{signal_words(signal)} of trial {c.trial.name}, measured and simulated."
+        panels.append(drawing.panel(c.trial.name, alt))
+    return panels

@@ -7,7 +7,7 @@ here. The FMUs declare `VALUE_UNITS` as FMI display units.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,17 +36,17 @@ class DisplayUnit(NamedTuple):
         """Values in this unit."""
         return np.asarray(values, dtype=np.float64) * self.factor
 
-    def number(self, value: float, decimals: int | None = None) -> str:
+    def number(self, value: SupportsFloat, decimals: int | None = None) -> str:
         """The shown number without its unit, `decimals` in place of the usual ones."""
-        return f"{self.factor * value:.{self.decimals if decimals is None else decimals}f}"
+        return f"{self.factor * float(value):.{self.decimals if decimals is None else decimals}f}"
 
-    def text(self, value: float, decimals: int | None = None) -> str:
+    def text(self, value: SupportsFloat, decimals: int | None = None) -> str:
         """The shown number with its unit behind a no-break space."""
         return _joined(self.number(value, decimals), self.name)
 
-    def significant(self, value: float, digits: int = 3) -> str:
+    def significant(self, value: SupportsFloat, digits: int = 3) -> str:
         """The shown number to so many significant digits, with its unit."""
-        return _joined(f"{self.factor * value:.{digits}g}", self.name)
+        return _joined(f"{self.factor * float(value):.{digits}g}", self.name)
 
     def label(self, quantity: str) -> str:
         """Label of an axis or column: "tip x in mm"; the quantity alone where it has no unit."""

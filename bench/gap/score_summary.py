@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
 from itertools import permutations
@@ -9,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import pyplot
 from scipy.stats import beta
 
-from models.shared.svg_charts import heat_map
+from models.shared.gap_charts import draw_heat_map
+from models.shared.svg_drawing import FILE_STYLE
 
 CLEAR = 15.0
 FAINT = (3.5, 8.0)
@@ -106,7 +109,16 @@ def confusion_matrix_svg(directory: Path) -> str:
         true = next(iter(r["case"]["hidden"]), "(none)")
         named = r["named"][0] if r["named"] else "(nothing)"
         cells[true, named] = cells.get((true, named), 0.0) + 1
-    return heat_map(sorted({t for t, _ in cells}), sorted({n for _, n in cells}), cells, 190)
+    rows, columns = sorted({t for t, _ in cells}), sorted({n for _, n in cells})
+    text = io.StringIO()
+    with pyplot.rc_context(FILE_STYLE):
+        size_in = (2.5 + 0.4 * len(columns), 1.5 + 0.26 * len(rows))
+        figure, ax = pyplot.subplots(figsize=size_in, layout="constrained")
+        draw_heat_map(ax, rows, columns, cells, most=max(cells.values(), default=1.5))
+        ax.set(xlabel="effect named first", ylabel="effect hidden")
+        figure.savefig(text, format="svg", metadata={"Date": None})
+        pyplot.close(figure)
+    return text.getvalue()
 
 
 def _own(r: dict[str, Any]) -> float:

@@ -74,9 +74,8 @@ def run(args: argparse.Namespace) -> int:
     document = faults_document(bundle.manifest, judged)
     write_faults(args.out / "faults.json", document)
     (args.out / "faults.xml").write_bytes(faults_junit(judged))
-    data = msgspec.to_builtins(document)
-    write_fault_report(data, args.out / "report.html")
-    emit(args, data, describe_campaign(judged, document, args.out))
+    write_fault_report(document, args.out / "report.html")
+    emit(args, msgspec.to_builtins(document), describe_campaign(judged, document, args.out))
     return document.verdict.exit_code
 
 

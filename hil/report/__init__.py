@@ -12,11 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.report.build_inputs import Json, read_inputs
-from hil.report.gap.before_after_page import render_gap
-from hil.report.gap.gap_figures import in_words, summary
+import msgspec
+
+from hil.faults.faults_document import FaultsDocument
+from hil.report.build_inputs import read_build
+from hil.report.gap.before_after import before_after, describe_before_after
+from hil.report.gap.before_after_page import before_after_page
 from hil.report.gap.gap_inputs import read_gap
-from hil.report.report_page import render, render_faults
+from hil.report.report_page import fault_page, report_page
 
 __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
@@ -24,17 +27,32 @@ __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 def write_report(build: Path, out: Path) -> int:
     """Write the report of a build directory; returns its size in bytes.
 
+    Parameters
+    ----------
+    build : Path
+        What `make demo` wrote, or a part of it.
+    out : Path
+        Page to write.
+
     Raises
     ------
     InputError
         If the directory is missing or a file in it is damaged.
     """
-    return _write(render(read_inputs(build)), out)
+    return _write(report_page(read_build(build)), out)
 
 
-def write_fault_report(document: Json, out: Path) -> int:
-    """Write the page of a campaign (`faults.json`); returns its size in bytes."""
-    return _write(render_faults(document), out)
+def write_fault_report(document: FaultsDocument, out: Path) -> int:
+    """Write the page of a fault campaign; returns its size in bytes.
+
+    Parameters
+    ----------
+    document : FaultsDocument
+        Results of the campaign.
+    out : Path
+        Page to write.
+    """
+    return _write(fault_page(document), out)
 
 
 def write_gap_report(
@@ -59,9 +77,10 @@ def write_gap_report(
         If something is missing or damaged.
     """
     inputs = read_gap(directory, plant)
-    data = {**summary(inputs, hidden), "report": str(out)}
-    _write(render_gap(inputs, data, hidden), out)
-    return data, in_words(data)
+    data = before_after(inputs, hidden)
+    _write(before_after_page(inputs, data, hidden), out)
+    figures = {**msgspec.to_builtins(data), "report": str(out)}
+    return figures, f"{describe_before_after(data)}\n{out}"
 
 
 def _write(page: str, out: Path) -> int:

@@ -1,4 +1,4 @@
-"""What a build directory holds for the report; anything may still be missing.
+"""Inputs of the report: the files of a build directory, any of which may be missing.
 
 ::
 
@@ -18,45 +18,91 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle import Manifest, read_manifest
 from firmware_py.log.recording import read_recording
+from hil.faults.faults_document import FaultsDocument, read_faults
+from hil.timing.timing_document import TimingDocument, read_timing
+from models.plant.plant import Plant, read_plant
+from models.plant.provenance import Evaluation
+from models.study.study_document import StudyDocument, read_study
 from models.trials.trial_files import read_trial
 
 Json = dict[str, Any]
+T = TypeVar("T")
+
+
+class CheckRow(msgspec.Struct, frozen=True):
+    """One check of an FMU."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class FmuCheck(msgspec.Struct, frozen=True):
+    """Output of `python -m fmu check --json`.
+
+    Attributes
+    ----------
+    fmi : int
+        Version of the standard.
+    bytes : int
+        Size of the file.
+    passed : bool
+        Whether every check passed.
+    checks : tuple of CheckRow
+        The checks.
+    parity : dict of str to float
+        Largest difference from the interpreted model by output, SI units.
+    parity_limit : float
+        Largest difference allowed.
+    step_us : dict of str to float
+        Time of a step in µs, by how it was called.
+    """
+
+    fmi: int
+    bytes: int
+    passed: bool
+    checks: tuple[CheckRow, ...]
+    parity: dict[str, float]
+    parity_limit: float
+    step_us: dict[str, float]
 
 
 @dataclass(frozen=True)
 class LoopRun:
-    """A judged run of the control loop.
+    """Run of the control loop with its timing verdict.
 
     Attributes
     ----------
     name : str
         Directory that it came from.
-    timing : dict
-        `timing.json` (see `hil.timing.timing_verdict.judge_timing`).
+    timing : TimingDocument
+        `timing.json`.
     ticks : dict of str to ndarray, or None
-        The recorded ticks by column, where the run kept them.
+        The recorded ticks by column, if the run kept them.
     true_tip_m : ndarray, shape (n, 3), or None
-        Where the plant's tip was in each recorded tick.
+        True tip in each recorded tick.
     phase_2_rad : float
         Lead of joint 2.
     """
 
     name: str
-    timing: Json
+    timing: TimingDocument
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None
     phase_2_rad: float = 0.0
 
     @property
     def dof(self) -> int | None:
-        """Joints that were driven; None where neither ticks nor name tell."""
+        """Number of joints; None if neither ticks nor name show it."""
         if self.ticks is not None:
             return 2 if "angle_2_rad" in self.ticks else 1
         named = re.search(r"([12])dof", self.name)
@@ -65,58 +111,63 @@ class LoopRun:
     @property
     def line(self) -> str:
         """Kind of the line: "socket", "pty" or "virtual"."""
-        return str(self.timing["environment"].get("line", "unknown"))
+        return self.timing.environment.line
 
     @property
     def in_real_time(self) -> bool:
-        """Whether durations are real: on the virtual line computing takes no time."""
+        """Whether durations were measured: on the virtual line computing takes no time."""
         return self.line != "virtual"
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Everything that was found.
+class BuildInputs:
+    """Content of a build directory.
 
     Attributes
     ----------
-    studies, manifests : dict
-        Of the bundles that the robot gets, by dof.
-    motions : dict
-        Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" where the phases
-        were not studied apart.
-    plant : dict or None
+    studies, manifests : dict of int
+        Of the bundles, by dof.
+    motions : dict of str to StudyDocument
+        Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" if the phases
+        have no studies of their own.
+    plant : Plant or None
         The identified plant.
-    evaluations : dict
+    evaluations : dict of str to Evaluation
         Of the plant, by the trials that it was compared with.
-    checks : dict
-        Of units, by their name.
+    checks : dict of str to FmuCheck
+        Of FMUs, by name.
     loops : list of LoopRun
         Runs in real time first.
     commands : list of str
-        What made all this.
-    faults : dict or None
-        A campaign of faults (see `hil.faults.faults_document`).
+        Commands that wrote the directory.
+    faults : FaultsDocument or None
+        Fault campaign (`faults.json`).
     """
 
-    studies: dict[int, Json]
-    motions: dict[str, Json]
-    manifests: dict[int, Json]
-    plant: Json | None
-    evaluations: dict[str, Json]
-    checks: dict[str, Json]
+    studies: dict[int, StudyDocument]
+    motions: dict[str, StudyDocument]
+    manifests: dict[int, Manifest]
+    plant: Plant | None
+    evaluations: dict[str, Evaluation]
+    checks: dict[str, FmuCheck]
     loops: list[LoopRun]
     commands: list[str]
-    faults: Json | None = None
+    faults: FaultsDocument | None = None
 
     @property
-    def every_study(self) -> dict[str, Json]:
-        """The studies of one kind of motion, then those of several."""
+    def every_study(self) -> dict[str, StudyDocument]:
+        """Studies of one kind of motion, then those of several."""
         mixed = {f"{dof}DOF, all phases": s for dof, s in self.studies.items() if _phases(s) > 1}
         return self.motions | {k: s for k, s in mixed.items() if s not in self.motions.values()}
 
 
-def read_inputs(directory: Path) -> Inputs:
-    """Read what there is.
+def read_build(directory: Path) -> BuildInputs:
+    """Read a build directory.
+
+    Parameters
+    ----------
+    directory : Path
+        What `make demo` wrote, or a part of it.
 
     Raises
     ------
@@ -127,16 +178,24 @@ def read_inputs(directory: Path) -> Inputs:
         raise InputError(directory, "is not a directory", "run 'make demo' first")
     bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
     path = directory / "plant.json"
-    plant = read_json(path) if path.is_file() else None
-    studies = _by_dof({dof: path / "study.json" for dof, path in bundles.items()})
-    return Inputs(
+    plant = read_plant(path) if path.is_file() else None
+    studies = {
+        dof: read_study(path / "study.json")
+        for dof, path in bundles.items()
+        if (path / "study.json").is_file()
+    }
+    return BuildInputs(
         studies=studies,
         motions=_motions(directory, studies),
-        manifests=_by_dof({dof: path / "manifest.json" for dof, path in bundles.items()}),
+        manifests={
+            dof: read_manifest(path)
+            for dof, path in bundles.items()
+            if (path / "manifest.json").is_file()
+        },
         plant=plant,
         evaluations=_evaluations(directory, plant),
         checks={
-            path.stem.removeprefix("check_"): read_json(path)
+            path.stem.removeprefix("check_"): read_output(path, FmuCheck)
             for path in sorted(directory.glob("check_*.json"))
         },
         loops=sorted(
@@ -144,30 +203,58 @@ def read_inputs(directory: Path) -> Inputs:
             key=lambda loop: not loop.in_real_time,
         ),
         commands=read_commands(directory / "commands.log"),
-        faults=read_json(faults)
+        faults=read_faults(faults)
         if (faults := directory / "faults" / "faults.json").is_file()
         else None,
     )
 
 
+def read_output(path: Path, kind: type[T]) -> T:
+    """Read what a command printed with --json.
+
+    Parameters
+    ----------
+    path : Path
+        File with the output.
+    kind : type
+        Struct that it holds.
+
+    Raises
+    ------
+    InputError
+        If it holds something else.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"cannot be read ({error})", "write it again") from None
+
+
 def read_json(path: Path) -> Json:
-    """A file that holds one JSON object."""
+    """Read a file that holds one JSON object.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
+    """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not JSON ({error})", "make it again") from None
+        raise InputError(path, f"is not JSON ({error})", "write it again") from None
     if not isinstance(document, dict):
-        raise InputError(path, "is no JSON object", "make it again")
+        raise InputError(path, "is not a JSON object", "write it again")
     return document
 
 
-def _by_dof(paths: dict[int, Path]) -> dict[int, Json]:
-    return {dof: read_json(path) for dof, path in paths.items() if path.is_file()}
-
-
-def _motions(directory: Path, studies: dict[int, Json]) -> dict[str, Json]:
+def _motions(directory: Path, studies: dict[int, StudyDocument]) -> dict[str, StudyDocument]:
     apart = {
-        int(path.parent.name.removeprefix("study_2dof_phase")): read_json(path)
+        int(path.parent.name.removeprefix("study_2dof_phase")): read_study(path)
         for path in directory.glob("study_2dof_phase*/study.json")
     }
     motions = {"1DOF": studies[1]} if 1 in studies else {}
@@ -176,23 +263,29 @@ def _motions(directory: Path, studies: dict[int, Json]) -> dict[str, Json]:
     return motions | ({"2DOF": studies[2]} if 2 in studies else {})
 
 
-def _phases(study: Json) -> int:
-    return len(study["training"]["phase_2_rad"])
+def _phases(study: StudyDocument) -> int:
+    return len(study.training.phase_2_rad)
 
 
-def _evaluations(directory: Path, plant: Json | None) -> dict[str, Json]:
-    """The held-out trials that `identify` compared with, and what `evaluate` did since."""
-    held_out = (plant or {}).get("provenance", {}).get("held_out")
+def _evaluations(directory: Path, plant: Plant | None) -> dict[str, Evaluation]:
+    """Evaluations on the held-out trials of `identify`, and those by `evaluate`."""
+    held_out = plant.provenance.held_out if plant else None
     found = {"held-out trials": held_out} if held_out else {}
     for path in sorted(directory.glob("evaluate*.json")):
         name = path.stem.removeprefix("evaluate").strip("_").replace("_", " ")
-        found[name.replace("20deg", "20° motion") or "trials"] = read_json(path)
+        found[name.replace("20deg", "20° motion") or "trials"] = read_output(path, Evaluation)
     return found
 
 
 def read_loop(directory: Path) -> LoopRun:
-    """What `hil sil` left in a directory."""
-    timing = read_json(directory / "timing.json")
+    """Read the output directory of `hil sil`.
+
+    Parameters
+    ----------
+    directory : Path
+        With timing.json, and ticks.mcap and trial/ if the run kept them.
+    """
+    timing = read_timing(directory / "timing.json")
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
     if not log.is_file():
         return LoopRun(directory.name, timing, None)
@@ -207,7 +300,13 @@ def read_loop(directory: Path) -> LoopRun:
 
 
 def read_commands(path: Path) -> list[str]:
-    """Commands of the last run, each once, in order."""
+    """Read the commands of the last run, each once, in order.
+
+    Parameters
+    ----------
+    path : Path
+        Log of `make demo`; may be missing.
+    """
     if not path.is_file():
         return []
     lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]

@@ -1,4 +1,4 @@
-"""A campaign of faults as tables: a row per fault and way to try it, the worst of its cases."""
+"""Tables of a fault campaign: one row per fault and way to inject it, the worst of its cases."""
 
 from __future__ import annotations
 
@@ -6,95 +6,104 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any, Final
 
-from hil.report.build_inputs import Json
-from hil.report.report_tables import NO_VALUE, Table, TableCell
+import msgspec
+
+from firmware_py.display_units import ANGLE_ERROR, DURATION, TICK_TIME
+from hil.faults.faults_document import CaseResult, FaultsDocument
+from hil.verdict import Verdict
+from models.shared.page_parts import NO_VALUE, Facts, Table, TableCell
 
 _HEADER: Final = [
-    "fault", "must", "seen after, ticks", "supervisor", "servos were told",
-    "recovered after, ticks", "ticks lost", "log lacks, ticks", "longest unheard, ms", "cases",
+    "fault", "required", "detected after, ticks", "supervisor state", "last command to the servos",
+    "recovered after, ticks", "ticks lost", "ticks missing in the log",
+    "longest without packet, ms",
+    "cases passed",
 ]  # fmt: skip
 _LINES: Final = {
-    "virtual": "Simulated time: the same seed gives the same run",
-    "socket": "Real time over the socket",
-    "process": "Real processes",
+    "virtual": "Virtual line: simulated time, repeatable by seed",
+    "socket": "Socket line: real time",
+    "process": "Processes: real time, killed and stopped by signals",
 }
 
 
-def summary(document: Json) -> list[str]:
-    """What came out, in sentences."""
-    cases, counts = document["cases"], document["counts"]
-    watched = [case for case in cases if case["watched"]]
-    unwatched = [case for case in cases if not case["watched"]]
-    limit_ms = document["watchdog_s"] * 1e3
+def campaign_sentences(document: FaultsDocument) -> list[str]:
+    """Result of a campaign in sentences."""
+    cases, counts = document.cases, document.counts
+    watched = [case for case in cases if case.watched]
+    unwatched = [case for case in cases if not case.watched]
     sentences = [
-        f"Verdict: {document['verdict']}. {document['faults']} faults were tried in "
-        f"{len(cases)} cases (once, in bursts and together): {counts['pass']} went as they must, "
-        f"{counts['fail']} did not, {counts['inconclusive']} prove nothing because the host took "
-        "the processor away.",
-        "In every case four things must hold: no servo is driven without hearing anything for "
-        f"longer than its watchdog's {limit_ms:.0f}\u00a0ms, no goal jumps, no old data passes "
-        "for fresh, no servo drives on in the end. The first and the last are told by the "
-        "emulated servos, not by the loop.",
+        f"Verdict: {document.verdict}. {document.faults} faults were injected in "
+        f"{len(cases)} cases (once, in bursts and combined): {counts[Verdict.PASS]} passed, "
+        f"{counts[Verdict.FAIL]} failed, {counts[Verdict.INCONCLUSIVE]} are inconclusive because "
+        "the host preempted the process.",
+        "In every case four conditions must hold: no servo is driven for longer than its "
+        f"watchdog's {DURATION.text(document.watchdog_s, 0)} without a packet, no goal jumps, "
+        "no old data are taken for new, and no servo is still driven at the end. The emulated "
+        "servos report the first and the last, not the loop.",
     ]
     if watched:
-        longest = max(case["unheard_ns"] for case in watched) / 1e6
+        longest_ns = max(case.unheard_ns for case in watched)
         sentences.append(
-            f"With a watchdog the longest time that a driven servo heard nothing was "
-            f"{longest:.1f}\u00a0ms."
+            "With a watchdog, the longest time that a servo was driven without a packet was "
+            f"{TICK_TIME.text(longest_ns, 1)}."
         )
     if unwatched:
-        left = [case for case in unwatched if case["live"]]
-        drift = max((case["drift_rad"] for case in left), default=0.0) * 1e3
+        left = [case for case in unwatched if case.live]
+        drift_rad = max((case.drift_rad for case in left), default=0.0)
         sentences.append(
-            "The legacy PRO has no watchdog: a servo whose host is gone goes to its last goal and "
-            "holds it, torque on, until somebody switches it off. So its goals are limited to "
-            "1\u00a0rad/s, the servo itself is told to move no faster, and the following error "
-            f"bounds the way: in {len(left)} such cases it moved {drift:.0f}\u00a0mrad at most "
-            "after the last that it heard."
+            "The legacy PRO has no watchdog. When its host stops, it moves to its last goal and "
+            "holds it with torque on until somebody switches it off. Therefore its goals are "
+            "limited to 1\u00a0rad/s, the servo's own velocity limit is set to the same value, "
+            f"and the following error bounds the distance: in {len(left)} such cases it moved at "
+            f"most {ANGLE_ERROR.text(drift_rad, 0)} after its last packet."
         )
     return sentences
 
 
-def facts(document: Json) -> list[tuple[str, str]]:
+def campaign_facts(document: FaultsDocument) -> Facts:
     """Machine and set-up."""
-    return [
-        ("joints", str(document["dof"])),
-        ("servos", ", ".join(document["models"])),
-        ("seeds", ", ".join(map(str, document["seeds"]))),
-        *((name.replace("_", " "), str(v)) for name, v in document["environment"].items()),
+    rows = [
+        ("joints", str(document.dof)),
+        ("servos", ", ".join(document.models)),
+        ("seeds", ", ".join(map(str, document.seeds))),
+        *(
+            (name.replace("_", " "), str(v))
+            for name, v in msgspec.structs.asdict(document.environment).items()
+        ),
     ]
+    return Facts(rows)
 
 
-def matrix(document: Json) -> list[Table]:
-    """A table per line."""
+def fault_matrix(document: FaultsDocument) -> list[Table]:
+    """One table per line, one row per fault and way to inject it."""
     tables = []
     for line, title in _LINES.items():
-        cases = [case for case in document["cases"] if case["line"] == line]
+        cases = [case for case in document.cases if case.line == line]
         rows = [_row(list(group)) for _, group in groupby(cases, _key)]
         if rows:
             tables.append(Table(title, _HEADER, rows))
     return tables
 
 
-def _key(case: Json) -> tuple[str, str]:
-    return case["fault"], case["how"]
+def _key(case: CaseResult) -> tuple[str, str]:
+    return case.fault, case.how
 
 
-def _row(cases: list[Json]) -> list[TableCell]:
+def _row(cases: list[CaseResult]) -> list[TableCell]:
     first = cases[0]
-    passed = sum(case["verdict"] == "pass" for case in cases)
-    failed = any(case["verdict"] == "fail" for case in cases)
-    complaints = _each(words for case in cases for words in case["complaints"])
+    passed = sum(case.verdict is Verdict.PASS for case in cases)
+    failed = any(case.verdict is Verdict.FAIL for case in cases)
+    complaints = _each(words for case in cases for words in case.complaints)
     return [
-        TableCell(f"{first['fault']}, {first['how']}"),
-        TableCell(first["must"]),
-        TableCell(_worst(case["detected_ticks"] for case in cases)),
-        TableCell(_each(case["state"].lower() for case in cases)),
-        TableCell(_each(case["told"] for case in cases)),
-        TableCell(_worst(case["recovered_ticks"] for case in cases)),
-        TableCell(_worst(case["lost_ticks"] for case in cases)),
-        TableCell(_worst(case["unlogged_ticks"] for case in cases)),
-        TableCell(f"{max(case['unheard_ns'] for case in cases) / 1e6:.0f}"),
+        TableCell(f"{first.fault}, {first.how}"),
+        TableCell(first.must),
+        TableCell(_worst(case.detected_ticks for case in cases)),
+        TableCell(_each(case.state.lower() for case in cases)),
+        TableCell(_each(case.told for case in cases)),
+        TableCell(_worst(case.recovered_ticks for case in cases)),
+        TableCell(_worst(case.lost_ticks for case in cases)),
+        TableCell(_worst(case.unlogged_ticks for case in cases)),
+        TableCell(TICK_TIME.number(max(case.unheard_ns for case in cases), 0)),
         TableCell(
             f"{passed} of {len(cases)} {complaints}".strip(),
             None if passed < len(cases) and not failed else not failed,

@@ -1,4 +1,4 @@
-"""What the loop did: the time of its ticks with the 17 ms line, and what the robot predicted."""
+"""Figures of a run of the loop: durations of its ticks, and the error of the predicted tip."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.display_units import LENGTH, POSITION, TICK_TIME, TIME
+from firmware_py.realtime.percentiles import LABELS
 from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
+from models.shared.page_parts import Figure, LegendEntry, Panel, Table
 from models.shared.palette import ALARM, BLUE, INK, ORANGE, SPAN
-from models.shared.svg_drawing import Drawing, Figure, Panel
+from models.shared.svg_drawing import Drawing
 
 Array = NDArray[np.float64]
 Ticks = dict[str, Array]
@@ -24,33 +26,33 @@ OWN: Final = ORANGE
 
 
 def loop_figures(loop: LoopRun) -> list[Figure]:
-    """Timing, where it is real, and prediction; a run that kept no ticks has neither."""
+    """Draw timing, if it is real, and prediction; a run without ticks has neither."""
     if loop.ticks is None:
         return []
     figures = [_timing(loop, loop.ticks)] if loop.in_real_time else []
     if loop.true_tip_m is not None:
-        programme = loop.timing.get("run", {}).get("programme_s", {})
+        programme = loop.timing.run.programme_s
         figures.append(_prediction(loop.ticks, loop.true_tip_m, programme))
     return figures
 
 
 def _timing(loop: LoopRun, ticks: Ticks) -> Figure:
-    period_ms = loop.timing["budget"]["period_ns"] * TICK_TIME.factor
-    whole_ms = (ticks["lateness_ns"] + ticks["busy_ns"]) * TICK_TIME.factor
-    own_ms = (ticks["busy_ns"] - ticks["bus_wait_ns"]) * TICK_TIME.factor
+    period_ms = float(TICK_TIME.shown(loop.timing.budget.period_ns))
+    whole_ms = TICK_TIME.shown(ticks["lateness_ns"] + ticks["busy_ns"])
+    own_ms = TICK_TIME.shown(ticks["busy_ns"] - ticks["bus_wait_ns"])
     return Figure(
         "Duration of the ticks",
-        "Whole tick: from the deadline to the end of the tick. Own cost: without wake-up and "
-        "without waiting for the wire. The timeline shows the slowest and the median tick of "
-        "each moment.",
+        "Whole tick: from the deadline to the end of the tick. Own cost: without the wake-up "
+        "latency and without waiting for the bus. The timeline shows maximum and median of each "
+        "interval.",
         [
             _timeline(ticks["time_s"], whole_ms, own_ms, period_ms),
             _histogram(whole_ms, own_ms, period_ms),
         ],
         legend=[
-            (WHOLE, "whole tick", "solid"),
-            (OWN, "own cost", "solid"),
-            (ALARM, f"period, {period_ms:g} ms", "dashed"),
+            LegendEntry(WHOLE, "whole tick"),
+            LegendEntry(OWN, "own cost"),
+            LegendEntry(ALARM, f"period, {period_ms:g} ms", "dashed"),
         ],
     )
 
@@ -105,10 +107,10 @@ def _histogram(whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
 
 
 def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> Figure:
-    """The robot's tip beside the plant's over the first seconds, and the distance over all."""
+    """Predicted and true tip over the first seconds, and their distance over all."""
     time_s = ticks["time_s"]
     predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
-    distance_mm = LENGTH.factor * np.linalg.norm(predicted_m - true_m, axis=1)
+    distance_mm = LENGTH.shown(np.linalg.norm(predicted_m - true_m, axis=1))
     first = time_s <= time_s[0] + SHOWN_S
     with Drawing() as (drawing, ax):
         low, high = (predicted_m[:, 0] + sign * ticks["half_width_x_m"] for sign in (-1, 1))
@@ -120,19 +122,19 @@ def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> 
         ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
     tip = drawing.panel(
         f"Tip x, first {SHOWN_S:g} s",
-        "The end effector's x as the robot predicted it, with its 95 % interval, over the plant's; "
-        f"the plant's spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
+        "Predicted x of the end effector with its 95 % interval, and the true x; "
+        f"the true x spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
     )
     return Figure(
-        "What the robot predicted",
-        "From angle, current and estimated DI alone; the plant stands behind the servos. Each "
-        "moment shows its worst and its median tick.",
+        "Tip predicted by the robot",
+        "From angle, current and estimated DI alone; the true tip is that of the simulated plant "
+        "behind the servos. The distance shows maximum and median of each interval.",
         [tip, _distance(time_s, distance_mm, ticks["in_range"] > 0, programme)],
         legend=[
-            (INK, "plant", "solid"),
-            (WHOLE, "robot's prediction and its distance", "dashed"),
-            (ALARM, "inputs outside the training range", "dotted"),
-            (SPAN, "glide and rest: not in training", "solid"),
+            LegendEntry(INK, "true tip"),
+            LegendEntry(WHOLE, "prediction and its distance", "dashed"),
+            LegendEntry(ALARM, "inputs outside the training range", "dotted"),
+            LegendEntry(SPAN, "glide and rest: not in training"),
         ],
     )
 
@@ -153,14 +155,14 @@ def _distance(
         ax.set(xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None))
         ax.set_xlim(time_s[0], time_s[-1])
     return drawing.panel(
-        "Distance between prediction and plant",
+        "Distance between predicted and true tip",
         f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
         f"at most; {int(outside.sum())} of {len(time_s)} ticks lie outside the training range.",
     )
 
 
 def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
-    """Spans of the run in which it glides to zero or rests (`hil.sil.sil_options`)."""
+    """Spans of the run in which the joints glide to zero or rest."""
     if not programme:
         return []
     rest_s, motion_s, _ = programme.values()
@@ -173,22 +175,24 @@ def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple
     ]
 
 
-def stages(loop: LoopRun) -> list[tuple[str, list[str]]]:
-    """Rows of the stage table: name, then n, p50, p99, p99.9 and maximum in ms."""
+def duration_table(loop: LoopRun) -> Table:
+    """Durations of the stages, of the whole tick and of the wake-up."""
     timing = loop.timing
-    rows = {f"stage: {name}": summary for name, summary in timing["stages"].items()}
-    if account := timing.get("account"):
-        rows |= {f"read: {part}": summary for part, summary in account["read"].items()}
-        rows["slack"] = account["slack"]
-    rows |= {
-        "whole tick": timing["tick"],
-        "waiting for the wire": timing["bus_wait"],
-        "own cost": timing["own_cost"],
-        "lateness of the wake-up": timing["lateness"],
-        "reference jitter beside it": timing["reference_jitter"],
+    rows = {
+        **{f"stage: {name}": durations for name, durations in timing.stages.items()},
+        **{f"read: {part}": durations for part, durations in timing.account.read.items()},
+        "slack": timing.account.slack,
+        "whole tick": timing.tick,
+        "waiting for the bus": timing.bus_wait,
+        "own cost": timing.own_cost,
+        "wake-up latency": timing.lateness,
+        "wake-up latency of the reference": timing.reference_jitter,
     }
-    columns = ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")
-    return [
-        (name, [str(s["n"]), *(f"{s[column] * TICK_TIME.factor:.3f}" for column in columns)])
-        for name, s in rows.items()
-    ]
+    return Table(
+        f"Durations in {TICK_TIME.name}",
+        ["", "n", *LABELS],
+        [
+            [name, str(d.n), *(TICK_TIME.number(getattr(d, field)) for field in LABELS.values())]
+            for name, d in rows.items()
+        ],
+    )

@@ -1,214 +1,236 @@
-"""The page: sections from what was found, one line for each that was not."""
+"""Report page: sections of what was found, and the command to run where inputs are missing."""
 
 from __future__ import annotations
 
 import importlib.metadata
-import math
 import platform
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+import msgspec
 
-from hil.report import fault_tables, report_tables
-from hil.report.build_inputs import Inputs, Json
-from hil.report.loop_figures import loop_figures, stages
-from hil.report.report_tables import Table, TableCell
+from firmware_py.display_units import ANGLE, CPU_TIME, FILE_SIZE, PAYLOAD, TICK_TIME
+from firmware_py.inference.bundle import Manifest
+from hil.faults.faults_document import FaultsDocument
+from hil.report.build_inputs import BuildInputs, LoopRun
+from hil.report.fault_tables import campaign_facts, campaign_sentences, fault_matrix
+from hil.report.loop_figures import duration_table, loop_figures
+from hil.report.report_tables import (
+    estimator_table,
+    evaluation_table,
+    fmu_tables,
+    parameter_table,
+    prediction_table,
+    predictor_table,
+    results_table,
+    verdict_sentence,
+)
 from hil.report.study.error_figures import error_figures
-from hil.report.study.estimator_figures import estimates, predictors_by_payload
+from hil.report.study.estimator_figures import di_estimates, predictors_by_payload
 from hil.report.study.motion_figures import motion_figures
-from models.shared.html_page import stylesheet
-from models.shared.svg_drawing import Figure
+from hil.timing.timing_document import SilEnvironment
+from models.shared.html_page import render_page
+from models.shared.page_parts import (
+    ClaimCard,
+    ClaimCards,
+    CommandList,
+    Facts,
+    Paragraph,
+    Part,
+    Section,
+    missing_inputs,
+)
+from models.study.study_document import StudyDocument
 
-HERE: Final = Path(__file__).parent
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
 
 
-@dataclass
-class Section:
-    """One section; empty where its inputs are missing, then `missing` says what makes them."""
+def report_page(inputs: BuildInputs) -> str:
+    """The whole report as HTML.
 
-    id: str
-    title: str
-    intro: str = ""
-    figures: list[Figure] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)
-    paragraphs: list[str] = field(default_factory=list)
-    facts: list[tuple[str, str]] = field(default_factory=list)
-    missing: str = ""
-
-
-def render(inputs: Inputs) -> str:
-    """The whole page as HTML."""
-    return _rendered(
-        "page.html",
-        glance=report_tables.at_a_glance(inputs),
-        findings=_findings(inputs.every_study),
-        sections=[_study(inputs), _estimators(inputs), _plant(inputs), _units(inputs),
-                  *_loops(inputs), _faults(inputs)],
-        commands=inputs.commands,
-        versions=_versions(inputs.manifests),
-    )  # fmt: skip
-
-
-def render_faults(document: Json) -> str:
-    """The page of a campaign of faults as HTML."""
-    return _rendered("faults.html", section=_campaign(document))
-
-
-def _rendered(template: str, **values: Any) -> str:
-    environment = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template(template).render(
-        style=stylesheet(),
-        made=datetime.now(UTC).strftime("%d %B %Y, %H:%M UTC"),
-        **values,
+    Parameters
+    ----------
+    inputs : BuildInputs
+        Content of a build directory.
+    """
+    lead = Paragraph(
+        "Results for an inflatable drop-stitch link on one or two servos: the published study on "
+        "simulated trials, predictors without motion capture, the identified plant and its FMUs, "
+        "and the control loop with its 17\u00a0ms period.",
+        "lead",
     )
+    sections = [
+        Section("glance", "Results and targets", [results_table(inputs)]),
+        Section("findings", "Findings of the paper", _findings(inputs.every_study)),
+        Section("study", "Study", _study(inputs)),
+        Section("estimators", "Predictors and estimators", _estimators(inputs)),
+        Section("plant", "Plant", _plant(inputs)),
+        Section("fmus", "FMUs", _fmus(inputs)),
+        *_loops(inputs),
+        Section("faults", "Fault campaign",
+                _campaign(inputs.faults) if inputs.faults else [missing_inputs("make faults")]),
+        Section("made", "Commands and versions", _made(inputs)),
+    ]  # fmt: skip
+    return render_page("Report of a build", [lead], sections, datetime.now(UTC))
 
 
-def _study(inputs: Inputs) -> Section:
-    section = Section("study", "The study")
+def fault_page(document: FaultsDocument) -> str:
+    """The page of a fault campaign as HTML.
+
+    Parameters
+    ----------
+    document : FaultsDocument
+        Content of `faults.json`.
+    """
+    lead = Paragraph(
+        "Faults of bus, servo, host and process, injected by name and seed while the arm moves: "
+        "the required reaction beside the one observed.",
+        "lead",
+    )
+    sections = [Section("faults", "Campaign", _campaign(document))]
+    return render_page("Fault campaign", [lead], sections, datetime.now(UTC))
+
+
+def _study(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        section.missing = "python -m models train"
-        return section
-    section.intro = (
-        "The paper's figures 7 to 15 on this build's trials: five payloads, two cycles of "
-        "256 steps, trained on trial 1 and tested on trial 2. The paper does not say by which "
-        "phase joint 2 leads joint 1 in 2DOF, so each phase has a study of its own; the robot's "
-        "2DOF predictor is trained on all of them."
+        return [missing_inputs("python -m models train")]
+    intro = (
+        "Figures 7 to 15 of the paper on the trials of this build: five payloads, two cycles of "
+        "256 steps, trained on trial 1 and tested on trial 2. The paper does not state the phase "
+        "by which joint 2 leads joint 1 in 2DOF. Therefore each phase has a study of its own; the "
+        "2DOF predictor of the robot is trained on all phases."
     )
-    section.figures = [
-        *motion_figures(inputs.motions),
-        *error_figures(inputs.every_study),
-    ]
-    return section
+    return [
+        Paragraph(intro), *motion_figures(inputs.motions), *error_figures(inputs.every_study),
+    ]  # fmt: skip
 
 
-def _estimators(inputs: Inputs) -> Section:
-    section = Section("estimators", "Predictors and estimators")
+def _estimators(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        section.missing = "python -m models train"
-        return section
-    section.intro = (
-        "On the robot nobody measures DI. The plant observer estimates it from angle and current; "
-        "a lagged regressor and no DI at all stand beside it, on trial 2 and on a motion that "
-        "neither training nor identification saw."
+        return [missing_inputs("python -m models train")]
+    intro = (
+        "On the robot DI is not measured. The plant observer estimates it from angle and current. "
+        "It is compared with a lagged regressor and with no DI, on trial 2 and on a motion that "
+        "neither training nor identification used."
     )
-    section.figures = [predictors_by_payload(inputs.studies), estimates(inputs.studies)]
-    section.tables = [
-        report_tables.predictors(inputs.every_study),
-        report_tables.estimators(inputs.studies),
-    ]
-    return section
+    return [
+        Paragraph(intro), predictors_by_payload(inputs.studies), di_estimates(inputs.studies),
+        predictor_table(inputs.every_study), estimator_table(inputs.studies),
+    ]  # fmt: skip
 
 
-def _plant(inputs: Inputs) -> Section:
-    section = Section("plant", "The plant")
-    if inputs.evaluations:
-        section.tables = [report_tables.plant(inputs.evaluations)]
-    else:
-        section.missing = "python -m models evaluate"
-    if inputs.plant and (fitted := report_tables.parameters(inputs.plant)):
-        section.tables.append(fitted)
-    return section
+def _plant(inputs: BuildInputs) -> list[Part]:
+    parts: list[Part] = (
+        [evaluation_table(inputs.evaluations)]
+        if inputs.evaluations
+        else [missing_inputs("python -m models evaluate")]
+    )
+    if inputs.plant and (fitted := parameter_table(inputs.plant)):
+        parts.append(fitted)
+    return parts
 
 
-def _units(inputs: Inputs) -> Section:
-    section = Section("units", "The units")
+def _fmus(inputs: BuildInputs) -> list[Part]:
     if not inputs.checks:
-        section.missing = (
-            "python -m fmu check build/twin_1dof.fmu --json > build/check_twin_1dof.json"
+        command = "python -m fmu check build/twin_1dof.fmu --json > build/check_twin_1dof.json"
+        return [missing_inputs(command)]
+    listed = [
+        f"{name}: FMI {check.fmi}, {FILE_SIZE.text(check.bytes)}, "
+        f"{'all checks passed' if check.passed else 'a check failed'}"
+        + "".join(
+            f", {us:.0f}\u00a0{CPU_TIME.name} per step {how.replace('_', ' ')}"
+            for how, us in check.step_us.items()
         )
-        return section
-    section.intro = "; ".join(
-        f"{name}: FMI {check['fmi']}, {check['bytes'] / 1e3:.0f} kB, "
-        f"{'sound' if check['passed'] else 'not sound'}"
-        + "".join(f", {us:.0f} µs per step {what.replace('_', ' ')}"
-                  for what, us in check["step_us"].items())
         for name, check in inputs.checks.items()
-    ) + "."  # fmt: skip
-    section.tables = report_tables.unit_checks(inputs.checks)
-    return section
+    ]
+    return [Paragraph("; ".join(listed) + "."), *fmu_tables(inputs.checks)]
 
 
-def _loops(inputs: Inputs) -> list[Section]:
+def _loops(inputs: BuildInputs) -> list[Section]:
     if not inputs.loops:
-        return [Section("loop", "The loop", missing="python -m hil sil")]
-    sections = []
-    for loop in inputs.loops:
-        phase = f", phase {math.degrees(loop.phase_2_rad):.0f}°," if loop.dof == 2 else ""
-        motion = f"{loop.dof}DOF{phase} on" if loop.dof else "on"
-        section = Section(
-            loop.name,
-            f"The loop: {motion} the {loop.line} line",
-            figures=loop_figures(loop),
-            paragraphs=report_tables.verdict(loop),
-            facts=_facts(loop.timing["environment"]),
-        )
-        if predicted := report_tables.prediction(loop):
-            section.tables.append(predicted)
-        if loop.in_real_time:
-            header = ["ms", "n", "p50", "p99", "p99.9", "max"]
-            rows = [[TableCell(name), *map(TableCell, values)] for name, values in stages(loop)]
-            section.tables.append(Table("Where the time goes", header, rows))
-        sections.append(section)
-    return sections
+        return [Section("loop", "Control loop", [missing_inputs("python -m hil sil")])]
+    return [Section(loop.name, _loop_title(loop), _loop(loop)) for loop in inputs.loops]
 
 
-def _faults(inputs: Inputs) -> Section:
-    if inputs.faults is None:
-        return Section("faults", "Faults", missing="make faults")
-    return _campaign(inputs.faults)
+def _loop_title(loop: LoopRun) -> str:
+    if loop.dof is None:
+        return f"Control loop on the {loop.line} line"
+    phase = f", phase {ANGLE.number(loop.phase_2_rad, 0)}°" if loop.dof == 2 else ""
+    return f"Control loop: {loop.dof}DOF{phase}, {loop.line} line"
 
 
-def _campaign(document: Json) -> Section:
-    return Section(
-        "faults", "Faults",
-        paragraphs=fault_tables.summary(document),
-        tables=fault_tables.matrix(document),
-        facts=fault_tables.facts(document),
-    )  # fmt: skip
+def _loop(loop: LoopRun) -> list[Part]:
+    parts: list[Part] = [Paragraph(verdict_sentence(loop)), *loop_figures(loop)]
+    if predicted := prediction_table(loop):
+        parts.append(predicted)
+    if loop.in_real_time:
+        parts.append(duration_table(loop))
+    return [*parts, Facts(_environment(loop.timing.environment))]
 
 
-def _facts(environment: Json) -> list[tuple[str, str]]:
-    """What a run's environment says, in readable units."""
+def _campaign(document: FaultsDocument) -> list[Part]:
+    return [
+        *map(Paragraph, campaign_sentences(document)), *fault_matrix(document),
+        campaign_facts(document),
+    ]  # fmt: skip
+
+
+def _environment(environment: SilEnvironment) -> list[tuple[str, str]]:
+    """Environment of a run in display units."""
+    units = {"_ns": TICK_TIME, "_kg": PAYLOAD}
     facts = []
-    for name, value in environment.items():
-        if value in ({}, []) or (name == "load_is" and not environment["load_processes"]):
+    for name, value in msgspec.structs.asdict(environment).items():
+        if value in ({}, (), None) or (name == "load_is" and not environment.load_processes):
             continue
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
-        for suffix, unit, factor in (("_ns", "ms", 1e-6), ("_kg", "kg", 1.0)):
+        for suffix, unit in units.items():
             if name.endswith(suffix):
-                name, text = name.removesuffix(suffix), f"{factor * value:g}\u00a0{unit}"
+                name, text = name.removesuffix(suffix), unit.significant(value)
         facts.append((name.replace("_", " "), text))
     return facts
 
 
-def _findings(studies: dict[str, Json]) -> list[dict[str, Any]]:
-    """The paper's findings, those of all studies under one claim; the same words stand once."""
-    claims: dict[str, dict[str, Any]] = {}
+def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
+    """The paper's findings, those of all studies under one claim; equal texts are shown once."""
+    if not studies:
+        return [missing_inputs("python -m models train")]
+    claims: dict[str, dict[Any, list[str]]] = {}
+    depends_on: dict[str, list[str]] = {}
     for name, study in studies.items():
-        for finding in study["findings"]:
-            claim = claims.setdefault(
-                finding["claim"],
-                {"claim": finding["claim"], "depends_on": [], "verdicts": {}},
-            )
-            if finding["depends_on"] not in claim["depends_on"]:
-                claim["depends_on"].append(finding["depends_on"])
-            said = (finding["holds"], finding["text"].replace("trial_2", "trial 2"))
-            claim["verdicts"].setdefault(said, []).append(name)
-    return list(claims.values())
+        for finding in study.findings:
+            verdict = (finding.holds, finding.text.replace("trial_2", "trial 2"))
+            claims.setdefault(finding.claim, {}).setdefault(verdict, []).append(name)
+            reasons = depends_on.setdefault(finding.claim, [])
+            if finding.depends_on not in reasons:
+                reasons.append(finding.depends_on)
+    cards = [
+        ClaimCard(
+            claim,
+            [(names, holds, text) for (holds, text), names in verdicts.items()],
+            depends_on[claim],
+        )
+        for claim, verdicts in claims.items()
+    ]
+    intro = (
+        "No parameter was tuned to reproduce the paper. A finding is confirmed by these trials or "
+        "not, and each depends on a property that can be measured on the real link."
+    )
+    return [Paragraph(intro), ClaimCards(cards)]
 
 
-def _versions(manifests: dict[int, Json]) -> list[tuple[str, str]]:
+def _made(inputs: BuildInputs) -> list[Part]:
+    commands: Part = (
+        CommandList(inputs.commands) if inputs.commands else missing_inputs("make demo")
+    )
+    return [commands, Facts(_versions(inputs.manifests))]
+
+
+def _versions(manifests: Mapping[int, Manifest]) -> list[tuple[str, str]]:
     versions = [("python", platform.python_version()), ("machine", platform.platform())]
     versions += [(name, importlib.metadata.version(name)) for name in LIBRARIES]
     versions += [
-        (f"training data {dof}DOF", manifest["training_data_sha256"][:16])
+        (f"training data {dof}DOF", manifest.training_data_sha256[:16])
         for dof, manifest in manifests.items()
     ]
     return versions

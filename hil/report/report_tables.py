@@ -1,333 +1,302 @@
-"""Tables of the report: figures against their targets, estimators, plant, units, timing."""
+"""Tables of the report: results against targets, predictors, plant, FMUs, prediction."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Final
 
-from firmware_py.signals import unit_of
-from hil.report.build_inputs import Inputs, Json, LoopRun
-from hil.report.study.estimator_figures import test_title
+from firmware_py.display_units import (
+    DEFORMATION,
+    FRACTION,
+    LENGTH,
+    TICK_TIME,
+    error_unit,
+    signal_words,
+    symbol_of,
+)
+from hil.report.build_inputs import BuildInputs, FmuCheck, LoopRun
+from hil.report.study.estimator_figures import test_words
+from hil.timing.timing_document import TipErrors
+from models.plant.plant import Plant
+from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipError
+from models.shared.page_parts import NO_VALUE, Cell, Table, TableCell
+from models.study.study_document import StudyDocument
 
-MM: Final = 1e3
 TIP_RMS_LIMIT_M: Final = {1: 6e-3, 2: 9e-3}
 BENEFIT_LIMIT: Final = {"trial_2": 0.9, "unseen_20deg": 0.8}
 BENEFIT_DEGREE: Final = "3"
-NO_VALUE: Final = "–"
+PARITY_LIMIT: Final = 1e-9
+OWN_COST_LIMIT_NS: Final = 1_500_000
+DOFS: Final = (1, 2)
 _PARTS: Final = {
-    "all": "all ticks", "in_range": "inputs in the training range", "out_of_range": "outside it",
+    "all": "all ticks", "in_range": "inputs in the training range",
+    "out_of_range": "inputs outside the training range",
     "rest": "rest between motions", "motion": "motion, as in training",
-    "glide": "glide to zero after it", "stop": "controlled stop",
+    "glide": "glide to zero after the motion", "stop": "controlled stop",
 }  # fmt: skip
-_READABLE: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "1": ("%", 1e2)}
-"""SI unit to the one in which an error is shown, and the factor."""
 
 
-@dataclass(frozen=True)
-class TableCell:
-    """Text of a cell, and whether it meets its target (None: there is none)."""
-
-    text: str
-    met: bool | None = None
+def _at_most(value: float | None, limit: float, text: str) -> TableCell:
+    """The text, judged by whether the value is at most the limit."""
+    return TableCell(NO_VALUE) if value is None else TableCell(text, value <= limit)
 
 
-@dataclass(frozen=True)
-class Table:
-    """Header, rows (each starts with what the row is about) and a sentence below."""
-
-    title: str
-    header: list[str]
-    rows: list[list[TableCell]]
-    note: str = ""
-    missing: list[str] = field(default_factory=list)
-
-
-def percent(share: float, digits: int = 0) -> str:
-    """A share in percent, with the space that SI asks for."""
-    return f"{100 * share:.{digits}f}\u00a0%"
-
-
-def _row(*cells: str | TableCell) -> list[TableCell]:
-    return [cell if isinstance(cell, TableCell) else TableCell(cell) for cell in cells]
-
-
-def _judged(value: float | None, limit: float, text: str) -> TableCell:
-    if value is None:
-        return TableCell(NO_VALUE)
-    return TableCell(text.format(value) if value else "0", value <= limit)
-
-
-def at_a_glance(inputs: Inputs) -> Table:
-    """What was asked for beside what was measured."""
-    dofs = (1, 2)
-    rows = []
-    limits = "\u00a0/\u00a0".join(f"{MM * TIP_RMS_LIMIT_M[dof]:.0f}" for dof in dofs)
+def results_table(inputs: BuildInputs) -> Table:
+    """Results beside their targets; what was not measured is not judged."""
+    limits = "\u00a0/\u00a0".join(LENGTH.number(TIP_RMS_LIMIT_M[dof], 0) for dof in DOFS)
+    rows: list[list[Cell]] = []
     for title in inputs.evaluations or ("trials",):
-        errors = [_tip_mm(inputs, title, dof) for dof in dofs]
-        rows.append(
-            _row(
-                f"Identified plant, tip error RMS, {title}",
-                f"≤\u00a0{limits}\u00a0mm",
-                *(
-                    _judged(error, MM * TIP_RMS_LIMIT_M[dof], "{:.1f}\u00a0mm")
-                    for dof, error in zip(dofs, errors, strict=True)
-                ),
-            )
-        )
+        row: list[Cell] = [
+            f"Tip error (RMS) of the identified plant, {title}",
+            f"≤\u00a0{limits}\u00a0{LENGTH.name}",
+        ]
+        for dof in DOFS:
+            error_m = _tip_rms_m(inputs, title, dof)
+            text = LENGTH.text(error_m) if error_m is not None else ""
+            row.append(_at_most(error_m, TIP_RMS_LIMIT_M[dof], text))
+        rows.append(row)
     for test, limit in BENEFIT_LIMIT.items():
-        shares = [_benefit(inputs.studies.get(dof), test) for dof in dofs]
-        rows.append(
-            _row(
-                f"Estimated DI, share of true DI's gain at degree {BENEFIT_DEGREE}, "
-                f"{test_title(test)}",
-                f"≥\u00a0{percent(limit)}",
-                *(
-                    TableCell(NO_VALUE)
-                    if share is None
-                    else TableCell(percent(share), share >= limit)
-                    for share in shares
-                ),
-            )
-        )
-    worst = {dof: _parity(inputs.checks.get(f"twin_{dof}dof")) for dof in dofs}
-    rows.append(
-        _row("Twin unit against the Python plant", "≤\u00a01e-9",
-             *(_judged(worst[dof], 1e-9, "{:.0e}") for dof in dofs))
-    )  # fmt: skip
-    loops = {dof: _loop_of(inputs, dof) for dof in dofs}
-    cost = {dof: loop.timing["own_cost"]["p99_ns"] / 1e6 if loop else None
-            for dof, loop in loops.items()}  # fmt: skip
-    rows.append(
-        _row(
-            "Tick, own cost p99",
-            "≤\u00a01.5\u00a0ms",
-            *(_judged(cost[d], 1.5, "{:.2f}\u00a0ms") for d in dofs),
-        )
-    )
-    own = {dof: loop.timing["own_misses"] if loop else None for dof, loop in loops.items()}
-    rows.append(
-        _row("Deadlines missed by our own doing", "0", *(_judged(own[d], 0, "{:d}") for d in dofs))
-    )
+        row = [
+            f"Fraction of true DI's gain recovered by estimated DI, degree {BENEFIT_DEGREE}, "
+            f"{test_words(test)}",
+            f"≥\u00a0{FRACTION.text(limit)}",
+        ]
+        for dof in DOFS:
+            gain = _benefit(inputs.studies.get(dof), test)
+            row.append(NO_VALUE if gain is None else TableCell(FRACTION.text(gain), gain >= limit))
+        rows.append(row)
+    rows.append(["Largest difference of the twin FMU from the Python plant, SI units",
+                 f"≤\u00a0{PARITY_LIMIT:.0e}"])  # fmt: skip
+    for dof in DOFS:
+        parity = _parity(inputs.checks.get(f"twin_{dof}dof"))
+        rows[-1].append(_at_most(parity, PARITY_LIMIT, f"{parity:.0e}" if parity else "0"))
+    loops = {dof: _real_time_loop(inputs, dof) for dof in DOFS}
+    rows.append(["Own cost of a tick, p99", f"≤\u00a0{TICK_TIME.text(OWN_COST_LIMIT_NS, 1)}"])
+    for loop in loops.values():
+        cost_ns = loop.timing.own_cost.p99_ns if loop else None
+        text = TICK_TIME.text(cost_ns, 2) if cost_ns is not None else ""
+        rows[-1].append(_at_most(cost_ns, OWN_COST_LIMIT_NS, text))
+    rows.append(["Deadlines missed by the loop itself", "0"])
+    for loop in loops.values():
+        misses = loop.timing.own_misses if loop else None
+        rows[-1].append(_at_most(misses, 0, str(misses)))
     return Table("", ["", "target", "1DOF", "2DOF"], rows)
 
 
-def _tip_mm(inputs: Inputs, title: str, dof: int) -> float | None:
-    part = inputs.evaluations.get(title, {}).get("dof", {}).get(str(dof), {})
-    return None if part.get("tip_rms_m") is None else MM * part["tip_rms_m"]
+def _tip_rms_m(inputs: BuildInputs, title: str, dof: int) -> float | None:
+    evaluation = inputs.evaluations.get(title)
+    part = evaluation.dof.get(str(dof)) if evaluation else None
+    return part.tip_rms_m if part else None
 
 
-def _benefit(study: Json | None, test: str) -> float | None:
-    if study is None or test not in study["estimators"]:
+def _benefit(study: StudyDocument | None, test: str) -> float | None:
+    if study is None or test not in study.estimators:
         return None
-    return float(study["estimators"][test]["observer"]["benefit_recovered"][BENEFIT_DEGREE])
+    return study.estimators[test]["observer"].benefit_recovered[BENEFIT_DEGREE]
 
 
-def _parity(check: Json | None) -> float | None:
-    return max(check["parity"].values(), default=None) if check else None
+def _parity(check: FmuCheck | None) -> float | None:
+    return max(check.parity.values(), default=None) if check else None
 
 
-def _loop_of(inputs: Inputs, dof: int) -> LoopRun | None:
-    """The run in real time that belongs to a dof; a simulated one says nothing about cost."""
+def _real_time_loop(inputs: BuildInputs, dof: int) -> LoopRun | None:
+    """The run in real time of a dof; a simulated one shows no cost."""
     return next((loop for loop in inputs.loops if loop.dof == dof and loop.in_real_time), None)
 
 
-def predictors(studies: dict[str, Json]) -> Table:
-    """Mean Euclidean distance at the chosen degree, over payloads; by phase where there are two."""
+def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
+    """Mean distance at the chosen degree over payloads; by phase if there are several."""
     rows = []
     for name, study in studies.items():
-        degree = str(study["chosen_degree"])
-        for test, table in study["mean_euclidean_distance_m"].items():
-            base = study["baselines"][test]
-            covered = study["deployed"][test]["interval_coverage_by_part"]
+        degree = str(study.chosen_degree)
+        for test, table in study.mean_euclidean_distance_m.items():
+            base = study.baselines[test]
+            covered = study.deployed[test].interval_coverage_by_part
             for part in ("pooled", *(key for key in table if key.startswith("phase_"))):
                 phase = f", phase {part[6:-3]}° of it" if part != "pooled" else ""
+                distances_m = (
+                    base.rigid_kinematics[part], table[part]["without_di"][degree],
+                    table[part]["estimated_di"][degree], table[part]["with_di"][degree],
+                    base.observer_tip[part],
+                )  # fmt: skip
                 rows.append(
-                    _row(
-                        f"{name}, {test_title(test)}{phase}", degree,
-                        *(f"{MM * v:.1f}" for v in (
-                            base["rigid_kinematics"][part], table[part]["without_di"][degree],
-                            table[part]["estimated_di"][degree], table[part]["with_di"][degree],
-                            base["observer_tip"][part],
-                        )),
-                        percent(covered[part], 1),
-                    )
+                    [
+                        f"{name}, {test_words(test)}{phase}", degree,
+                        *map(LENGTH.number, distances_m), FRACTION.text(covered[part], 1),
+                    ]
                 )  # fmt: skip
     return Table(
-        "Mean Euclidean distance in mm, all payloads",
-        ["", "degree", "rigid", "without DI", "estimated DI", "true DI", "observer's tip",
+        f"Mean Euclidean distance in {LENGTH.name}, all payloads",
+        ["", "degree", "rigid link", "without DI", "estimated DI", "true DI", "observer's tip",
          "interval covers"],
         rows,
-        "The interval is the robot's 95\u00a0% prediction interval, per coordinate. It is "
-        "calibrated on payloads left out of training, so on payloads that were not it covers more.",
+        "The interval is the predictor's 95\u00a0% prediction interval, per coordinate. It is "
+        "calibrated on payloads left out of training, so its coverage of the training payloads "
+        "is higher.",
     )  # fmt: skip
 
 
-def estimators(studies: dict[int, Json]) -> Table:
-    """The three estimators of DI on every test."""
+def estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
+    """Accuracy of the three estimators of DI on every test."""
     rows = []
     for dof, study in studies.items():
-        for test, by_source in study["estimators"].items():
-            for source, result in by_source.items():
+        for test, by_source in study.estimators.items():
+            for source, scores in by_source.items():
+                gain = scores.benefit_recovered[BENEFIT_DEGREE]
                 rows.append(
-                    _row(
-                        f"{dof}DOF, {test_title(test)}", source,
-                        f"{result['r2_di']:.2f}".replace("-", "−"),
-                        f"{100 * result['rms_error_di']:.3f}",
-                        f"{MM * result['mean_euclidean_distance_m'][BENEFIT_DEGREE]:.1f}",
-                        percent(result["benefit_recovered"][BENEFIT_DEGREE]),
-                    )
+                    [
+                        f"{dof}DOF, {test_words(test)}", source,
+                        f"{scores.r2_di:.2f}".replace("-", "−"),
+                        DEFORMATION.number(scores.rms_error_di, 3),
+                        LENGTH.number(scores.mean_euclidean_distance_m[BENEFIT_DEGREE]),
+                        NO_VALUE if gain is None else FRACTION.text(gain),
+                    ]
                 )  # fmt: skip
     return Table(
         "Estimators of DI",
-        ["", "estimator", "R² of DI", "RMS error, % DI", f"distance at degree {BENEFIT_DEGREE}, mm",
-         "gain recovered"],
+        ["", "estimator", "R² of DI", f"RMS error of DI, {DEFORMATION.name}",
+         f"distance at degree {BENEFIT_DEGREE}, {LENGTH.name}", "gain recovered"],
         rows,
-        "Gain: what true DI takes off the mean Euclidean distance against no DI at all. Each "
+        "Gain: reduction of the mean Euclidean distance by true DI, compared with no DI. Each "
         "predictor was trained on the DI of its own estimator, on trial 1.",
     )  # fmt: skip
 
 
-def plant(evaluations: dict[str, Json]) -> Table:
-    """Errors of the identified plant by signal, with rigid kinematics for scale."""
+def evaluation_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """Errors of the identified plant by signal, with rigid kinematics for comparison."""
     parts = {
         f"{title}, {dof}DOF": part
         for title, evaluation in evaluations.items()
-        for dof, part in evaluation["dof"].items()
+        for dof, part in evaluation.dof.items()
     }
-    names = sorted({name for part in parts.values() for name in part["signals"]})
+    names = sorted({name for part in parts.values() for name in part.signals})
     rows = [
-        _row(_signal(name), *(_error(part["signals"].get(name)) for part in parts.values()))
+        [signal_words(name), *(_signal_error(part.signals.get(name)) for part in parts.values())]
         for name in names
     ]
-    rows.append(_row("tip, all axes", *map(_beside_rigid, parts.values())))
-    payloads = list(dict.fromkeys(kg for part in parts.values() for kg in part["payloads"]))
-    for kg in payloads:
-        of_payload = [part["payloads"].get(kg, {}) for part in parts.values()]
-        rows.append(_row(f"tip at {kg} kg", *map(_beside_rigid, of_payload)))
+    rows.append(["tip, all axes", *map(_beside_rigid, parts.values())])
+    for kg in dict.fromkeys(kg for part in parts.values() for kg in part.payloads):
+        rows.append([f"tip at {kg} kg", *(_of_payload(part, kg) for part in parts.values())])
     return Table(
-        "Identified plant against trials that it was not fitted to",
+        "Identified plant on trials that it was not fitted to",
         ["", *parts],
         rows,
         "Signals: RMS error, in brackets the mean absolute error. Tip: RMS error, in brackets that "
-        "of rigid kinematics, a link that does not bend at the measured angles.",
+        "of rigid kinematics, which is a link that does not bend at the measured angles.",
     )
 
 
-def _signal(name: str) -> str:
-    """Words for a signal: its cells carry the unit."""
-    unit = unit_of(name)
-    stem = name if unit in (None, "1") else name.rsplit("_", 1)[0]
-    return "DI" if name == "di" else stem.replace("_", " ")
-
-
-def _error(error: Json | None) -> str:
+def _signal_error(error: SignalError | None) -> str:
     if error is None:
         return NO_VALUE
-    unit, factor = _READABLE.get(error["unit"], (error["unit"], 1.0))
-    return f"{factor * error['rms']:.3g}\u00a0{unit} ({factor * error['mae']:.3g})"
+    unit = error_unit(error.unit)
+    return f"{unit.significant(error.rms)} ({unit.factor * error.mae:.3g})"
 
 
-def _beside_rigid(part: Json) -> str:
-    if part.get("tip_rms_m") is None:
+def _of_payload(part: DofEvaluation, payload_kg: str) -> str:
+    error = part.payloads.get(payload_kg)
+    return _beside_rigid(error) if error else NO_VALUE
+
+
+def _beside_rigid(error: TipError) -> str:
+    if error.tip_rms_m is None or error.rigid_tip_rms_m is None:
         return NO_VALUE
-    return f"{MM * part['tip_rms_m']:.1f}\u00a0mm ({MM * part['rigid_tip_rms_m']:.1f})"
+    return f"{LENGTH.text(error.tip_rms_m)} ({LENGTH.number(error.rigid_tip_rms_m)})"
 
 
-def parameters(plant: Json) -> Table | None:
-    """What the trials determined, with standard errors; None where nothing was fitted."""
-    fitted = plant.get("provenance", {}).get("fitted_parameters", [])
-    rows = [
-        _row(
-            name,
-            f"{row['value']:.4g}".replace("-", "−"),
-            NO_VALUE if row.get("error") is None else f"{row['error']:.2g}",
-            "" if row["unit"] == "1" else row["unit"].replace(".", "·").replace("m2", "m²"),
-        )
-        for name in fitted
-        if (row := plant["parameters"].get(name))
-    ]
+def parameter_table(plant: Plant) -> Table | None:
+    """Identified parameters with standard errors; None if nothing was fitted."""
+    rows = []
+    for name in plant.provenance.fitted_parameters:
+        if (row := plant.parameters.get(name)) is None:
+            continue
+        error = NO_VALUE if row.error is None else f"{row.error:.2g}"
+        rows.append([name, f"{row.value:.4g}".replace("-", "−"), error, symbol_of(row.unit)])
     header = ["", "value", "standard error", "unit"]
     return Table("Identified parameters", header, rows) if rows else None
 
 
-def unit_checks(checks: dict[str, Json]) -> list[Table]:
-    """What `fmu check` found, and the parity of every output."""
-    names = list(checks)
-    kinds = list(dict.fromkeys(c["name"] for check in checks.values() for c in check["checks"]))
-    rows = []
+def fmu_tables(checks: Mapping[str, FmuCheck]) -> list[Table]:
+    """Checks of every FMU, and the parity of every output."""
+    kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
+    rows: list[list[Cell]] = []
     for kind in kinds:
-        cells: list[str | TableCell] = []
-        for name in names:
-            results = [c for c in checks[name]["checks"] if c["name"] == kind]
-            passed = all(c["passed"] for c in results)
-            text = "; ".join(dict.fromkeys(c["detail"] for c in results))
-            cells.append(TableCell(text, passed) if results else TableCell(NO_VALUE))
-        rows.append(_row(kind, *cells))
-    outputs = list(dict.fromkeys(o for check in checks.values() for o in check["parity"]))
-    differing = [o for o in outputs if any(c["parity"].get(o) for c in checks.values())]
-    parity = [
-        _row(
-            output,
-            *(
-                _judged(check["parity"].get(output), check["parity_limit"], "{:.1e}")
-                for check in checks.values()
-            ),
-        )
-        for output in differing
-    ]
-    equal = len(outputs) - len(differing)
-    return [
-        Table("Checks", ["", *names], rows),
-        Table(
-            "Largest difference from the interpreted model",
-            ["", *names],
-            parity,
-            f"{equal} of {len(outputs)} outputs are equal to the last bit, over fixed and varying "
-            "steps of the study's motion.",
-        ),
-    ]
+        rows.append([kind])
+        for check in checks.values():
+            results = [c for c in check.checks if c.name == kind]
+            text = "; ".join(dict.fromkeys(c.detail for c in results))
+            passed = all(c.passed for c in results)
+            rows[-1].append(TableCell(text, passed) if results else NO_VALUE)
+    outputs = list(dict.fromkeys(o for check in checks.values() for o in check.parity))
+    differing = [o for o in outputs if any(c.parity.get(o) for c in checks.values())]
+    parity: list[list[Cell]] = []
+    for output in differing:
+        parity.append([output])
+        for check in checks.values():
+            value = check.parity.get(output)
+            text = f"{value:.1e}" if value else "0"
+            parity[-1].append(_at_most(value, check.parity_limit, text))
+    equal = (
+        f"{len(outputs) - len(differing)} of {len(outputs)} outputs are equal to the last bit, "
+        "over fixed and varying steps of the study's motion."
+    )
+    tables = [Table("Checks", ["", *checks], rows, "" if parity else equal)]
+    if parity:
+        title = "Largest difference from the interpreted model"
+        tables.append(Table(title, ["output", *checks], parity, equal))
+    return tables
 
 
-def verdict(loop: LoopRun) -> list[str]:
-    """What a run showed, in sentences."""
+def verdict_sentence(loop: LoopRun) -> str:
+    """Result of a run in sentences."""
     timing = loop.timing
-    causes = ", ".join(f"{count} {cause}" for cause, count in timing["causes"].items() if count)
+    if not loop.in_real_time:
+        return (
+            "On the virtual line the clock is simulated: computation takes no time and a run can "
+            "be repeated bit by bit. Durations contain bus time only."
+        )
+    causes = ", ".join(f"{count} {cause}" for cause, count in timing.causes.items() if count)
     lost = (
-        f" In all {timing['misses']} of {timing['slots']} slots were missed ({causes}; longest run "
-        f"{timing['longest_run_of_misses']})."
+        f" {timing.misses} of {timing.slots} slots were missed ({causes}; longest run of "
+        f"misses {timing.longest_run_of_misses})."
         if causes
         else ""
     )
-    bound = percent(timing["own_miss_rate_upper_bound_95"], 2)
-    sentences = [
-        f"Verdict: {timing['verdict']}; {timing['reason']}.{lost} With 95\u00a0% confidence the "
-        f"share missed by our own doing is below {bound}."
-        if loop.in_real_time
-        else "On the virtual line the clock is simulated: computing takes no time and a run can be "
-        "repeated bit by bit, so its durations are the wire's alone."
-    ]
-    return sentences
-
-
-def prediction(loop: LoopRun) -> Table | None:
-    """How far the robot's prediction was off, by part of the run; None where nobody knows."""
-    error = loop.timing.get("prediction_error", {})
-    if not error.get("n"):
-        return None
-    rows = [
-        _row(
-            _PARTS.get(name, name), str(part["n"]), f"{MM * part['mean_euclidean_distance_m']:.1f}",
-            f"{MM * part['p95_m']:.1f}", f"{MM * part['max_m']:.1f}",
-            percent(part["interval_coverage"], 1), percent(part["in_range_fraction"], 1),
-        )
-        for name, part in ({"all": error} | error.get("parts", {})).items()
-    ]  # fmt: skip
-    return Table(
-        "Distance between the robot's prediction and the plant's tip, mm",
-        ["", "ticks", "mean", "95\u00a0% of ticks below", "max", "interval covers", "in range"],
-        rows,
-        "Training saw the motion and nothing else. In the glide and the rest after it the link "
-        "swings on while the joints hardly move: angle, current and DI, which has no sign, lie in "
-        "the training range there but do not tell which way the link swings, so the range cannot "
-        "warn and the interval is too narrow where it covers less than 95\u00a0%.",
+    bound = FRACTION.text(timing.own_miss_rate_upper_bound_95, 2)
+    return (
+        f"Verdict: {timing.verdict}; {timing.reason}.{lost} With 95\u00a0% confidence the "
+        f"loop itself misses less than {bound} of the deadlines."
     )
+
+
+def prediction_table(loop: LoopRun) -> Table | None:
+    """Error of the predicted tip by part of the run; None if the true tip is unknown."""
+    error = loop.timing.prediction_error
+    rows = [
+        [
+            _PARTS.get(name, name), str(part.n),
+            *(LENGTH.number(distance_m) for distance_m in distances_m),
+            FRACTION.text(part.interval_coverage or 0.0, 1),
+            FRACTION.text(part.in_range_fraction or 0.0, 1),
+        ]
+        for name, part in {"all": error, **error.parts}.items()
+        if (distances_m := _distances_m(part))
+    ]  # fmt: skip
+    if not rows:
+        return None
+    return Table(
+        f"Distance between predicted and true tip in {LENGTH.name}",
+        ["", "ticks", "mean", "95th percentile", "maximum", "interval covers", "in range"],
+        rows,
+        "The training data hold the motion only. During glide and rest the link still swings while "
+        "the joints hardly move. Angle, current and DI, which has no sign, then lie in the "
+        "training range without showing the direction of the swing. So the range check gives no "
+        "warning there, and where the coverage is below 95\u00a0% the interval is too narrow.",
+    )
+
+
+def _distances_m(part: TipErrors) -> tuple[float, float, float] | None:
+    """Mean, 95th percentile and maximum; None if there was no fresh tick."""
+    if part.mean_euclidean_distance_m is None or part.p95_m is None or part.max_m is None:
+        return None
+    return part.mean_euclidean_distance_m, part.p95_m, part.max_m

@@ -7,7 +7,6 @@ import io
 import re
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import matplotlib
@@ -17,6 +16,7 @@ from cycler import cycler
 from matplotlib import pyplot as plt
 from matplotlib.ticker import LogLocator, NullLocator
 
+from models.shared.page_parts import Panel
 from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
 
 SIZE_IN: Final = (4.3, 2.9)
@@ -37,50 +37,8 @@ FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAP
 """The same for pictures that are files of their own."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One drawing.
-
-    Attributes
-    ----------
-    title : str
-        Above the drawing.
-    alt : str
-        What the drawing shows, for who cannot see it.
-    svg : str
-        The drawing.
-    """
-
-    title: str
-    alt: str
-    svg: str
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Panels that belong together, under one heading and one legend.
-
-    Attributes
-    ----------
-    title, note : str
-        Heading; a sentence below.
-    paper : str
-        Number of the paper's figure, "" for none.
-    panels : list of Panel
-        Side by side where there is room.
-    legend : list of (colour, label, dash)
-        Dash is "solid", "dashed" or "dotted".
-    """
-
-    title: str
-    note: str
-    panels: list[Panel]
-    paper: str = ""
-    legend: list[tuple[str, str, str]] = field(default_factory=list)
-
-
 class Drawing:
-    """Axes in the page's look, drawn once the block is left.
+    """Axes in the style of the pages, `height_in` high, drawn once the block is left.
 
     ::
 
@@ -89,14 +47,15 @@ class Drawing:
         panels.append(drawing.panel("1DOF", "what it shows"))
     """
 
-    def __init__(self) -> None:
+    def __init__(self, height_in: float = SIZE_IN[1]) -> None:
+        self._size_in = (SIZE_IN[0], height_in)
         self._svg = ""
         self._stack = ExitStack()
         self._figure: Any = None
 
     def __enter__(self) -> tuple[Drawing, Any]:
         self._stack.enter_context(plt.rc_context(STYLE))
-        self._figure, ax = plt.subplots(figsize=SIZE_IN, layout="constrained")
+        self._figure, ax = plt.subplots(figsize=self._size_in, layout="constrained")
         self._stack.callback(plt.close, self._figure)
         return self, ax
 
@@ -106,7 +65,7 @@ class Drawing:
                 self._svg = _to_svg(self._figure)
 
     def panel(self, title: str, alt: str) -> Panel:
-        """What was drawn, with its title and its description."""
+        """The drawing with its title and its description."""
         return Panel(title, alt, _with_own_ids(self._svg, title + alt))
 
 

@@ -1,1 +1,1 @@
-"""The page of a gap before and after it was closed."""
+"""Page of a gap before and after it was closed."""

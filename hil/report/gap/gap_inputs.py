@@ -1,18 +1,18 @@
-"""What `make gap-demo` built around a diagnosis.
+"""Inputs of the page of a closed gap: the files that `make gap-demo` writes.
 
 ::
 
-    trials/                     python -m models simulate --hide …      the gap is looked for in
-    sealed/                     the same on another motion              nothing is fitted to
+    trials/                     python -m models simulate --hide …      searched for the gap
+    sealed/                     the same on another motion              no value is fitted to
     found/gap.json, plant.json  python -m models gap
-    check_twin_1dof.json        python -m fmu check … --json            of the rebuilt unit
+    check_twin_1dof.json        python -m fmu check … --json            of the rebuilt FMU
     fmpy_VARIANT_PAYLOAD.json   python -m fmu simulate … --json         and …/result.csv
     sil_VARIANT_PAYLOAD/        python -m hil sil --rig --hide …
     commands.log                make gap-demo
 
-Variants: `before` and `after` the diagnosis; `without` the effect, units and bundle as before: what
-cannot be improved on; of the loop also `retrained`, on the same trials as `after` but with the
-plant as before: what new data does by itself.
+Variants: `before` and `after` the diagnosis; `without` the effect, with FMU and bundle as before:
+the smallest error possible; of the loop also `retrained`, on the same trials as `after` with the
+plant as before: the effect of new data alone.
 """
 
 from __future__ import annotations
@@ -22,11 +22,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
-from hil.report.build_inputs import Json, LoopRun, read_commands, read_json, read_loop
+from hil.report.build_inputs import (
+    FmuCheck,
+    LoopRun,
+    read_commands,
+    read_loop,
+    read_output,
+)
 from models.gap.report.gap_json import GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.trials.trial_files import TrialSet, read_trials
@@ -37,9 +44,24 @@ VARIANTS: Final = ("before", "retrained", "after", "without")
 ByPayload = dict[float, Any]
 
 
+class FmuRunOutput(msgspec.Struct, frozen=True):
+    """Output of `python -m fmu simulate --json` on a trial.
+
+    Attributes
+    ----------
+    rms : dict of str to float
+        Root mean square error by signal, SI units.
+    units : dict of str to str
+        SI unit of every signal.
+    """
+
+    rms: dict[str, float]
+    units: dict[str, str]
+
+
 @dataclass(frozen=True)
 class GapInputs:
-    """Everything that the page is about.
+    """Files of a closed gap.
 
     Attributes
     ----------
@@ -48,17 +70,17 @@ class GapInputs:
     before, after : Plant
         As given, and as improved.
     trials, sealed : TrialSet
-        Where the gap was looked for, and what nothing was fitted to.
-    check : dict
+        Trials of the diagnosis, and trials that no value was fitted to.
+    check : FmuCheck
         Of the rebuilt twin.
-    units : dict of str to dict of float to dict
-        What `fmu simulate` said of each variant's unit, by payload in kg.
+    fmus : dict of str to dict of float to FmuRunOutput
+        Runs of each variant's FMU, by payload in kg.
     outputs : dict of str to dict of float to ndarray
-        The rows that those runs wrote, with their columns as fields.
+        Rows that those runs wrote, with columns as fields.
     loops : dict of str to dict of float to LoopRun
         Of each variant, by payload in kg.
     commands : list of str
-        What made all this.
+        Commands that wrote the files.
     """
 
     found: GapDocument
@@ -66,8 +88,8 @@ class GapInputs:
     after: Plant
     trials: TrialSet
     sealed: TrialSet
-    check: Json
-    units: dict[str, dict[float, Json]]
+    check: FmuCheck
+    fmus: dict[str, dict[float, FmuRunOutput]]
     outputs: dict[str, dict[float, NDArray[np.void]]]
     loops: dict[str, dict[float, LoopRun]]
     commands: list[str]
@@ -75,6 +97,13 @@ class GapInputs:
 
 def read_gap(directory: Path, plant: Path) -> GapInputs:
     """Read the directory and the plant before the diagnosis.
+
+    Parameters
+    ----------
+    directory : Path
+        What `make gap-demo` wrote.
+    plant : Path
+        Plant before the diagnosis.
 
     Raises
     ------
@@ -91,8 +120,8 @@ def read_gap(directory: Path, plant: Path) -> GapInputs:
         after=read_plant(directory / "found" / "plant.json"),
         trials=read_trials(directory / "trials", before.signals),
         sealed=read_trials(directory / "sealed", before.signals),
-        check=read_json(directory / "check_twin_1dof.json"),
-        units=_variants(directory, "fmpy_{}_{}.json", read_json),
+        check=read_output(directory / "check_twin_1dof.json", FmuCheck),
+        fmus=_variants(directory, "fmpy_{}_{}.json", lambda path: read_output(path, FmuRunOutput)),
         outputs=_variants(directory, "fmpy_{}_{}/result.csv", _columns),
         loops=_variants(directory, "sil_{}_{}/timing.json", lambda path: read_loop(path.parent)),
         commands=read_commands(directory / "commands.log"),

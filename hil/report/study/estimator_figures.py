@@ -1,14 +1,16 @@
-"""DI without motion capture over time, and who predicts the end effector best by payload."""
+"""Figures of estimators and predictors: DI without motion capture, and tip error by payload."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Final
 
 from firmware_py.display_units import DEFORMATION, LENGTH, PAYLOAD, TIME
+from models.shared.page_parts import Figure, LegendEntry
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED
-from models.shared.svg_drawing import Drawing, Figure, log_axis
+from models.shared.svg_drawing import Drawing, log_axis
+from models.study.study_document import StudyDocument
 
-Json = dict[str, Any]
 SOURCES: Final = {
     "true": ("motion capture", INK, "solid"),
     "observer": ("plant observer", BLUE, "dashed"),
@@ -23,7 +25,7 @@ PREDICTORS: Final = {
 }
 
 
-def test_title(name: str) -> str:
+def test_words(name: str) -> str:
     """Words for the key of a test: "trial 2", "unseen 20° motion"."""
     words = name.replace("_", " ")
     if words.startswith("unseen"):
@@ -31,85 +33,85 @@ def test_title(name: str) -> str:
     return words
 
 
-def estimates(studies: dict[int, Json]) -> Figure:
-    """DI of the heaviest payload by every source, on every test."""
+def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
+    """DI of the heaviest payload over time by every source, on every test."""
     panels = []
     for dof, study in studies.items():
-        for name, curves in study["series"]["estimates"].items():
+        for name, curves in study.series.estimates.items():
             with Drawing() as (drawing, ax):
                 for source, (_, colour, dash) in SOURCES.items():
                     ax.plot(
-                        curves["time_s"], DEFORMATION.shown(curves[source]),
+                        curves.time_s, DEFORMATION.shown(getattr(curves, source)),
                         color=colour, linestyle=dash, linewidth=1.2,
                     )  # fmt: skip
                 ax.set(xlabel=TIME.label("time"), ylabel=DEFORMATION.label("DI"), ylim=(0, None))
-            judged = study["estimators"][name]
+            judged = study.estimators[name]
             panels.append(
                 drawing.panel(
-                    f"{dof}DOF, {test_title(name)}",
-                    f"DI of the heaviest payload over time, {dof}DOF, {test_title(name)}; "
-                    f"over all payloads R² is {judged['observer']['r2_di']:.2f} for the observer "
-                    f"and {judged['lagged']['r2_di']:.2f} for the lagged regressor.",
+                    f"{dof}DOF, {test_words(name)}",
+                    f"DI of the heaviest payload over time, {dof}DOF, {test_words(name)}; "
+                    f"over all payloads R² is {judged['observer'].r2_di:.2f} for the observer "
+                    f"and {judged['lagged'].r2_di:.2f} for the lagged regressor.",
                 )
             )
-    mixed = any(len(study["training"]["phase_2_rad"]) > 1 for study in studies.values())
+    mixed = any(len(study.training.phase_2_rad) > 1 for study in studies.values())
     return Figure(
         "DI without motion capture",
-        "The heaviest payload of each test" + (", 2DOF at its least phase." if mixed else "."),
+        "Heaviest payload of each test" + (", 2DOF at its smallest phase." if mixed else "."),
         panels,
-        legend=[(colour, label, dash) for label, colour, dash in SOURCES.values()],
+        legend=[LegendEntry(colour, label, dash) for label, colour, dash in SOURCES.values()],
     )  # fmt: skip
 
 
-def predictors_by_payload(studies: dict[int, Json]) -> Figure:
-    """Mean distance of every way to predict the end effector, by payload, on every test."""
+def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
+    """Mean distance of every predictor of the tip, by payload, on every test."""
     panels = []
     everything = [
-        LENGTH.factor * v
+        v
         for study in studies.values()
-        for name in study["tests"]
+        for name in study.tests
         for values in _by_payload(study, name).values()
         for v in values.values()
     ]
     for dof, study in studies.items():
-        for name in study["mean_euclidean_distance_m"]:
+        for name in study.mean_euclidean_distance_m:
             lines = _by_payload(study, name)
             with Drawing() as (drawing, ax):
                 for key, values in lines.items():
                     _, colour, dash = PREDICTORS[key]
                     ax.plot(
-                        [float(k) for k in values], [LENGTH.factor * v for v in values.values()],
+                        [float(k) for k in values], LENGTH.shown(list(values.values())),
                         color=colour, linestyle=dash, marker="o", markersize=3.5,
                     )  # fmt: skip
                 ax.set(xlabel=PAYLOAD.label("payload"), ylabel=LENGTH.label("mean distance"))
                 ax.set_xticks([float(k) for k in lines["rigid"]])
-                log_axis(ax, everything)
+                log_axis(ax, LENGTH.shown(everything))
             listed = "; ".join(
                 f"{PREDICTORS[key][0]} {LENGTH.number(min(v.values()))} to "
                 f"{LENGTH.text(max(v.values()))}"
                 for key, v in lines.items()
             )
             panels.append(
-                drawing.panel(f"{dof}DOF, {test_title(name)}",
+                drawing.panel(f"{dof}DOF, {test_words(name)}",
                       f"Mean distance to the measured end effector by payload: {listed}.")
             )  # fmt: skip
-    degrees = ", ".join(f"{dof}DOF {study['chosen_degree']}" for dof, study in studies.items())
+    degrees = ", ".join(f"{dof}DOF {study.chosen_degree}" for dof, study in studies.items())
     return Figure(
-        "Who predicts the end effector",
-        f"Polynomials at the degree that cross-validation on trial 1 chose ({degrees}).", panels,
-        legend=[(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
+        "Tip error by predictor",
+        f"Polynomials at the degree that cross-validation on trial 1 selected ({degrees}).", panels,
+        legend=[LegendEntry(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
     )  # fmt: skip
 
 
-def _by_payload(study: Json, name: str) -> dict[str, dict[str, float]]:
-    table, degree = study["mean_euclidean_distance_m"][name], str(study["chosen_degree"])
-    baselines = study["baselines"][name]
-    payloads = [f"{kg:g}" for kg in study["tests"][name]["payload_kg"]]
+def _by_payload(study: StudyDocument, name: str) -> dict[str, dict[str, float]]:
+    table, degree = study.mean_euclidean_distance_m[name], str(study.chosen_degree)
+    baselines = study.baselines[name]
+    payloads = [f"{kg:g}" for kg in study.tests[name].payload_kg]
     columns = {
-        "rigid": baselines["rigid_kinematics"],
+        "rigid": baselines.rigid_kinematics,
         "without": {k: table[k]["without_di"][degree] for k in payloads},
         "estimated": {k: table[k]["estimated_di"][degree] for k in payloads},
         "true": {k: table[k]["with_di"][degree] for k in payloads},
-        "observer": baselines["observer_tip"],
+        "observer": baselines.observer_tip,
     }
     return {key: {k: values[k] for k in payloads} for key, values in columns.items()}

@@ -1,17 +1,19 @@
-"""The paper's figures 7 to 11, drawn from `study.json`: how the link moves and deforms."""
+"""Motion figures of the study: paths, poses and DI of the link (Figs. 7 to 11)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from firmware_py.display_units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
+from models.shared.page_parts import Figure, LegendEntry, Panel
 from models.shared.palette import MUTED, SERIES, ordered_colours
-from models.shared.svg_drawing import Drawing, Figure, Panel
+from models.shared.svg_drawing import Drawing
+from models.study.study_document import StudyDocument, TipPath
 
-Json = dict[str, Any]
-Studies = dict[str, Json]
+Studies = Mapping[str, StudyDocument]
 """By kind of motion."""
 
 AZIMUTH: Final = np.radians(-20.0)
@@ -19,37 +21,37 @@ ELEVATION: Final = np.radians(20.0)
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Paths, poses and DI, one kind of motion beside the other.
+    """Draw paths, shapes and DI, one kind of motion beside the other.
 
     Parameters
     ----------
-    studies : dict
-        `study.json` by kind of motion.
+    studies : mapping of str to StudyDocument
+        By kind of motion.
     """
     return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
-def _payload_legend(labels: list[str]) -> list[tuple[str, str, str]]:
+def _payload_legend(labels: list[str]) -> list[LegendEntry]:
     return [
-        (colour, _in_words(label), "solid")
+        LegendEntry(colour, _payload_words(label))
         for label, colour in zip(labels, ordered_colours(len(labels)), strict=True)
     ]
 
 
-def _in_words(label: str) -> str:
+def _payload_words(label: str) -> str:
     """Words for the key of a run: "0.5 kg", "2 kg, phase 90°"."""
     payload, _, phase = label.partition(" phase ")
     return f"{payload} kg" + (f", phase {phase.removesuffix('deg')}°" if phase else "")
 
 
 def _paths(studies: Studies) -> Figure:
-    motions = {motion: study["series"]["path"] for motion, study in studies.items()}
+    motions = {motion: study.series.path for motion, study in studies.items()}
     panels: list[Panel] = []
     for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
             with Drawing() as (drawing, ax):
                 for path, colour in zip(paths.values(), ordered_colours(len(paths)), strict=True):
-                    point_m = np.column_stack([path[f"tip_{axis}_m"] for axis in "xyz"])
+                    point_m = np.column_stack([path.tip_x_m, path.tip_y_m, path.tip_z_m])
                     ax.plot(*project(point_m).T, color=colour, linewidth=1.1)
                 if view == "from above":
                     ax.set(xlabel=POSITION.label("x"), ylabel=POSITION.label("y"), aspect="equal")
@@ -64,14 +66,16 @@ def _paths(studies: Studies) -> Figure:
                 )
             )
     return Figure(
-        "Paths of the end effector", "The base joint stands at the origin, the link upright.",
+        "Paths of the end effector",
+        "The base joint is at the origin; the link is upright at angle zero.",
         panels, "7", _payload_legend(list(next(iter(motions.values())))),
     )  # fmt: skip
 
 
-def _extent(paths: Json) -> str:
-    reach = {a: max(np.ptp(p[f"tip_{a}_m"]) for p in paths.values()) for a in "xy"}
-    return f"it extends {reach['x']:.2f} m along x and {reach['y']:.2f} m along y"
+def _extent(paths: Mapping[str, TipPath]) -> str:
+    reach_x_m = max(np.ptp(p.tip_x_m) for p in paths.values())
+    reach_y_m = max(np.ptp(p.tip_y_m) for p in paths.values())
+    return f"it extends {POSITION.text(reach_x_m)} along x and {POSITION.text(reach_y_m)} along y"
 
 
 def _from_above(point_m: Any) -> Any:
@@ -101,9 +105,9 @@ def _draw_axes(ax: Any) -> None:
 def _poses(studies: Studies) -> Figure:
     panels = []
     for motion, study in studies.items():
-        poses = study["series"]["poses"]
-        line_m = np.array(poses["centre_line_m"])
-        for plane, k in (("x–z plane", 0), ("y–z plane", 1))[: study["dof"]]:
+        poses = study.series.poses
+        line_m = np.array(poses.centre_line_m, dtype=np.float64)
+        for plane, k in (("x–z plane", 0), ("y–z plane", 1))[: study.dof]:
             with Drawing() as (drawing, ax):
                 colours = ordered_colours(len(line_m))
                 for points, colour in zip(line_m, colours, strict=True):
@@ -111,19 +115,19 @@ def _poses(studies: Studies) -> Figure:
                     ax.plot(whole[:, k], whole[:, 2], color=colour, marker="o", markersize=2.2)
                 ax.set(xlabel=POSITION.label("xy"[k]), ylabel=POSITION.label("z"), aspect="equal")
                 ax.set(xlim=(-0.8, 0.8), ylim=(0, 1.08))
-            di = [DEFORMATION.factor * v for v in poses["di"]]
+            di = DEFORMATION.shown(poses.di)
             panels.append(
                 drawing.panel(
-                    f"{motion}, {plane}, {poses['payload_kg']:g} kg",
+                    f"{motion}, {plane}, {PAYLOAD.significant(poses.payload_kg)}",
                     f"Centre line of the link at {len(di)} equal times of the first cycle, "
                     f"{plane}; its DI goes from {min(di):.2f} to {max(di):.2f} %.",
                 )
             )
     with Drawing() as (drawing, ax):
         for (motion, study), colour in zip(studies.items(), SERIES, strict=False):
-            poses = study["series"]["poses"]
+            poses = study.series.poses
             ax.plot(
-                poses["time_s"], DEFORMATION.shown(poses["di"]),
+                poses.time_s, DEFORMATION.shown(poses.di),
                 color=colour, marker="o", markersize=4, label=motion,
             )  # fmt: skip
         ax.set(xlabel=TIME.label("time"), ylabel=DEFORMATION.label("DI"), ylim=(0, None))
@@ -133,26 +137,27 @@ def _poses(studies: Studies) -> Figure:
             "DI of these poses", "DI of the poses over time, one line for each kind of motion."
         )
     )
-    times = next(iter(studies.values()))["series"]["poses"]["time_s"]
+    times = next(iter(studies.values())).series.poses.time_s
     legend = [
-        (c, f"{t:.1f} s", "solid") for t, c in zip(times, ordered_colours(len(times)), strict=True)
+        LegendEntry(colour, TIME.text(t))
+        for t, colour in zip(times, ordered_colours(len(times)), strict=True)
     ]
     return Figure(
-        "The link in motion",
-        "Centre line through base plate and marker rows, drawn without exaggeration.",
+        "Shape of the link",
+        "Centre line through base plate and marker rows, to scale.",
         panels, "8", legend,
     )  # fmt: skip
 
 
 def _di_over_angle(studies: Studies) -> Figure:
     panels = []
-    top = max(max(c["di"]) for s in studies.values() for c in s["series"]["di"].values())
+    top = max(max(c.di) for s in studies.values() for c in s.series.di.values())
     for motion, study in studies.items():
-        curves = study["series"]["di"]
+        curves = study.series.di
         with Drawing() as (drawing, ax):
             for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True):
                 ax.plot(
-                    ANGLE.shown(curve["angle_1_rad"]), DEFORMATION.shown(curve["di"]),
+                    ANGLE.shown(curve.angle_1_rad), DEFORMATION.shown(curve.di),
                     color=colour, linewidth=1.0,
                 )  # fmt: skip
             ax.set(
@@ -162,7 +167,7 @@ def _di_over_angle(studies: Studies) -> Figure:
             )
             ax.set_ylim(0, 1.05 * DEFORMATION.factor * top)
         peaks = ", ".join(
-            f"{DEFORMATION.text(max(c['di']))} at {_in_words(k)}" for k, c in curves.items()
+            f"{DEFORMATION.text(max(c.di))} at {_payload_words(k)}" for k, c in curves.items()
         )
         panels.append(
             drawing.panel(
@@ -170,22 +175,22 @@ def _di_over_angle(studies: Studies) -> Figure:
                 f"DI over the angle of joint 1, {motion}, one loop per payload; peaks: {peaks}.",
             )
         )
-    labels = list(next(iter(studies.values()))["series"]["di"])
+    labels = list(next(iter(studies.values())).series.di)
     return Figure(
-        "DI over the angle", "Trial 1, two cycles; marker noise alone adds about 0.07 %.",
+        "DI over the angle", "Trial 1, two cycles. Marker noise alone contributes about 0.07 %.",
         panels, "9 and 10", _payload_legend(labels),
     )  # fmt: skip
 
 
 def _mean_di(studies: Studies) -> Figure:
     lines = [
-        (motion, study["mean_di"], colour)
+        (motion, study.mean_di, colour)
         for (motion, study), colour in zip(studies.items(), SERIES, strict=False)
     ]
     with Drawing() as (drawing, ax):
         for _, values, colour in lines:
             ax.plot(
-                [float(k) for k in values], [DEFORMATION.factor * v for v in values.values()],
+                [float(k) for k in values], DEFORMATION.shown(list(values.values())),
                 color=colour, marker="o", markersize=4,
             )  # fmt: skip
         ax.set(xlabel=PAYLOAD.label("payload"), ylabel=DEFORMATION.label("mean DI"), ylim=(0, None))
@@ -196,8 +201,8 @@ def _mean_di(studies: Studies) -> Figure:
     )
     return Figure(
         "Mean DI by payload",
-        "Moving rows of trial 1. The paper does not give the phase by which joint 2 leads joint 1: "
-        "at 0° both move together, at 90° the tip goes round.",
+        "Rows of trial 1 in motion. The paper does not state the phase by which joint 2 leads "
+        "joint 1: at 0° both joints move together, at 90° the tip follows a loop.",
         [drawing.panel("1DOF and 2DOF", f"Mean DI over payload. {alt}.")], "11",
-        [(colour, motion, "solid") for motion, _, colour in lines],
+        [LegendEntry(colour, motion) for motion, _, colour in lines],
     )  # fmt: skip

@@ -70,13 +70,13 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     (directory / "evaluate_unseen_20deg.json").write_bytes(
         msgspec.json.encode(evaluate_plant(plant, few))
     )
-    unit = build_twin(NOMINAL, 1, directory)
-    with FmuArchive(unit) as archive:
+    twin = build_twin(NOMINAL, 1, directory)
+    with FmuArchive(twin) as archive:
         report = check_fmu(archive, embedded_parts(archive.directory / "resources"))
     (directory / "check_twin_1dof.json").write_text(json.dumps(report.data()))
     options = SilOptions(
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",
-        fmu=unit, line="virtual", seconds=3.0,
+        fmu=twin, line="virtual", seconds=3.0,
     )  # fmt: skip
     write_results(run_sil(options), options)
     (directory / "commands.log").write_text("\n".join([COMMANDS[0], *COMMANDS]) + "\n")
@@ -175,17 +175,17 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
         "before": plant_before,
         "after": directory / "found" / "plant.json",
     }.items():
-        unit = directory / f"{variant}.fmu"
-        command(["build", str(toy_bundle), "--plant", str(plant), "--out", str(unit)])
+        fmu = directory / f"{variant}.fmu"
+        command(["build", str(toy_bundle), "--plant", str(plant), "--out", str(fmu)])
         for kg, trial in zip(("0", "2"), paths["sealed"], strict=True):
             name = directory / f"fmpy_{variant}_{kg}"
             said = command(
-                ["simulate", str(unit), "--trial", str(trial), "--out", str(name), "--json"]
+                ["simulate", str(fmu), "--trial", str(trial), "--out", str(name), "--json"]
             )
             name.with_suffix(".json").write_text(said)
         for kg in ("0", "2"):
             shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
-    said = command(["check", str(unit), "--json"])
+    said = command(["check", str(fmu), "--json"])
     (directory / "check_twin_1dof.json").write_text(said)
     return directory
 

@@ -10,7 +10,7 @@ import pytest
 from firmware_py.errors import InputError
 from hil.__main__ import main
 from hil.report import write_gap_report
-from hil.report.gap.gap_figures import share_removed, summary
+from hil.report.gap.before_after import before_after, fraction_removed
 from hil.report.gap.gap_inputs import read_gap
 
 HIDDEN = {"stiffness_softening": 0.2}
@@ -28,26 +28,26 @@ def edited(path, change):
     path.write_text(json.dumps(document))
 
 
-def test_the_unit_in_fmpy_is_the_plant_and_removes_its_gap(gap_build, plant_before):
-    unit = summary(read_gap(gap_build, plant_before), HIDDEN)["unit"]
-    assert unit["worst_difference"] < 1e-9
-    assert unit["sound"] is True
+def test_the_fmu_in_fmpy_is_the_plant_and_removes_its_gap(gap_build, plant_before):
+    fmu = before_after(read_gap(gap_build, plant_before), HIDDEN).fmu
+    assert fmu.worst_difference < 1e-9
+    assert fmu.passed is True
     # The trials are the improved plant's own: nothing is left but that they are stored in a file.
-    assert unit["tip_rms_m"]["before"] > 1e-3
-    assert unit["tip_rms_m"]["after"] < 1e-6
+    assert fmu.tip_rms_m["before"] > 1e-3
+    assert fmu.tip_rms_m["after"] < 1e-6
 
 
-def test_a_unit_of_another_plant_is_found_out(copy, plant_before):
+def test_an_fmu_of_another_plant_is_detected(copy, plant_before):
     for before in copy.glob("fmpy_before_*/result.csv"):
         shutil.copy(before, before.parent.parent / before.parent.name.replace("before", "after"))
-    unit = summary(read_gap(copy, plant_before), HIDDEN)["unit"]
-    assert unit["worst_difference"] > 1e-3
+    fmu = before_after(read_gap(copy, plant_before), HIDDEN).fmu
+    assert fmu.worst_difference > 1e-3
 
 
 def test_what_was_found_stands_beside_what_was_hidden(gap_build, plant_before):
-    row = summary(read_gap(gap_build, plant_before), HIDDEN)["hidden"]["stiffness_softening"]
-    assert row["found"] == pytest.approx(0.19 - 0.0)
-    assert row["said"] == "stiffness softening: 0.2 hidden, 0.19 ± 0.01 found"
+    row = before_after(read_gap(gap_build, plant_before), HIDDEN).hidden["stiffness_softening"]
+    assert row.found == pytest.approx(0.19 - 0.0)
+    assert row.said == "stiffness softening: 0.2 hidden, 0.19 ± 0.01 found"
 
 
 def test_a_strength_that_was_there_before_is_not_counted_as_found(copy, plant_before):
@@ -55,8 +55,8 @@ def test_a_strength_that_was_there_before_is_not_counted_as_found(copy, plant_be
         found["named"][0]["parameters"]["softening_share"]["before"] = 0.05
 
     edited(copy / "found" / "gap.json", shift)
-    row = summary(read_gap(copy, plant_before), HIDDEN)["hidden"]["stiffness_softening"]
-    assert row["found"] == pytest.approx(0.14)
+    row = before_after(read_gap(copy, plant_before), HIDDEN).hidden["stiffness_softening"]
+    assert row.found == pytest.approx(0.14)
 
 
 def test_a_wrong_name_is_said(gap_build, plant_before, tmp_path):
@@ -73,21 +73,21 @@ def test_a_look_alike_is_told_from_a_wrong_name(copy, plant_before):
         found["named"][0]["look_alikes"] = [{"effect": "creep + backlash", "separation": 9.0}]
 
     edited(copy / "found" / "gap.json", add)
-    row = summary(read_gap(copy, plant_before), {"creep": 0.3})["hidden"]["creep"]
-    assert "as far as these trials can tell" in row["said"]
+    row = before_after(read_gap(copy, plant_before), {"creep": 0.3}).hidden["creep"]
+    assert row.said == "creep was hidden; its look-alike stiffness softening was named"
 
 
 def test_an_effect_that_was_dropped_again_is_not_named(copy, plant_before):
     edited(copy / "found" / "gap.json", lambda found: found["named"][0].update(kept=False))
-    data = summary(read_gap(copy, plant_before), HIDDEN)
-    assert data["hidden"]["stiffness_softening"]["found"] is None
+    data = before_after(read_gap(copy, plant_before), HIDDEN)
+    assert data.hidden["stiffness_softening"].found is None
 
 
-def test_a_share_is_told_only_of_a_gap():
-    assert share_removed({"before": 5.0, "after": 2.0, "without": 1.0}) == pytest.approx(0.75)
-    assert share_removed({"before": 5.0, "after": 6.0, "without": 1.0}) == pytest.approx(-0.25)
-    assert share_removed({"before": 1.05, "after": 1.0, "without": 1.0}) is None
-    assert share_removed({"before": 5.0, "after": 2.0}) is None
+def test_a_fraction_is_given_only_of_a_gap():
+    assert fraction_removed({"before": 5.0, "after": 2.0, "without": 1.0}) == pytest.approx(0.75)
+    assert fraction_removed({"before": 5.0, "after": 6.0, "without": 1.0}) == pytest.approx(-0.25)
+    assert fraction_removed({"before": 1.05, "after": 1.0, "without": 1.0}) is None
+    assert fraction_removed({"before": 5.0, "after": 2.0}) is None
 
 
 def test_a_run_without_motion_has_no_figure(copy, plant_before, tmp_path):

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from hil.__main__ import main
-from hil.report.build_inputs import LoopRun, read_inputs
+from hil.report.build_inputs import LoopRun, read_build
 from hil.report.loop_figures import loop_figures
-from hil.report.report_page import render
-from hil.report.report_tables import at_a_glance, prediction, verdict
+from hil.report.report_page import report_page
+from hil.report.report_tables import prediction_table, results_table, verdict_sentence
 from hil.report.study.motion_figures import motion_figures
-from hil.timing.timing_verdict import judge_timing
+from hil.timing.timing_verdict import TimingVerdict, judge_timing
 
 
 class Page(HTMLParser):
@@ -104,14 +104,14 @@ def test_the_tables_hold_the_inputs_figures(build, html):
 
 
 def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
-    inputs = read_inputs(build)
+    inputs = read_build(build)
     assert list(inputs.motions) == ["1DOF", "2DOF, phase 0°", "2DOF, phase 90°"]
     assert list(inputs.every_study) == [*inputs.motions, "2DOF, all phases"]
     assert inputs.every_study["2DOF, all phases"] is inputs.studies[2]
     (figure,) = [f for f in motion_figures(inputs.motions) if f.title == "Mean DI by payload"]
     (panel,) = figure.panels
     for motion, study in inputs.motions.items():
-        assert f"{motion}: {100 * study['mean_di']['0']:.2f}\u00a0% at 0 kg" in panel.alt
+        assert f"{motion}: {100 * study.mean_di['0']:.2f}\u00a0% at 0 kg" in panel.alt
     badges = re.findall(r'class="badge \w+">(.*?)</span>', html)
     assert set(badges) == set(inputs.every_study)
 
@@ -119,7 +119,7 @@ def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
 def test_a_bundle_alone_is_drawn_with_all_its_phases(copy):
     for phase in (0, 90):
         shutil.rmtree(copy / f"study_2dof_phase{phase}")
-    inputs = read_inputs(copy)
+    inputs = read_build(copy)
     assert list(inputs.every_study) == ["1DOF", "2DOF"]
     paths, *_ = motion_figures({"2DOF": inputs.studies[2]})
     assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
@@ -132,8 +132,8 @@ def test_commands_stand_once_in_the_order_of_their_last_run(build, html):
 
 
 def test_the_same_inputs_give_the_same_page(build, html):
-    again = render(read_inputs(build))
-    one, two = (re.sub(r"Made .*? UTC", "", text) for text in (html, again))
+    again = report_page(read_build(build))
+    one, two = (re.sub(r"Written .*? UTC", "", text) for text in (html, again))
     assert one == two
 
 
@@ -143,7 +143,7 @@ def test_text_from_files_is_text(copy):
     study["findings"][0]["text"] = "<script>alert(1)</script> & more"
     path.write_text(json.dumps(study))
     (copy / "commands.log").write_text("python -m hil report --out '<b>'\n")
-    html = render(read_inputs(copy))
+    html = report_page(read_build(copy))
     assert "<script>" not in html and "&lt;script&gt;" in html and "&lt;b&gt;" in html
 
 
@@ -167,16 +167,16 @@ def test_a_section_without_inputs_says_what_makes_them(copy, missing, rest):
     for name in missing:
         path = copy / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    text = Page(render(read_inputs(copy))).text
+    text = Page(report_page(read_build(copy))).text
     for command in missing.values():
-        assert re.search(rf"Left out: [^;]*; {re.escape(command)}", text)
+        assert re.search(rf"Not shown: [^.]*\. To create them, run {re.escape(command)}", text)
     assert rest in text
 
 
 def test_one_dof_alone_is_enough(copy):
     for path in copy.glob("*2dof*"):
         shutil.rmtree(path)
-    text = Page(render(read_inputs(copy))).text
+    text = Page(report_page(read_build(copy))).text
     assert "1DOF, trial 2" in text and "2DOF, trial 2" not in text
 
 
@@ -185,7 +185,7 @@ def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
-    assert text.count("Left out") == 8
+    assert text.count("Not shown") == 8
 
 
 @pytest.mark.parametrize("damage", ["{", "[1]", "\xff\xfe"])
@@ -193,73 +193,74 @@ def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
     (copy / "check_twin_1dof.json").write_bytes(damage.encode("latin-1"))
     assert main(["report", "--build", str(copy)]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "check_twin_1dof.json" in err and "make it again" in err
+    assert err.count("\n") == 1 and "check_twin_1dof.json" in err and "write it again" in err
     assert main(["report", "--build", str(copy / "none")]) == 2
 
 
 def row_of(table, words):
-    (row,) = [r for r in table.rows if words in r[0].text]
+    (row,) = [r for r in table.cells if words in r[0].text]
     return row
 
 
-@pytest.mark.parametrize(("share", "met"), [(0.91, True), (0.9, True), (0.89, False)])
-def test_the_glance_judges_shares_against_their_target(build, share, met):
-    inputs = read_inputs(build)
-    observer = inputs.studies[1]["estimators"]["trial_2"]["observer"]
-    observer["benefit_recovered"]["3"] = share
-    cell = row_of(at_a_glance(inputs), "degree 3, trial 2")[2]
-    assert (cell.text, cell.met) == (f"{share:.0%}".replace("%", "\u00a0%"), met)
+@pytest.mark.parametrize(("gain", "met"), [(0.91, True), (0.9, True), (0.89, False)])
+def test_gains_are_judged_by_their_target(build, gain, met):
+    inputs = read_build(build)
+    observer = inputs.studies[1].estimators["trial_2"]["observer"]
+    observer.benefit_recovered["3"] = gain
+    cell = row_of(results_table(inputs), "degree 3, trial 2")[2]
+    assert (cell.text, cell.met) == (f"{gain:.0%}".replace("%", "\u00a0%"), met)
 
 
 @pytest.mark.parametrize(("rms_m", "met"), [(0.0059, True), (0.0061, False)])
 def test_the_glance_judges_errors_against_their_target(build, rms_m, met):
-    inputs = read_inputs(build)
-    inputs.evaluations["unseen 20° motion"]["dof"]["1"]["tip_rms_m"] = rms_m
-    assert row_of(at_a_glance(inputs), "tip error RMS")[2].met is met
+    inputs = read_build(build)
+    evaluation = inputs.evaluations["unseen 20° motion"]
+    evaluation.dof["1"] = msgspec.structs.replace(evaluation.dof["1"], tip_rms_m=rms_m)
+    assert row_of(results_table(inputs), "Tip error (RMS)")[2].met is met
 
 
 def test_what_was_not_measured_is_not_judged(tmp_path):
-    table = at_a_glance(read_inputs(tmp_path))
+    table = results_table(read_build(tmp_path))
     assert len(table.rows) >= 6
-    assert all(cell.met is None for row in table.rows for cell in row[2:])
+    assert all(cell.met is None for row in table.cells for cell in row[2:])
 
 
 def test_simulated_time_makes_no_claim_about_cost(build, html):
-    inputs = read_inputs(build)
+    inputs = read_build(build)
     (loop,) = inputs.loops
     assert (loop.dof, loop.line, loop.in_real_time) == (1, "virtual", False)
-    assert [c.met for c in row_of(at_a_glance(inputs), "own cost")[2:]] == [None, None]
-    assert "Where the time goes" not in html
+    assert [c.met for c in row_of(results_table(inputs), "Own cost")[2:]] == [None, None]
+    assert "Durations in ms" not in html
     (figure,) = loop_figures(loop)
-    assert figure.title == "What the robot predicted"
+    assert figure.title == "Tip predicted by the robot"
 
 
 def test_prediction_and_plant_are_compared_tick_by_tick(build):
-    (loop,) = read_inputs(build).loops
+    (loop,) = read_build(build).loops
     predicted_m = np.column_stack([loop.ticks[f"predicted_tip_{axis}_m"] for axis in "xyz"])
     distance_m = np.linalg.norm(predicted_m - loop.true_tip_m, axis=1)
-    error = loop.timing["prediction_error"]
-    assert error["n"] == len(distance_m)
-    assert distance_m.mean() == pytest.approx(error["mean_euclidean_distance_m"], rel=1e-9)
-    assert distance_m.max() == pytest.approx(error["max_m"], rel=1e-9)
+    error = loop.timing.prediction_error
+    assert error.n == len(distance_m)
+    assert distance_m.mean() == pytest.approx(error.mean_euclidean_distance_m, rel=1e-9)
+    assert distance_m.max() == pytest.approx(error.max_m, rel=1e-9)
 
 
 def test_the_error_is_listed_by_part_of_the_run(build):
-    (loop,) = read_inputs(build).loops
-    table = prediction(loop)
-    parts = loop.timing["prediction_error"]["parts"]
-    assert row_of(table, "all ticks")[1].text == str(loop.timing["prediction_error"]["n"])
+    (loop,) = read_build(build).loops
+    table = prediction_table(loop)
+    parts = loop.timing.prediction_error.parts
+    assert row_of(table, "all ticks")[1].text == str(loop.timing.prediction_error.n)
     counts = [int(row_of(table, w)[1].text) for w in ("rest between", "motion, as", "stop")]
-    assert sum(counts) == loop.timing["prediction_error"]["n"]  # three seconds reach no glide
+    assert sum(counts) == loop.timing.prediction_error.n  # three seconds reach no glide
     assert row_of(table, "motion, as")[2].text == (
-        f"{1e3 * parts['motion']['mean_euclidean_distance_m']:.1f}"
+        f"{1e3 * parts['motion'].mean_euclidean_distance_m:.1f}"
     )
 
 
 @pytest.fixture
 def slow_run(build):
     """The same run as if in real time, with one slow tick of our own doing among many."""
-    (loop,) = read_inputs(build).loops
+    (loop,) = read_build(build).loops
     ticks = {name: column.copy() for name, column in loop.ticks.items()}
     ticks["busy_ns"][:] = 2_000_000
     ticks["bus_wait_ns"][:] = 1_400_000
@@ -269,9 +270,12 @@ def slow_run(build):
     records = np.empty(len(ticks["tick"]), dtype)
     for name, column in ticks.items():
         records[name] = column
-    judged = msgspec.to_builtins(judge_timing(records, 0.017))
-    environment = loop.timing["environment"] | {"line": "socket"}
-    timing = loop.timing | judged | {"environment": environment}
+    judged = judge_timing(records, 0.017)
+    timing = msgspec.structs.replace(
+        loop.timing,
+        environment=msgspec.structs.replace(loop.timing.environment, line="socket"),
+        **{name: getattr(judged, name) for name in TimingVerdict.__struct_fields__},
+    )
     return LoopRun("sil", timing, ticks, loop.true_tip_m)
 
 
@@ -285,9 +289,9 @@ def test_one_slow_tick_among_many_is_seen(slow_run):
 
 
 def test_misses_of_our_own_doing_are_said_and_judged(build, slow_run):
-    inputs = replace(read_inputs(build), loops=[slow_run])
-    first, *_ = verdict(slow_run)
+    inputs = replace(read_build(build), loops=[slow_run])
+    first = verdict_sentence(slow_run)
     assert first.startswith("Verdict: fail; 1 of ") and "1 own compute" in first
-    table = at_a_glance(inputs)
-    assert row_of(table, "missed by our own doing")[2].met is False
-    assert row_of(table, "own cost")[2].met is True  # p99 of 0.6 ms
+    table = results_table(inputs)
+    assert row_of(table, "missed by the loop itself")[2].met is False
+    assert row_of(table, "Own cost")[2].met is True  # p99 of 0.6 ms

@@ -1,0 +1,248 @@
+"""Figures before and after a gap was closed: effects found, errors of the FMUs and of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.display_units import FRACTION, LENGTH, PAYLOAD
+from hil.report.build_inputs import LoopRun
+from hil.report.gap.gap_inputs import GapInputs
+from hil.timing.timing_document import TipErrors
+from models.gap.report.gap_json import GapDocument, NamedEffect
+from models.plant.identification.evaluation import TIP, compare_with_trials
+from models.plant.plant import Plant
+
+PART: Final = "motion"
+"""Part of the robot's programme that is judged: rest and glide are in no training."""
+SMALLEST_GAP: Final = 1.1
+"""Ratio of the error before to the error without the effect below which no fraction is given."""
+
+ByVariant = dict[str, float | None]
+"""By variant of the FMU or bundle: before, retrained, after, without."""
+
+
+class HiddenEffect(msgspec.Struct, frozen=True):
+    """Effect that was hidden, and the result for it.
+
+    Attributes
+    ----------
+    hidden : float
+        Its strength.
+    found, error : float or None
+        Change of the strength that was found, and its standard error.
+    said : str
+        Both in words.
+    """
+
+    hidden: float
+    found: float | None
+    error: float | None
+    said: str
+
+
+class FmuErrors(msgspec.Struct, frozen=True):
+    """Errors of the twin FMUs on the sealed trials.
+
+    Attributes
+    ----------
+    tip_rms_m : dict of variant to float
+        Root mean square distance of the tip, in m.
+    fraction_removed : float or None
+        Of the gap; see `fraction_removed`.
+    worst_difference : float
+        Largest difference from the plants in Python, SI units.
+    passed : bool
+        Whether `fmu check` passed.
+    """
+
+    tip_rms_m: ByVariant
+    fraction_removed: float | None
+    worst_difference: float
+    passed: bool
+
+
+class RobotErrors(msgspec.Struct, frozen=True):
+    """Errors of the robot's prediction in motion, and the coverage of its interval.
+
+    Attributes
+    ----------
+    tip_mean_m : dict of variant to float or None
+        Mean distance between predicted and true tip, in m.
+    fraction_removed : float or None
+        Of the gap.
+    interval_coverage : dict of variant to float or None
+        Fraction of coordinates inside the 95 % interval.
+    """
+
+    tip_mean_m: ByVariant
+    fraction_removed: float | None
+    interval_coverage: ByVariant
+
+
+class BeforeAfter(msgspec.Struct, frozen=True):
+    """Figures of the page; what `hil gap --json` prints, with the path of the page.
+
+    Attributes
+    ----------
+    verdict : str
+        Of the diagnosis.
+    hidden : dict of str to HiddenEffect
+        By effect.
+    also_named : list of str
+        Effects that were named without being hidden.
+    fmu : FmuErrors
+        Of the rebuilt twin.
+    robot, robot_heaviest : RobotErrors
+        Over all payloads, and at the heaviest.
+    heaviest_kg : float
+        Heaviest payload.
+    """
+
+    verdict: str
+    hidden: dict[str, HiddenEffect]
+    also_named: list[str]
+    fmu: FmuErrors
+    robot: RobotErrors
+    robot_heaviest: RobotErrors
+    heaviest_kg: float
+
+
+def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
+    """Compute all figures, in SI units.
+
+    Parameters
+    ----------
+    inputs : GapInputs
+        What was built around the diagnosis.
+    hidden : mapping of str to float
+        Hidden effects with their strengths.
+    """
+    tip_rms_m: ByVariant = {
+        variant: _distance_rms([run.rms[axis] for run in runs.values() for axis in TIP])
+        for variant, runs in inputs.fmus.items()
+    }
+    heaviest_kg = max(inputs.loops["before"])
+    return BeforeAfter(
+        verdict=inputs.found.verdict,
+        hidden={effect: _hidden_effect(inputs, effect, s) for effect, s in hidden.items()},
+        also_named=[e for e in named_in(inputs.found) if e not in hidden],
+        fmu=FmuErrors(
+            tip_rms_m=tip_rms_m,
+            fraction_removed=fraction_removed(tip_rms_m),
+            worst_difference=max(_difference(inputs, v) for v in ("before", "after")),
+            passed=inputs.check.passed,
+        ),
+        robot=_robot_errors(inputs, sorted(inputs.loops["before"])),
+        robot_heaviest=_robot_errors(inputs, [heaviest_kg]),
+        heaviest_kg=heaviest_kg,
+    )
+
+
+def fraction_removed(error: Mapping[str, float | None]) -> float | None:
+    """Fraction of the gap that was removed; None if the gap was less than a tenth of the rest.
+
+    Parameters
+    ----------
+    error : mapping of variant to float or None
+        Error before, after and without the effect.
+    """
+    before, after, without = (error.get(v) for v in ("before", "after", "without"))
+    if before is None or after is None or without is None or before <= SMALLEST_GAP * without:
+        return None
+    return (before - after) / (before - without)
+
+
+def judged_part(loop: LoopRun) -> TipErrors | None:
+    """Prediction error in the part that is judged; None if the run has none."""
+    return loop.timing.prediction_error.parts.get(PART)
+
+
+def named_in(found: GapDocument) -> dict[str, NamedEffect]:
+    """Row of gap.json for every effect that was named and kept."""
+    return {e: row for row in found.named if row.kept for e in row.effect.split(" + ")}
+
+
+def describe_before_after(data: BeforeAfter) -> str:
+    """The figures as text for a console."""
+    lines = ["; ".join(row.said for row in data.hidden.values()) or "no effect was hidden"]
+    lines += [f"{name} was named too" for name in data.also_named]
+    robot, heaviest = data.robot, data.robot_heaviest
+    lines += [
+        "twin in FMPy, tip RMS: " + _by_variant(data.fmu.tip_rms_m, data.fmu.fraction_removed),
+        f"  {same_in_python(data.fmu.worst_difference)}",
+        "robot, predicted tip: " + _by_variant(robot.tip_mean_m, robot.fraction_removed),
+        f"  at {PAYLOAD.significant(data.heaviest_kg)}: "
+        + _by_variant(heaviest.tip_mean_m, heaviest.fraction_removed),
+    ]
+    return "\n".join(lines)
+
+
+def same_in_python(worst: float) -> str:
+    """How well FMUs in FMPy agree with plants in Python, given their largest difference."""
+    if worst == 0.0:
+        return "bit for bit equal to the plants in Python"
+    return f"within {worst:.0e} (SI units) of the plants in Python"
+
+
+def _by_variant(error: Mapping[str, float | None], fraction: float | None) -> str:
+    said = ", ".join(f"{LENGTH.text(e)} {v}" for v, e in error.items() if e is not None)
+    return said + ("" if fraction is None else f"; {FRACTION.text(fraction)} of the gap removed")
+
+
+def _robot_errors(inputs: GapInputs, payloads: Sequence[float]) -> RobotErrors:
+    judged = {
+        variant: [judged_part(loops[kg]) if kg in loops else None for kg in payloads]
+        for variant, loops in inputs.loops.items()
+    }
+    mean_m = {v: _mean(rows, "mean_euclidean_distance_m") for v, rows in judged.items()}
+    return RobotErrors(
+        tip_mean_m=mean_m,
+        fraction_removed=fraction_removed(mean_m),
+        interval_coverage={v: _mean(r, "interval_coverage") for v, r in judged.items()},
+    )
+
+
+def _hidden_effect(inputs: GapInputs, effect: str, strength: float) -> HiddenEffect:
+    words = effect.replace("_", " ")
+    if row := named_in(inputs.found).get(effect):
+        strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)
+        q = row.parameters[strengths[0]]  # the same in every joint of a servo
+        found, error = q.value - q.before, q.error
+        said = f"{words}: {strength:g} hidden, {found:.3g} ± {error or 0.0:.1g} found"
+        return HiddenEffect(strength, found, error, said)
+    for name, other in named_in(inputs.found).items():
+        if effect in [e for alike in other.look_alikes for e in alike.effect.split(" + ")]:
+            instead = name.replace("_", " ")
+            said = f"{words} was hidden; its look-alike {instead} was named"
+            return HiddenEffect(strength, None, None, said)
+    return HiddenEffect(strength, None, None, f"{words} was hidden and not named")
+
+
+def _difference(inputs: GapInputs, variant: str) -> float:
+    """Largest difference of an FMU in FMPy from its plant in Python, over all trials and signals.
+
+    In SI units; amperes, radians and metres alike are far above it if something is wrong.
+    """
+    plant: Plant = getattr(inputs, variant)
+    worst = 0.0
+    for row in compare_with_trials(plant, inputs.sealed):
+        run = inputs.outputs[variant].get(row.trial.meta.payload_kg)
+        for signal, values in row.simulated.items():
+            if run is not None and signal in (run.dtype.names or ()):
+                worst = max(worst, float(np.max(np.abs(run[signal] - values))))
+    return worst
+
+
+def _distance_rms(axis_rms: Sequence[float]) -> float:
+    """Root mean square distance from the root mean squares of its coordinates."""
+    return float(np.sqrt(len(TIP) * np.mean(np.square(axis_rms))))
+
+
+def _mean(rows: Sequence[TipErrors | None], field: str) -> float | None:
+    """Mean over the runs; None if one of them lacks it."""
+    values = [getattr(row, field) for row in rows if row is not None]
+    return float(np.mean(values)) if values and len(values) == len(rows) else None

@@ -1,0 +1,186 @@
+"""Parts of a page: sections with paragraphs, tables, figures, facts and commands.
+
+Text is plain text and is escaped when the page is rendered; `Markup` passes as HTML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+from markupsafe import Markup
+
+NO_VALUE = "–"
+"""Cell of a table without a value."""
+
+Text = str | Markup
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Paragraph of text.
+
+    Attributes
+    ----------
+    text : str
+        The text.
+    kind : str
+        "" for running text, "lead", "note" or "missing".
+    """
+
+    macro: ClassVar = "paragraph"
+    text: Text
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class TableCell:
+    """Text of a cell, and whether it meets its target (None: it has none)."""
+
+    text: Text
+    met: bool | None = None
+
+
+Cell = TableCell | Text
+
+
+@dataclass(frozen=True)
+class Table:
+    """Table whose first column names the rows.
+
+    Attributes
+    ----------
+    title : str
+        Above the table; "" for none.
+    header : sequence of str
+        Names of the columns.
+    rows : sequence of rows
+        Cells, one per column.
+    note : str
+        Sentence below.
+    """
+
+    macro: ClassVar = "table"
+    title: str
+    header: Sequence[Text]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+
+    @property
+    def cells(self) -> list[list[TableCell]]:
+        """Rows of cells."""
+        return [[c if isinstance(c, TableCell) else TableCell(c) for c in row] for row in self.rows]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One drawing.
+
+    Attributes
+    ----------
+    title : str
+        Above the drawing.
+    alt : str
+        What the drawing shows, for readers who cannot see it.
+    svg : str
+        The drawing.
+    """
+
+    title: str
+    alt: str
+    svg: str
+
+
+class LegendEntry(NamedTuple):
+    """Line of a legend; `dash` is "solid", "dashed" or "dotted"."""
+
+    colour: str
+    label: str
+    dash: str = "solid"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels under one heading and one legend, side by side where there is room.
+
+    Attributes
+    ----------
+    title, note : str
+        Heading, "" for none; sentence below.
+    panels : sequence of Panel
+        The drawings.
+    paper : str
+        Number of the paper's figure, "" for none.
+    legend : sequence of LegendEntry
+        What the colours stand for.
+    """
+
+    macro: ClassVar = "figure"
+    title: str
+    note: str
+    panels: Sequence[Panel]
+    paper: str = ""
+    legend: Sequence[LegendEntry] = ()
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with short values, such as software versions."""
+
+    macro: ClassVar = "facts"
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class CommandList:
+    """Commands in order; `folded` hides them behind their number."""
+
+    macro: ClassVar = "commands"
+    commands: Sequence[str]
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class ClaimCard:
+    """One claim with what each study says about it.
+
+    Attributes
+    ----------
+    claim : str
+        The claim.
+    verdicts : sequence of (names, holds, text)
+        Studies that agree; whether the claim holds (None: they cannot tell); the finding.
+    depends_on : sequence of str
+        What the claim depends on.
+    """
+
+    claim: str
+    verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
+    depends_on: Sequence[str]
+
+
+@dataclass(frozen=True)
+class ClaimCards:
+    """Cards side by side."""
+
+    macro: ClassVar = "claims"
+    cards: Sequence[ClaimCard]
+
+
+Part = Paragraph | Table | Figure | Facts | CommandList | ClaimCards
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of a page with a heading; its parts are shown in order."""
+
+    id: str
+    title: str
+    parts: list[Part] = field(default_factory=list)
+
+
+def missing_inputs(command: str) -> Paragraph:
+    """Line in place of a part whose inputs are missing, with the command that writes them."""
+    text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
+    return Paragraph(text.format(command), "missing")
