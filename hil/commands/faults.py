@@ -92,7 +92,7 @@ def describe_campaign(judged: list[CaseVerdict], document: FaultsDocument, out: 
         Directory that it is in.
     """
     lines = [
-        f"{one.verdict}: {one.case.name}: {'; '.join(one.unsafe + one.astray)}"
+        f"{one.verdict}: {one.case.name}: {'; '.join(one.safety_violations + one.deviations)}"
         for one in judged
         if one.verdict != "pass"
     ]

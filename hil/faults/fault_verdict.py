@@ -63,21 +63,21 @@ class CaseVerdict:
         What was run.
     observation : CaseObservation
         Observation of the run.
-    unsafe, astray : list of str
-        Complaints about safety; about the course, which must be as the row says.
+    safety_violations, deviations : list of str
+        Complaints about safety, and about the course, which must be as the row says.
     """
 
     case: FaultCase
     observation: CaseObservation
-    unsafe: list[str]
-    astray: list[str]
+    safety_violations: list[str]
+    deviations: list[str]
 
     @property
     def verdict(self) -> Verdict:
         """Result of the case."""
-        if self.unsafe:
+        if self.safety_violations:
             return Verdict.FAIL
-        if not self.astray:
+        if not self.deviations:
             return Verdict.PASS
         preempted = self.observation.misses.get(Cause.PREEMPTED.value, 0)
         excused = preempted and self.case.line != "virtual"
@@ -96,10 +96,10 @@ def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseV
     period_s : float
         Control period, which sets the time of the servos' watchdog.
     """
-    return CaseVerdict(case, seen, _unsafe(seen, period_s), _astray(case.row, seen))
+    return CaseVerdict(case, seen, _safety_violations(seen, period_s), _deviations(case.row, seen))
 
 
-def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
+def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
     """Complaints about what must hold in every case."""
     complaints = []
     limit_ns = round(watchdog_steps(period_s) * WATCHDOG_STEP_S * 1e9)
@@ -119,7 +119,7 @@ def _unsafe(seen: CaseObservation, period_s: float) -> list[str]:
     return complaints
 
 
-def _astray(row: FaultRow, seen: CaseObservation) -> list[str]:
+def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
     """Differences between the course and the row."""
     must, complaints = row.must, []
     if row.injections and not seen.injected:
@@ -147,7 +147,7 @@ def faults_junit(judged: Sequence[CaseVerdict]) -> bytes:
             JUnitCase(
                 one.case.name,
                 one.verdict,
-                "; ".join(one.unsafe + one.astray),
+                "; ".join(one.safety_violations + one.deviations),
                 f"must: {one.case.row.must}",
             )
             for one in judged

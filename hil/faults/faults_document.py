@@ -134,7 +134,7 @@ def _result(one: CaseVerdict) -> CaseResult:
         seed=case.seed,
         must=str(case.row.must),
         verdict=one.verdict,
-        complaints=tuple(one.unsafe + one.astray),
+        complaints=tuple(one.safety_violations + one.deviations),
     )
 
 

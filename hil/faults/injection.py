@@ -132,7 +132,7 @@ class FaultSchedule(FaultPlan):
         self.exchange = 0
         self.began_ns: int | None = None
         self._injections = tuple(injections)
-        self._wire = [i for i in injections if i.kind in LINE_FAULTS]
+        self._line = [i for i in injections if i.kind in LINE_FAULTS]
 
     def first(self, injection: Injection) -> int:
         """Exchange in which an injection begins."""
@@ -160,7 +160,7 @@ class FaultSchedule(FaultPlan):
     def apply(self, frame: bytes) -> Arrivals:
         """Return what arrives in place of a status packet."""
         arrivals: Arrivals = [(0, frame)]
-        for injection in self._wire:
+        for injection in self._line:
             if self.active(injection, self.exchange):
                 fault = LINE_FAULTS[injection.kind]
                 arrivals = [

@@ -1,4 +1,4 @@
-"""A plant that needs no compiler: every joint follows its goal like a first-order lag."""
+"""Plant without a compiler: every joint follows its goal like a first-order lag."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bus_of():
 
 @pytest.fixture(scope="session")
 def patient():
-    """Repeat what the SDK gave up after its 34 ms: on a busy machine no proof of anything."""
+    """Repeat calls of the SDK that time out after 34 ms, as they may on a busy machine."""
 
     def call(method, *arguments):
         for _ in range(20):

@@ -1,4 +1,4 @@
-"""The wire's timing, and the three transports spoken to by programs that know nothing of it."""
+"""Timing of the line, and its three ports, used by the SDK and by our bus."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from hil.emulator.packets import BROADCAST, Instruction, PacketParser
 MS = 1_000_000
 
 
-def bus_on(wire, clock, number=54025, ids=(1, 2)) -> DynamixelBus:
+def bus_on(transport, clock, number=54025, ids=(1, 2)) -> DynamixelBus:
     servos = [ServoSetup(servo_id, MODELS[number], -1.0, 1.0) for servo_id in ids]
-    return DynamixelBus(wire, servos, clock, period_s=0.017)
+    return DynamixelBus(transport, servos, clock, period_s=0.017)
 
 
 @pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000])
 @pytest.mark.parametrize("servos", [1, 2, 4])
-def test_every_plan_takes_the_wire_time_that_was_calculated(bus_of, baud, servos):
+def test_every_plan_takes_the_transmission_time_that_was_calculated(bus_of, baud, servos):
     """The line plays packets bit by bit; the plan counts bytes on paper."""
     ids = tuple(range(1, servos + 1))
     for plan in plans(MODELS[54025].table, servos, baud):
@@ -74,7 +74,7 @@ def test_a_full_adapter_does_not_wait_for_its_timer(bus_of):
 
 
 @given(st.lists(st.integers(0, 60 * MS), max_size=20), st.sampled_from([0.0, 1e-3, 16e-3]))
-def test_no_answer_is_readable_before_it_is_on_the_wire(bus_of, gaps, latency):
+def test_no_answer_is_readable_before_it_was_transmitted(bus_of, gaps, latency):
     line = Line(bus_of(1020), latency_s=latency)
     now = 0
     for gap in gaps:
@@ -118,9 +118,10 @@ def test_a_virtual_run_is_the_same_twice(bus_of):
     def run() -> bytes:
         clock, log = SimClock(), []
         plan = FaultPlan({"lost": 0.1, "corrupt": 0.1, "noise": 0.1}, seed=3)
-        bus = bus_on(VirtualTransport(Line(bus_of(54024, (1, 2))), clock), clock, 54024)
+        line = Line(bus_of(54024, (1, 2)))
+        bus = bus_on(VirtualTransport(line, clock), clock, 54024)
         bus.connect()
-        bus._port._wire._line.faults = plan
+        line.faults = plan
         bus.torque(True)
         for k in range(200):
             status = bus.read(clock.now_ns() + 8 * MS)
@@ -133,7 +134,7 @@ def test_a_virtual_run_is_the_same_twice(bus_of):
 
 
 @pytest.mark.parametrize("kind", ["lost", "late", "truncated", "corrupt", "duplicated", "noise"])
-def test_each_fault_befalls_what_it_says_and_never_becomes_data(bus_of, kind):
+def test_each_fault_changes_its_packets_and_never_becomes_data(bus_of, kind):
     clock = SimClock()
     line = Line(bus_of(54025))
     bus = bus_on(VirtualTransport(line, clock), clock, ids=(1,))

@@ -19,8 +19,8 @@ tricky = st.lists(
 ).map(bytes)
 
 
-class Wire:
-    """What the SDK calls a port: keeps what it is given, plays back what it is told."""
+class SdkPort:
+    """Port for the SDK: keeps the bytes that are written, returns those that were given."""
 
     def __init__(self, incoming: bytes = b"") -> None:
         self.is_using = False
@@ -77,7 +77,9 @@ def test_the_sdk_reads_our_status_packets(servo_id, error, parameters):
     # The SDK's removeStuffing looks at bytes that it has already moved: a second FF FD FD behind
     # a stuffed FF FF FD loses a byte. Everything else it reads right.
     assume(b"\xff\xfd\xfd" not in bytes((error,)) + parameters)
-    rxpacket, result = SDK.rxPacket(Wire(packets.status_packet(servo_id, error, parameters)), False)
+    rxpacket, result = SDK.rxPacket(
+        SdkPort(packets.status_packet(servo_id, error, parameters)), False
+    )
     assert result == 0
     assert (rxpacket[4], rxpacket[8]) == (servo_id, error)
     assert bytes(rxpacket[9 : 9 + len(parameters)]) == parameters
@@ -90,7 +92,7 @@ def test_the_sdk_reads_our_fast_status_packets(servos, data):
     content = [data.draw(st.binary(min_size=size, max_size=size)) for _ in servos]
     blocks = [(i, error, block) for (i, error), block in zip(servos, content, strict=True)]
     frame = packets.fast_status_packet(len(blocks), blocks)
-    raw, result, _ = SDK.fastSyncReadRx(Wire(frame), packets.BROADCAST, len(blocks) * (size + 4))
+    raw, result, _ = SDK.fastSyncReadRx(SdkPort(frame), packets.BROADCAST, len(blocks) * (size + 4))
     assert result == 0
     for k, (servo_id, error, block) in enumerate(blocks):
         start = k * (size + 4)
@@ -106,16 +108,16 @@ def test_a_fast_status_packet_announces_those_that_stay_silent():
 
 def test_the_sdk_unstuffs_once_too_often_and_we_do_not():
     data = bytes.fromhex("FFFFFD 00 FFFDFD 00")
-    rxpacket, result = SDK.rxPacket(Wire(packets.status_packet(1, 0, data)), False)
+    rxpacket, result = SDK.rxPacket(SdkPort(packets.status_packet(1, 0, data)), False)
     assert result == 0 and bytes(rxpacket[9 : 9 + len(data)]) != data
     [packet] = PacketParser().feed(packets.status_packet(1, 0, data))
     assert packet.parameters[1:] == data
 
 
 def test_a_packet_that_the_sdk_leaves_unstuffed_is_refused():
-    wire = Wire()
-    SDK.write4ByteTxOnly(wire, 1, 564, -131073)
-    assert [p.intact for p in PacketParser().feed(wire.sent)] == [False]
+    port = SdkPort()
+    SDK.write4ByteTxOnly(port, 1, 564, -131073)
+    assert [p.intact for p in PacketParser().feed(port.sent)] == [False]
 
 
 @given(
@@ -176,6 +178,6 @@ def test_no_packet_with_a_flipped_bit_is_taken_for_intact(servo_id, parameters, 
     ],
 )
 def test_instructions_equal_the_sdks(ours, theirs):
-    wire = Wire()
-    theirs(wire)
-    assert wire.sent == ours
+    port = SdkPort()
+    theirs(port)
+    assert port.sent == ours

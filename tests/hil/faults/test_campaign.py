@@ -74,7 +74,7 @@ def run(robot, row, number=PRO_A, seed=5):
 def test_every_fault_ends_as_the_table_says(robot, row):
     for number in row.models:
         judged = run(robot, row, number)
-        assert judged.verdict == "pass", judged.unsafe + judged.astray
+        assert judged.verdict == "pass", judged.safety_violations + judged.deviations
 
 
 def test_the_same_seed_gives_the_same_run_and_another_one_another(robot):
@@ -95,7 +95,7 @@ def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(robot, monkeypatch
     monkeypatch.setattr(feedback, "_DISTINCT_LENGTHS", 1)
     judged = run(robot, row)
     assert judged.verdict == "fail"
-    assert any("old data for fresh" in words for words in judged.unsafe)
+    assert any("old data for fresh" in words for words in judged.safety_violations)
 
 
 @pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)
@@ -103,7 +103,7 @@ def test_a_bus_that_does_not_read_again_is_found_out(robot, monkeypatch, row):
     monkeypatch.setattr(DynamixelBus, "_check_replies", only_once)
     judged = run(robot, row)
     assert judged.verdict == "fail"
-    assert any("ticks lost, not 0" in words for words in judged.astray)
+    assert any("ticks lost, not 0" in words for words in judged.deviations)
 
 
 def only_once(bus):
@@ -127,7 +127,7 @@ def test_goals_that_jump_after_a_replug_are_found_out(robot, monkeypatch):
     judged = run(robot, row)
     assert any(reopened)
     assert judged.verdict == "fail"
-    assert any("a goal jumped by 0.0" in words for words in judged.unsafe)
+    assert any("a goal jumped by 0.0" in words for words in judged.safety_violations)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_each_thing_that_must_hold_is_looked_at(change, words):
     assert judge_case(case, good, PERIOD_S).verdict == "pass"
     judged = judge_case(case, msgspec.structs.replace(good, **change), PERIOD_S)
     assert judged.verdict == "fail"
-    assert any(words in complaint for complaint in judged.unsafe + judged.astray)
+    assert any(words in complaint for complaint in judged.safety_violations + judged.deviations)
 
 
 def test_the_host_is_an_excuse_for_the_course_but_not_for_safety():
@@ -195,7 +195,7 @@ FRAME = packets.status_packet(1, 0, bytes(range(10)))
 
 
 @pytest.mark.parametrize("kind", LINE_FAULTS)
-def test_a_fault_of_the_wire_befalls_its_exchanges_and_no_other(kind):
+def test_a_fault_of_the_line_acts_in_its_exchanges_and_no_other(kind):
     script = FaultSchedule((Injection(kind, 2, 5e-3),), seed=3)
     seen = {}
     for exchange in range(script.start + 4):

@@ -23,7 +23,7 @@ START_NS = 10**12
 
 
 def run_of(ticks: int = 1000) -> np.ndarray:
-    """A calm run: every tick takes 1.5 ms, 1.2 of them on the wire, and wakes 30 µs late."""
+    """A calm run: every tick takes 1.5 ms, 1.2 of them bus wait, and wakes 30 µs late."""
     records = np.zeros(ticks, tick_dtype(1))
     records["tick"] = np.arange(ticks)
     records["deadline_ns"] = START_NS + records["tick"] * PERIOD_NS
@@ -79,7 +79,7 @@ def test_computing_too_long_is_our_own_doing():
     assert timing.slots == 1002
 
 
-def test_waiting_too_long_for_the_wire_is_ours():
+def test_waiting_too_long_for_the_bus_is_the_loops():
     records = run_of()
     slow_down(records, 500, 18 * MS, wait_ns=17 * MS)
     timing = judge(records, probe_over(records), probe_over(records))

@@ -30,16 +30,16 @@ TRIES = 3
 @pytest.mark.parametrize("name", CASES)
 def test_a_fault_of_the_process_is_survived(robot, name):
     row = next(row for row in PROCESS if f"{row.fault}, {row.how}" == CASES[name])
-    astray = []
+    deviations = []
     for _ in range(TRIES):
         seen = run_process(robot, row, row.models[0], 1)
         judged = judge_case(FaultCase(row, "process", row.models[0], 1), seen, PERIOD_S)
-        assert not judged.unsafe
+        assert not judged.safety_violations
         assert not seen.live
         if name == "killed":
             assert (seen.ended, seen.unheard_ns) == ("killed", 60_000_000)
             assert "watchdog stopped it" in seen.told
         if judged.verdict in ("pass", "inconclusive"):
             return
-        astray.append(judged.astray)
-    pytest.fail(f"{TRIES} times astray: {astray}")
+        deviations.append(judged.deviations)
+    pytest.fail(f"{TRIES} times with deviations: {deviations}")
