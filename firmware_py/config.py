@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus import bus_plan
-from firmware_py.bus.dynamixel import ServoSetup
 from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
 from firmware_py.bus.servo_models import model_named
+from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
 from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,48 +16,21 @@ from firmware_py.bus.goal_writer import GoalWriter
 from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.register_access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
 from firmware_py.bus.registers import (
-    POSITION_MODE,
-    RETURN_DELAY_STEP_S,
     WATCHDOG_STEP_S,
     Register,
-    RegisterField,
-    describe_alert,
 )
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.bus.servo_models import MODELS, Model, round_half_away
+from firmware_py.bus.servo_setup import ServoPreparation, ServoSetup
 from firmware_py.bus.transport import Transport
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import Clock
 
-__all__ = ["DynamixelBus", "ServoSetup", "watchdog_steps"]
+__all__ = ["DynamixelBus", "watchdog_steps"]
 
 Array = NDArray[np.float64]
 
 _TRIAL_READS: Final = 5
 _WATCHDOG_PERIODS: Final = 3
-
-
-class ServoSetup(NamedTuple):
-    """Configuration of one servo.
-
-    Attributes
-    ----------
-    id : int
-        Id on the bus.
-    model : Model
-        Expected model.
-    min_angle_rad, max_angle_rad : float
-        Range of the goals; the servo's own position limits must contain it.
-    max_rate_rad_s : float
-        Largest rate of the goals. It is written as profile velocity to a servo without a watchdog,
-        so that the servo moves no faster when the loop has died; infinity writes nothing.
-    """
-
-    id: int
-    model: Model
-    min_angle_rad: float
-    max_angle_rad: float
-    max_rate_rad_s: float = math.inf
 
 
 class DynamixelBus:
@@ -121,13 +94,13 @@ class DynamixelBus:
         self.current_a = np.zeros(self.dof)
         self.alert = 0
         self.firmware_versions: tuple[int, ...] = ()
-        self._servos, self._name, self._clock = tuple(servos), name, clock
-        self._period_s, self._return_delay_s = period_s, return_delay_s
+        self._servos, self._clock, self._period_s = tuple(servos), clock, period_s
         self._port = DeadlinePort(transport, clock, name, baud)
         self._packets = PacketHandler()
         self._registers = RegisterAccess(self._port, self._packets, clock)
         self._models = {servo.id: servo.model for servo in servos}
         self._table = servos[0].model.table
+        self._preparation = ServoPreparation(self._registers, name, return_delay_s)
         self._goals = GoalWriter(self._port, self._packets, self._models)
         self._driven = False  # torque may be on
         self._driving = False  # every servo has confirmed torque on
@@ -210,9 +183,11 @@ class DynamixelBus:
             mode, has narrower limits than the configuration, or answers too slowly.
         """
         self.alert, self._driving = 0, False
-        self.firmware_versions = tuple(self._prepare(servo) for servo in self._servos)
+        self.firmware_versions = tuple(map(self._preparation.prepare, self._servos))
         if (status := self._choose_plan()) > BusStatus.RETRIED:
-            raise self._unfit(f"first measurement failed ({status.name})", "check the cabling")
+            raise self._preparation.unfit(
+                f"first measurement failed ({status.name})", "check the cabling"
+            )
         self._check_replies()
 
     def _follow(self, plan: Plan) -> None:
@@ -224,7 +199,7 @@ class DynamixelBus:
         """Follow the fastest plan that the servos answer; return the status of the last attempt."""
         status = BusStatus.OK
         for plan in self._plans:
-            if plan.indirect and not all(self._gather(servo) for servo in self._servos):
+            if plan.indirect and not all(map(self._preparation.gather, self._servos)):
                 continue
             self._follow(plan)
             for _ in range(SETUP_ATTEMPTS):
@@ -232,19 +207,6 @@ class DynamixelBus:
                 if status <= BusStatus.ALERT:
                     return status
         return status
-
-    def _gather(self, servo: ServoSetup) -> bool:
-        """Point the first indirect addresses of a servo to the registers that a tick reads.
-
-        They lie in EEPROM, so they are written only where they differ.
-        """
-        entries = [a.to_bytes(2, "little") for a in self._table.gathered_addresses]
-        cell, raw = RegisterField(self._table.indirect.address, 2 * len(entries)), b"".join(entries)
-        wanted = cell.decode(raw)
-        registers, id_ = self._registers, servo.id
-        return registers.get(id_, cell) == wanted or (
-            registers.put(id_, cell, wanted) and registers.get(id_, cell) == wanted
-        )
 
     def _check_replies(self) -> None:
         """Measure the duration of an exchange; refuse servos or adapters that are too slow."""
@@ -256,69 +218,12 @@ class DynamixelBus:
         usual_ns = self._feedback.usual_ns = sorted(taken_ns)[_TRIAL_READS // 2]
         timeout_s = self._reply_timeout_s
         if timeout_s is not None and usual_ns > round(timeout_s * 1e9):
-            raise self._unfit(
+            raise self._preparation.unfit(
                 f"answers take {usual_ns / 1e6:.1f} ms, bus.reply_timeout_s allows "
                 f"{timeout_s * 1e3:g} ms",
                 "set the adapter's latency timer to 1 ms ('dropstitch install-service' does), or "
                 "raise the baud rate",
             )
-
-    def _prepare(self, servo: ServoSetup) -> int:
-        """Check one servo; return its firmware version."""
-        number = self._get(servo, Register.MODEL_NUMBER)
-        if number != servo.model.number:
-            found = MODELS[number].name if number in MODELS else f"model number {number}"
-            raise self._unfit(
-                f"servo {servo.id} is {found}, not {servo.model.name}",
-                "correct the model in the configuration",
-            )
-        self._set(servo, Register.TORQUE_ENABLE, 0)
-        if Register.BUS_WATCHDOG in self._table:
-            self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
-        if bits := self._get(servo, Register.HARDWARE_ERROR):
-            raise self._unfit(
-                f"servo {servo.id} reports a hardware error ({describe_alert(bits)})",
-                "remove its cause, then switch the servo off and on",
-            )
-        if (mode := self._get(servo, Register.OPERATING_MODE)) != POSITION_MODE:
-            raise self._unfit(
-                f"servo {servo.id} is in operating mode {mode}",
-                f"set register Operating Mode to {POSITION_MODE} (position control)",
-            )
-        low = servo.model.angle_rad(self._get(servo, Register.MIN_POSITION_LIMIT))
-        high = servo.model.angle_rad(self._get(servo, Register.MAX_POSITION_LIMIT))
-        if servo.min_angle_rad < low or servo.max_angle_rad > high:
-            raise self._unfit(
-                f"servo {servo.id} allows {low:.3f} to {high:.3f} rad, the configuration "
-                f"{servo.min_angle_rad:.3f} to {servo.max_angle_rad:.3f} rad",
-                "narrow limits.angle_rad, or widen the servo's position limits",
-            )
-        if self._return_delay_s is not None:
-            delay = round_half_away(self._return_delay_s / RETURN_DELAY_STEP_S)
-            if self._get(servo, Register.RETURN_DELAY) != delay:
-                self._set(servo, Register.RETURN_DELAY, delay)
-        if Register.BUS_WATCHDOG not in self._table and math.isfinite(servo.max_rate_rad_s):
-            lsb = servo.model.velocity_rad_s_per_lsb
-            self._set(servo, Register.PROFILE_VELOCITY, math.ceil(servo.max_rate_rad_s / lsb))
-        return self._get(servo, Register.FIRMWARE_VERSION)
-
-    def _unfit(self, what: str, remedy: str) -> InputError:
-        return InputError(self._name, what, remedy)
-
-    def _get(self, servo: ServoSetup, register: Register) -> int:
-        if (raw := self._registers.get(servo.id, self._table[register])) is None:
-            raise self._silent(servo, f"read {register.value}")
-        return raw
-
-    def _set(self, servo: ServoSetup, register: Register, raw: int) -> None:
-        if not self._registers.put(servo.id, self._table[register], raw):
-            raise self._silent(servo, f"write {register.value}")
-
-    def _silent(self, servo: ServoSetup, attempt: str) -> InputError:
-        return self._unfit(
-            f"servo {servo.id} gives no good answer to '{attempt}'",
-            "check its power, cable and id, and that the baud rate is the servo's",
-        )
 
     def torque(self, on: bool) -> BusStatus:
         """Switch the torque of every servo, and arm or disarm its watchdog.

@@ -5,11 +5,12 @@ import tracemalloc
 
 import numpy as np
 
-from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.motion import Motion

@@ -1,8 +1,9 @@
 """Servos in memory whose answers are tampered with, late or lost."""
 
-from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.realtime.clock import SimClock
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020

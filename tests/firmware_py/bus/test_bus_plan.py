@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus.bus_plan import available_s, plain, plans, require_any, require_time
-from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.registers import LEGACY_PRO, PRO_P, X_SERIES, Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import SimClock
 

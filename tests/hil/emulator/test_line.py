@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus.bus_plan import plans
-from firmware_py.bus.dynamixel import DynamixelBus, ServoSetup
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.register_access import SETUP_TIMEOUT_NS
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.bus.transport import SocketTransport
 from firmware_py.realtime.clock import DeadlineClock, SimClock
 from hil.emulator import packets
