@@ -152,7 +152,7 @@ class Plant:
                 raise InputError(name, "is no parameter of the plant", "see the plant document")
             error = (errors or {}).get(name, parameters[name].error)
             parameters[name] = msgspec.structs.replace(
-                parameters[name], value=float(value), error=error
+                parameters[name], value=float(value), error=None if error is None else float(error)
             )
         check_values(f"plant {self.name!r}", parameters.values())
         return replace(self, parameters=parameters)

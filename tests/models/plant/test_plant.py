@@ -3,6 +3,7 @@
 import json
 
 import msgspec
+import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
@@ -107,3 +108,11 @@ def test_a_value_outside_its_bounds_cannot_be_set():
         read_plant().with_values({"link_mass_kg": -1.0})
     with pytest.raises(InputError, match="is no parameter"):
         read_plant().with_values({"mass": 1.0})
+
+
+def test_values_of_numpy_are_written_as_numbers(tmp_path):
+    value = np.float64(2 / 3)
+    plant = read_plant().with_values({"link_mass_kg": value}, {"link_mass_kg": np.float64(0.1)})
+    plant.write(tmp_path / "plant.json")
+    again = read_plant(tmp_path / "plant.json").parameters["link_mass_kg"]
+    assert (again.value, again.error) == (2 / 3, 0.1)
