@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 import shutil
-import sys
-import types
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +40,10 @@ def test_the_servo_turns_angles_into_pulses_and_back():
 
 @pytest.fixture
 def npz_importer(monkeypatch):
-    module = types.ModuleType("models.trials.importers.npz_file")
-    code("Add an importer", module.__dict__)
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(importers._MODULES, "npz", "npz_file")
+    reader = code("Add an importer")["read_npz"]
+    monkeypatch.setitem(importers.READERS, "npz", reader)
     command = importlib.import_module("models.commands.import_")
-    monkeypatch.setattr(command, "KINDS", (*importers.KINDS, "npz"))
+    monkeypatch.setattr(command, "KINDS", tuple(importers.READERS))
 
 
 MAP = """
