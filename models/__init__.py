@@ -1,1 +1,1 @@
-"""Offline: trials, the virtual laboratory, the plant, learning, export."""
+"""Offline: trials, the rig, the plant, learning, the gap workflow, export."""

@@ -12,8 +12,8 @@
 typedef int (*Function)(const double **, double **, casadi_int *, double *, int);
 typedef int (*Work)(casadi_int *, casadi_int *, casadi_int *, casadi_int *);
 
-static const Work WORK[] = {model_begin_work, model_flow_work, model_finish_work,
-                            model_output_work};
+static const Work MODEL_WORK[] = {model_begin_work, model_flow_work, model_finish_work,
+                                  model_output_work};
 
 /* Outputs y[0] at the start x and y[k + 1] after step k, which u[k] drives. x ends as the last
  * state. Returns 0, or 1 when memory is short. */
@@ -23,7 +23,7 @@ __attribute__((visibility("default"))) int run(long steps, double step_s, double
     casadi_int sizes[4] = {4, 1, 1, 1}; /* arguments, results, integers, doubles */
     for (int k = 0; k < 4; k++) {
         casadi_int need[4];
-        WORK[k](&need[0], &need[1], &need[2], &need[3]);
+        MODEL_WORK[k](&need[0], &need[1], &need[2], &need[3]);
         for (int i = 0; i < 4; i++)
             if (need[i] > sizes[i]) sizes[i] = need[i];
     }
