@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--servo", type=Path, metavar="LOG",
-        help="second file with angle, current and goal: .mcap of ours, or a table",
+        help="second file with angle, current and goal: .mcap log of dropstitch run, or a table",
     )  # fmt: skip
     parser.add_argument(
         "--offset", type=float, metavar="SECONDS",

@@ -72,5 +72,5 @@ def check_values(where: str, parameters: Iterable[Parameter]) -> None:
             raise InputError(
                 where,
                 f"parameter {q.name} is {q.value:g} {q.unit}, outside {q.low:g} to {q.high:g}",
-                "give a value within the bounds, or bounds that hold it",
+                "give a value within the bounds, or wider bounds",
             )

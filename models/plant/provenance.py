@@ -122,7 +122,7 @@ class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes
     ----------
     name : str
-        For people; trials of several directories may share it.
+        For people; trials of different directories may have the same name.
     sha256 : str
         Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
     """
@@ -171,7 +171,7 @@ class Provenance(
     def fitted_with(self, trials: Iterable[Trial]) -> tuple[FittedTrial, ...]:
         """Fitted trials of this plant and, after them, those of `trials` that are not among them.
 
-        Two trials are the same where their hashes are, whatever their names.
+        Trials with the same hash are the same, even under different names.
         """
         by_hash = {t.sha256: t for t in self.fitted_trials}
         for trial in trials:
@@ -180,7 +180,7 @@ class Provenance(
         return tuple(by_hash.values())
 
     def was_fitted_to(self, trial: Trial) -> bool:
-        """Whether a trial with these conditions and samples was fitted, under whatever name."""
+        """Whether a trial with these conditions and samples was fitted, under any name."""
         return trial.sha256() in {t.sha256 for t in self.fitted_trials}
 
 

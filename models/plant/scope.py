@@ -74,7 +74,7 @@ class Scope:
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
     holding_torque : dict by joint
-        Drive torque that holds the load still at the start.
+        Drive torque that balances the load at the start.
     friction_direction : dict by joint
         Smooth sign of the rate with presliding, from drives that have it.
     current, motor_torque : dict by joint
@@ -88,7 +88,7 @@ class Scope:
     torque_scale, current_limit_reduction : dict by joint
         Factor on the drive's torque; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
-        Lost motion in the gear: the load stands at angle - windup.
+        Lost motion in the gear: the load's coordinate is angle - windup.
     bend, bend_rate, stiffness, bend_torque : dict by hinge
         Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
     rest_bend : dict by hinge

@@ -1,1 +1,1 @@
-"""Rig: the MuJoCo simulation that stands for the real robot, and the study's protocol."""
+"""Rig: the MuJoCo simulation of the real robot, and the protocol of the study."""

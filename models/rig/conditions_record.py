@@ -22,7 +22,7 @@ OLD_FILE: Final = "laboratory.json"
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial that its own files do not tell.
+    """Conditions of a trial that its own files do not contain.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ class MujocoLink:
     Attributes
     ----------
     model : mujoco.MjModel
-        Hinges and slides only, so that positions and rates share addresses.
+        Hinges and slides only, so that positions and rates have the same addresses.
     joints : ndarray, shape (dof,)
         Addresses of the driven joints.
     hinges : ndarray, shape (9, 2)

@@ -14,7 +14,7 @@ from firmware_py.motion import STUDY_PERIOD_S, Motion
 STUDY_PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 STUDY_PRESSURE_PA: Final = 41_300.0
 DOWN: Final = (0.0, 0.0, -1.0)
-"""Direction of gravity where the robot stands upright."""
+"""Direction of gravity where the robot is upright."""
 
 
 @dataclass(frozen=True)

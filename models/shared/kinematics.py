@@ -20,7 +20,7 @@ def base_rotation(angle_rad: Array) -> Array:
     Parameters
     ----------
     angle_rad : ndarray, shape (n, dof)
-        Joint angles in rad; with one column joint 2 stands at zero.
+        Joint angles in rad; with one column joint 2 is at zero.
 
     Returns
     -------

@@ -25,7 +25,7 @@ class Drive(Protocol):
     kind : str
         Name in a plant document.
     features : tuple of str
-        What effects may act on (`models.plant.effects.Need`).
+        Features that effects may need (`models.plant.effects.Need`).
     has_presliding : bool
         Whether dry friction has bristles and depends on the drive's torque on the gear.
     """

@@ -1,4 +1,4 @@
-"""Interface of a load: what a joint moves."""
+"""Interface of a load: the mechanism that the joints move."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PlantLoad(Protocol):
     max_dof : int
         Largest number of joints.
     features : tuple of str
-        What effects may act on (`models.plant.effects.Need`).
+        Features that effects may need (`models.plant.effects.Need`).
     suffix : dict
         `models.plant.scope.ROTARY` or `models.plant.scope.LINEAR`.
     """

@@ -25,7 +25,7 @@ from models.plant.scope import Scope
 from models.shared.catalogue import CATALOGUE, Port
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
-"""Effects by name; a class enters by being defined. They act as `order.in_order` says."""
+"""Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit"]
 """Features that an effect may need and that not every drive and load has."""

@@ -25,7 +25,7 @@ class DeadTime(Effect):
 
     e^−x ≈ (1 − 2x/5 + x²/20) / (1 + 3x/5 + 3x²/20 + x³/60),  x = s D  [Baker & Graves-Morris 1996]
 
-    Its relative error is 1.4e-4 (ωD)⁶, 1e-4 for 80 ms at 2 Hz; a chain of three lags is off by
+    Its relative error is 1.4e-4 (ωD)⁶, 1e-4 for 80 ms at 2 Hz; three first-order lags are off by
     (ωD)²/6. Being strictly proper it passes no step at once. States of a delay of zero would be
     infinitely fast: the states delay by D = √(θ² + D_0²) and their output counts by θ/D, so that
     the mean delay is θ exactly, at zero the goal passes untouched, and all is smooth in θ.
@@ -66,7 +66,7 @@ class CurrentSaturation(Effect):
     needs = ("current limit",)
     per_joint = (
         Parameter(name="current_saturation_{j}_a", unit="A", value=0.0, low=0.0, high=9.5,
-                  role="effect", description="how far the limit lies below the rated one",
+                  role="effect", description="reduction of the limit below the rated one",
                   source="assumed absent"),
     )  # fmt: skip
 

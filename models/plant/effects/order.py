@@ -1,9 +1,9 @@
 """Order in which the effects of one port act.
 
-The ports are served one after the other (`PORTS`). Within a port the effects act in the order of
-`ORDER`, whatever the order of their files, classes or entries in a plant document; the parameters
-of a composed model stand in the same order. An effect that is not listed acts after those of its
-port that are; several such effects act in the order of their names.
+The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
+`ORDER`, regardless of the order of their files, classes or entries in a plant document. The
+parameters of a composed model have the same order. An effect that is not listed
+acts after the listed ones of its port; several such effects act in the order of their names.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from models.shared.catalogue import Port
 PORTS: Final[tuple[Port, ...]] = (
     "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
 )  # fmt: skip
-"""Order of the ports. Sensors come first because the drive sees what they show. Stiffness and mass
+"""Order of the ports. Sensors come first because the drive controls the measured angle. Stiffness and mass
 come before the torques that they enter. `servo_torque` is last: friction and wind-up depend on the
 torque that the gear transmits, which is known once all other torques are."""
 

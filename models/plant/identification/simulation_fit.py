@@ -3,7 +3,7 @@
 A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
 of one: residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
 effect"). Each free parameter also has a prior, its value before the fit with a quarter of its
-bounds as standard deviation, so that what the data cannot show stays where it was.
+bounds as standard deviation, so that parameters which the data do not determine keep their values.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 def write_model_c(model: StepModel, directory: Path) -> Path:
     """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
 
-    The functions take and give dense vectors, whatever sparsity CasADi found.
+    Arguments and results are dense vectors, also where CasADi finds them sparse.
     """
     generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
     for name in FUNCTIONS:

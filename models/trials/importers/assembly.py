@@ -93,7 +93,7 @@ def align_rest_pose(series: list[Series], mapping: RecordingMap) -> list[Series]
     Raises
     ------
     InputError
-        If fewer than four markers are seen at rest.
+        If fewer than four markers are visible at rest.
     """
     if mapping.frame.align == "none":
         return series

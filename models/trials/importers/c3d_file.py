@@ -57,9 +57,9 @@ def _points(path: Path, file: Any, mapping: RecordingMap) -> Series:
     residuals = file["data"]["meta_points"]["residuals"][0]  # below zero: not reconstructed
     markers_m = {}
     for k, label in enumerate(labels):
-        ours = mapping.marker_of(label)
-        if ours:
-            markers_m[ours] = np.where(residuals[k] < 0, np.nan, points_m[:, k]).T
+        marker = mapping.marker_of(label)
+        if marker:
+            markers_m[marker] = np.where(residuals[k] < 0, np.nan, points_m[:, k]).T
     if not markers_m:
         raise InputError(
             path,

@@ -206,9 +206,9 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     def marker_of(self, name: str) -> str | None:
         """Contract name (`m01` …, `tip`) of a marker that the file calls `name`, else None."""
-        for ours, theirs in self.markers.items():
-            if name == theirs:
-                return ours
+        for marker, source in self.markers.items():
+            if name == source:
+                return marker
         bare = name.rsplit(":", 1)[-1].strip().lower()
         return bare if not self.markers and bare in (*MARKERS, "tip") else None
 

@@ -111,14 +111,14 @@ def _position_columns(labels: dict[str, list[str]], mapping: RecordingMap) -> di
     for k, (kind, name, measure, axis) in enumerate(
         zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
     ):
-        ours = mapping.marker_of(name)
+        marker = mapping.marker_of(name)
         rank = _RANK.get(kind.lower(), 2)
-        if ours is None or measure != "Position" or axis not in ("X", "Y", "Z"):
+        if marker is None or measure != "Position" or axis not in ("X", "Y", "Z"):
             continue
-        if ours not in best or rank < best[ours][0]:
-            best[ours] = (rank, {})
-        if rank == best[ours][0]:
-            best[ours][1].setdefault(axis, k)
+        if marker not in best or rank < best[marker][0]:
+            best[marker] = (rank, {})
+        if rank == best[marker][0]:
+            best[marker][1].setdefault(axis, k)
     return {name: [axes["X"], axes["Y"], axes["Z"]] for name, (_, axes) in best.items()}
 
 

@@ -29,7 +29,7 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class Series:
-    """Channels that share their sample times.
+    """Channels with common sample times.
 
     Attributes
     ----------

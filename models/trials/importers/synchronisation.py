@@ -140,8 +140,10 @@ def _correlation(angle_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Arra
     inside = (angle_s >= seen_s[0]) & (angle_s <= seen_s[-1]) & ~gap
     if inside.sum() < 3:
         return 0.0
-    ours = angle_rad[inside] - angle_rad[inside].mean(axis=0)
-    theirs = np.column_stack([np.interp(angle_s[inside], seen_s, column) for column in seen_rad.T])
-    theirs = theirs - theirs.mean(axis=0)
-    size = np.sqrt(np.sum(ours**2) * np.sum(theirs**2))
-    return float(np.sum(ours * theirs) / size) if size > 0 else 0.0
+    angle = angle_rad[inside] - angle_rad[inside].mean(axis=0)
+    direction = np.column_stack(
+        [np.interp(angle_s[inside], seen_s, column) for column in seen_rad.T]
+    )
+    direction = direction - direction.mean(axis=0)
+    size = np.sqrt(np.sum(angle**2) * np.sum(direction**2))
+    return float(np.sum(angle * direction) / size) if size > 0 else 0.0
