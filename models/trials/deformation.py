@@ -116,10 +116,14 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
                 "use a trial whose markers are visible at rest",
             )
         index = np.nanmean(np.abs(lengths - reference) / reference, axis=1)
+    _warn_of_occlusion(trial, lengths)
+    return np.asarray(index, dtype=np.float64)
+
+
+def _warn_of_occlusion(trial: Trial, lengths: Array) -> None:
     occluded = float(np.mean(np.isnan(lengths)))
     if occluded > MAX_OCCLUDED_FRACTION:
         warnings.warn(
             f"{trial.path}: {occluded:.0%} of the lengths are occluded; the index is less certain",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return np.asarray(index, dtype=np.float64)

@@ -8,9 +8,8 @@ motion capture every marker and the tip are empty. docs/trials.md defines all co
 from __future__ import annotations
 
 import csv
-import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,16 +18,15 @@ import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
-from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
+from firmware_py.signals import tick_signals
 from models.trials.trial import (
     LINK_CONDITIONS,
     SCHEMA,
-    Array,
-    SignalRole,
     Trial,
     TrialMeta,
     TrialSet,
 )
+from models.trials.trial_columns import PlantSignals, columns_of, read_sample_columns
 
 __all__ = [
     "Trial",
@@ -43,18 +41,11 @@ __all__ = [
 STEP_TOLERANCE: Final = 1e-3
 """Largest relative deviation of a time step from the mean that counts as uniform."""
 
-_MARKER = re.compile(r"m\d\d_[xyz]_m")
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
-_COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
-"""Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
-
-
-PlantSignals = Mapping[str, SignalRole]
-"""Signals of a plant by name; empty for the link, whose columns the contract defines."""
 
 
 def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
@@ -75,6 +66,7 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
+    >>> from models.trials.trial import SignalRole
     >>> signals = {"position_1_m": SignalRole("m", "measured")}
     >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="step", source="measured",
     ...                  period_s=1.0, rest_samples=1)
@@ -116,6 +108,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
+    >>> from firmware_py.signals import trial_signals
     >>> columns = {s.name: np.zeros(4) for s in trial_signals(dof=1)}
     >>> columns["time_s"] = 0.017 * np.arange(4)
     >>> meta = TrialMeta(dof=1, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="sinusoid",
@@ -130,7 +123,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     if not path.is_file():
         raise InputError(path, "is missing", "name an existing trial")
     meta = _read_meta(path.with_suffix(".toml"), signals)
-    columns = _read_columns(
+    columns = read_sample_columns(
         path, columns_of(meta.dof, signals), {s.name for s in tick_signals(meta.dof)}
     )
     trial = Trial(path.stem, meta, columns, path)
@@ -185,22 +178,6 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
             writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
     path.with_suffix(".toml").write_text(tomli_w.dumps(trial.meta.document()), encoding="utf-8")
     return path
-
-
-def columns_of(dof: int, signals: PlantSignals | None) -> tuple[Signal, ...]:
-    """Columns that a trial must have.
-
-    Parameters
-    ----------
-    dof : int
-        Joints of a trial of the link.
-    signals : mapping of str to SignalRole or None
-        Signals that a plant's file declares; None or empty for the link.
-    """
-    if not signals:
-        return trial_signals(dof)
-    rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
-    return (TIME, *rows)
 
 
 def check_meta(
@@ -258,85 +235,6 @@ def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
             path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"
         )
     return check_meta(document, path, signals)
-
-
-def _read_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
-    """Columns by name; those of `signals` are required, those of `known` need no unit suffix."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
-    while rows and not rows[-1]:  # blank lines at the end are no samples
-        rows.pop()
-    if len(rows) < 4:
-        raise InputError(path, f"has {max(len(rows) - 1, 0)} rows", "give at least three")
-    header, body = rows[0], rows[1:]
-    required = [s.name for s in signals]
-    _check_header(path, header, required, known)
-    samples = np.full((len(body), len(header)), np.nan)
-    optional = _optional(header, body, required)
-    for i, row in enumerate(body):
-        if len(row) != len(header):
-            raise InputError(
-                path, f"row {i + 2} has {len(row)} cells, the header {len(header)}",
-                "the file is truncated or damaged: export it again",
-            )  # fmt: skip
-        for k, cell in enumerate(row):
-            if cell == "" and header[k] in optional:
-                continue
-            try:
-                samples[i, k] = float(cell)
-            except ValueError:
-                samples[i, k] = np.nan
-            if not np.isfinite(samples[i, k]):
-                raise InputError(
-                    path, f"row {i + 2}, column {header[k]}: {cell!r} is not a finite number",
-                    "correct the cell (only a marker may be empty, where it was occluded)",
-                )  # fmt: skip
-    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
-    for name in required:
-        _check_magnitude(path, name, columns[name])
-    return columns
-
-
-def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
-    for name in required:
-        if name not in header:
-            raise InputError(path, f"column {name} is missing", _column_remedy(name, header))
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(path, f"column {name!r} stands twice", "remove one of the two")
-        if name not in required and name not in known and unit_of(name) is None:
-            raise InputError(
-                path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
-            )
-
-
-def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
-    """Columns whose cells may be empty; those of the tip only where all of them are."""
-    names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
-    tip = [header.index(name) for name in tip_names() if name in header]
-    unseen = not any(row[k] for row in body for k in tip if k < len(row))
-    return names | set(tip_names()) if unseen else names
-
-
-def _column_remedy(name: str, header: Sequence[str]) -> str:
-    stem = name.rsplit("_", 1)[0]
-    alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
-    if alike:
-        return f"convert column {alike[0]!r} to the SI unit and call it {name}"
-    return "add it, or use 'python -m models import' to map your columns"
-
-
-def _check_magnitude(path: Path, name: str, column: Array) -> None:
-    limit, suspect = _COLUMN_RANGE.get(name.rsplit("_", 1)[1], (np.inf, ""))
-    beyond = np.flatnonzero(np.abs(column) > limit)
-    if len(beyond):
-        raise InputError(
-            path, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not plausible",
-            f"convert it if it is in {suspect}",
-        )  # fmt: skip
 
 
 def _check_time(trial: Trial) -> None:

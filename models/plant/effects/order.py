@@ -16,9 +16,9 @@ from models.shared.catalogue import Port
 PORTS: Final[tuple[Port, ...]] = (
     "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
 )  # fmt: skip
-"""Order of the ports. Sensors come first because the drive controls the measured angle. Stiffness and mass
-come before the torques that they enter. `servo_torque` is last: friction and wind-up depend on the
-torque that the gear transmits, which is known once all other torques are."""
+"""Order of the ports. Sensors come first because the drive controls the measured angle. Stiffness
+and mass come before the torques that depend on them. `servo_torque` is last: friction and wind-up
+depend on the torque that the gear transmits, which is known once all other torques are."""
 
 ORDER: Final[tuple[str, ...]] = (
     # bend_torque: the rest shape defines the elastic torque, so `prebend` comes before the memory.

@@ -14,7 +14,8 @@ from models.trials.importers.mapping import MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.importers.series import Series, marker_columns, row_centre_m
 from models.trials.trial import Array, Trial
-from models.trials.trial_files import STEP_TOLERANCE, columns_of
+from models.trials.trial_columns import columns_of
+from models.trials.trial_files import STEP_TOLERANCE
 
 LONGEST_TIP_GAP_S: Final = 0.1
 """Longest gap over which an unseen tip is interpolated; the motion is below 4 Hz."""
