@@ -226,7 +226,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def read_config(path: Path | str) -> RobotConfig:
-    """Read and check `robot.toml`.
+    r"""Read and check `robot.toml`.
 
     Parameters
     ----------
@@ -238,6 +238,17 @@ def read_config(path: Path | str) -> RobotConfig:
     InputError
         If the file is missing or is not TOML, a key is unknown or missing, or a value is of the
         wrong type or out of range; the message names file, key and remedy.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> text = 'bundle = "b"\n[bus]\nport = "p"\n[[servos]]\nid = 1\nmodel = "XM430-W350"\n'
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "robot.toml"
+    ...     size = path.write_text(text)
+    ...     config = read_config(path)
+    >>> config.dof, config.period_s, config.bus.baud
+    (1, 0.017, 1000000)
     """
     path = Path(path)
     try:

@@ -104,7 +104,7 @@ def build_bus(
     clock : Clock
         Real or simulated.
     opener : callable, optional
-        Opens the transport anew; without it a port that has gone stays gone.
+        Opens the transport again; without it a port that has gone stays gone.
 
     Raises
     ------
@@ -121,6 +121,18 @@ def build_bus(
 @contextlib.contextmanager
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
     """Open the bus that a configuration describes; torque off and closed at the end.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Port, servos, timeouts and limits.
+    clock : Clock
+        The machine's clock.
+
+    Yields
+    ------
+    DynamixelBus
+        The bus; `connect` has not been called yet.
 
     Raises
     ------
@@ -174,6 +186,25 @@ def build_loop(
     ------
     InputError
         If the motion breaks a limit or has another number of joints than the bus.
+
+    Examples
+    --------
+    A run in simulated time against a servo in memory, without models:
+
+    >>> from firmware_py.bus.loopback import LoopbackTransport
+    >>> from firmware_py.config import BusConfig, ServoConfig
+    >>> from firmware_py.inference.no_models import NoModels
+    >>> from firmware_py.realtime.clock import SimClock
+    >>> config = RobotConfig(
+    ...     bundle="",
+    ...     bus=BusConfig(port="memory"),
+    ...     servos=(ServoConfig(id=1, model="XM430-W350"),),
+    ... )
+    >>> clock, servos = SimClock(), {setup.id: setup.model for setup in config.setups()}
+    >>> with contextlib.closing(build_bus(config, LoopbackTransport(servos), clock)) as bus:
+    ...     summary = build_loop(config, NoModels(), bus, clock).run()
+    >>> summary.ended.value, summary.released, summary.timing.misses
+    ('finished', True, 0)
     """
     if goals_rad is None:
         goals_rad = config.goals_rad(repeated=slots is not None)

@@ -150,6 +150,14 @@ def plans(
         Bits per second.
     return_delay_s : float
         Delay of a servo before it answers.
+
+    Examples
+    --------
+    >>> from firmware_py.bus.servo_models import model_named
+    >>> table = model_named("H54-200-S500-R(A)").table
+    >>> fastest = plans(table, servos=2, baud=1_000_000)[0]
+    >>> fastest.name, round(fastest.total_s * 1e3, 2)  # 72 bytes and one return delay, in ms
+    ('fast sync read, indirect', 1.22)
     """
     blocks = {False: table.feedback}
     if table.indirect.address < table.ram_start:

@@ -269,5 +269,11 @@ class DynamixelBus:
 
 
 def watchdog_steps(period_s: float) -> int:
-    """Return the value of the watchdog register for a control period, in steps of 20 ms."""
+    """Return the value of the watchdog register for a control period, in steps of 20 ms.
+
+    Examples
+    --------
+    >>> watchdog_steps(0.017)
+    3
+    """
     return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)

@@ -332,6 +332,11 @@ def describe_alert(bits: int) -> str:
     ----------
     bits : int
         Hardware error bits, `TORQUE_LOST` and `STOPPED_BY_WATCHDOG`, or-ed.
+
+    Examples
+    --------
+    >>> describe_alert(0b100100)
+    'overheating, overload'
     """
     names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
     names += [name for bit, name in _ADDED_ALERTS.items() if bits & bit]

@@ -12,14 +12,12 @@ import math
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.estimator import NoEstimator
-from firmware_py.inference.predictor import Prediction
+from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import LoopModels, build_bus, build_loop
@@ -31,23 +29,6 @@ LIMIT_NS = 1_500_000
 """Limit of the 99th percentile of the tick's own cost, for the verdict."""
 
 _MODEL = "H54-200-S500-R"
-
-
-class _NoPredictor:
-    """Constant tip: the loop without a predictor."""
-
-    def __init__(self) -> None:
-        self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
-
-    def predict(self, angle_rad: object, current_a: object, di: float) -> Prediction:
-        return self._prediction
-
-
-class _NoModels:
-    """Neither estimator nor predictor."""
-
-    def __init__(self) -> None:
-        self.estimator, self.predictor = NoEstimator(), _NoPredictor()
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -98,6 +79,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _models(args: argparse.Namespace) -> tuple[int, LoopModels]:
     if args.bundle is None:
-        return args.dof, _NoModels()
+        return args.dof, NoModels()
     bundle = ModelBundle.load(args.bundle)
     return bundle.manifest.dof, bundle

@@ -49,6 +49,13 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         Deceleration of the goals in a controlled stop.
     hold_s : float
         Time for which the last goal is held before the torque goes off.
+
+    Examples
+    --------
+    >>> Limits().goal_violation([0.7], before=[0.59], velocity=[0.0], period_s=0.017)
+    'the goal of joint 1 is 0.700 rad, outside -0.6 to 0.6 rad'
+    >>> Limits().goal_violation([0.001], before=[0.0], velocity=[0.0], period_s=0.017)
+    ''
     """
 
     angle_rad: tuple[float, float] = (-0.6, 0.6)

@@ -51,6 +51,18 @@ class SafetySupervisor:
         Age of the data in ticks, 0 is fresh.
     goal_rad : ndarray, shape (dof,)
         Goal that was admitted last.
+
+    Examples
+    --------
+    >>> supervisor = SafetySupervisor(Limits(), dof=1)
+    >>> supervisor.arm(np.array([0.1]))
+    >>> supervisor.start()
+    >>> supervisor.admit(np.array([0.11])).tolist()
+    [0.11]
+    >>> supervisor.admit(np.array([0.5])).tolist() < [0.15]  # far beyond the rate limit: it stops
+    True
+    >>> supervisor.state.name, supervisor.tripped
+    ('STOPPING', True)
     """
 
     def __init__(self, limits: Limits, dof: int, period_s: float = PERIOD_S) -> None:

@@ -1,5 +1,6 @@
 """What a configuration puts together: here, a payload that is known to the observer."""
 
+import contextlib
 import dataclasses
 import shutil
 
@@ -7,14 +8,29 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.bus.loopback import LoopbackTransport
+from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_models import model_named
 from firmware_py.commands.replay import compare
-from firmware_py.config import read_config
+from firmware_py.config import (
+    UNWATCHED_RATE_RAD_S,
+    BusConfig,
+    RobotConfig,
+    ServoConfig,
+    read_config,
+)
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.no_models import NoModels
 from firmware_py.log.recording import Recording
-from firmware_py.robot import load_bundle
+from firmware_py.log.telemetry import NoTelemetry
+from firmware_py.realtime.clock import SimClock
+from firmware_py.realtime.service import NoService
+from firmware_py.robot import build_bus, build_loop, load_bundle
+from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S, tip_names
+from firmware_py.summary import Ended
 from fmu.__main__ import main as fmu
 
 CONFIG = """
@@ -133,3 +149,91 @@ def test_a_replay_assumes_what_the_run_assumed(load, payload_kg):
     log = Recording(columns, metadata, complete=True)
     fresh = dataclasses.replace(bundle, estimator=ModelBundle.load(bundle.directory).estimator)
     assert set(compare(log, fresh).values()) == {0.0}
+
+
+# --- bus and loop from the configuration ---------------------------------------------------------
+
+
+class SlowTransport(LoopbackTransport):
+    """Servos in memory whose answers take their time."""
+
+    def __init__(self, servos, clock, taken_ns):
+        super().__init__(servos)
+        self.clock, self.taken_ns = clock, taken_ns
+
+    def read(self, size, deadline_ns):
+        data = super().read(size, deadline_ns)
+        self.clock.advance(self.taken_ns if data else 0)
+        return data
+
+
+def robot_config(**changes):
+    given = {
+        "bundle": "", "bus": BusConfig(port="memory"),
+        "servos": (ServoConfig(id=1, model="H54-200-S500-R"),),
+    }  # fmt: skip
+    return RobotConfig(**given | changes)
+
+
+def run_of(config, taken_ns=0, **options):
+    clock = SimClock()
+    servos = {setup.id: setup.model for setup in config.setups()}
+    transport = SlowTransport(servos, clock, taken_ns)
+    with contextlib.closing(build_bus(config, transport, clock)) as bus:
+        return build_loop(config, NoModels(), bus, clock, **options).run(), transport
+
+
+def test_the_bus_of_a_configuration_refuses_answers_slower_than_its_reply_timeout():
+    with pytest.raises(InputError, match=r"answers take 5\.0 ms, bus\.reply_timeout_s allows 4 ms"):
+        run_of(robot_config(bus=BusConfig(port="memory", reply_timeout_s=0.004)), 5_000_000)
+    assert run_of(robot_config(), 5_000_000)[0].ended is Ended.FINISHED
+
+
+def test_the_loop_of_a_configuration_keeps_its_period_and_runs_its_motion_once():
+    config = robot_config(period_s=0.02)
+    summary, _ = run_of(config)
+    goals_rad = config.goals_rad()
+    moving = summary.records[summary.records["tick"] >= 0]
+    assert (np.diff(moving["deadline_ns"]) == 20_000_000).all()
+    assert np.array_equal(moving["goal_1_rad"][: len(goals_rad)], goals_rad[:, 0])
+
+
+def test_the_motion_repeats_where_slots_are_given():
+    config = robot_config()
+    slots = len(config.goals_rad(repeated=True)) + 100
+    summary, _ = run_of(config, slots=slots, keep=slots + 200)
+    assert summary.records["tick"][-1] >= slots
+    repeated = summary.records["goal_1_rad"][slots - 100 : slots]
+    assert np.array_equal(repeated, config.goals_rad(repeated=True)[:100, 0])
+
+
+def test_the_limits_of_a_configuration_hold_in_its_loop():
+    config = robot_config(limits=Limits(rate_rad_s=0.5))
+    with pytest.raises(InputError, match=r"the limit is 0\.5 rad/s"):
+        run_of(config)
+
+
+def test_a_servo_without_a_watchdog_is_told_the_rate_limit_in_force():
+    _, transport = run_of(robot_config(limits=Limits(rate_rad_s=2.0)))
+    model = model_named("H54-200-S500-R")
+    lsb = model.velocity_rad_s_per_lsb
+    raw = transport.get(1, Register.PROFILE_VELOCITY)
+    assert (raw - 1) * lsb < UNWATCHED_RATE_RAD_S <= raw * lsb
+
+
+def test_telemetry_counters_and_service_are_the_callers():
+    class Kept(NoTelemetry):
+        count = 0
+
+        def put(self, record):
+            self.count += 1
+
+    class Heard(NoService):
+        count = 0
+
+        def alive(self):
+            self.count += 1
+
+    telemetry, service = Kept(), Heard()
+    summary, _ = run_of(robot_config(), telemetry=telemetry, service=service)
+    assert telemetry.count == service.count == summary.ticks

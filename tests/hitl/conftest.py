@@ -15,14 +15,12 @@ from collections import Counter
 
 import dynamixel_sdk as sdk
 import msgspec
-import numpy as np
 import pytest
 
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
-from firmware_py.inference.estimator import NoEstimator
-from firmware_py.inference.predictor import Prediction
+from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.robot import build_loop, open_bus
 from firmware_py.safety.limits import Limits
@@ -31,19 +29,6 @@ from firmware_py.signals import PERIOD_S
 REACH_RAD = math.radians(5.0)
 AMPLITUDE_RAD = math.radians(3.0)
 RATE_RAD_S = 0.2
-
-
-class UprightPredictor:
-    """A tip that stays where it is: the servos are under test, not the link."""
-
-    def predict(self, angle_rad, current_a, di):
-        return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
-
-
-class NoModels:
-    """Estimator and predictor that know nothing."""
-
-    estimator, predictor = NoEstimator(), UprightPredictor()
 
 
 class Witness:
