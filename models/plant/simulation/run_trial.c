@@ -34,19 +34,19 @@ __attribute__((visibility("default"))) int run(long steps, double step_s, double
     int failed = !arg || !res || !iw || !w;
     const double *row = u;
 
-#define CALL(function, time, result)                       \
-    (arg[0] = x, arg[1] = row, arg[2] = p, arg[3] = (time), \
+#define EVALUATE(function, time, result)                        \
+    (arg[0] = x, arg[1] = row, arg[2] = p, arg[3] = (time),     \
      res[0] = (result), function(arg, res, iw, w, 0))
-#define ADVANCE(function, time) (CALL(function, time, next), memcpy(x, next, N_X * sizeof *x))
+#define ADVANCE(function, time) (EVALUATE(function, time, next), memcpy(x, next, N_X * sizeof *x))
 
     if (!failed) {
         double substeps = fmax(1.0, ceil(step_s / max_substep_s - 1e-9)), dt = step_s / substeps;
-        CALL(model_output, NULL, y);
+        EVALUATE(model_output, NULL, y);
         for (long k = 0; k < steps; k++, row += N_U) {
             ADVANCE(model_begin, &step_s);
             for (long i = 0; i < (long)substeps; i++) ADVANCE(model_flow, &dt);
             ADVANCE(model_finish, &step_s);
-            CALL(model_output, NULL, y + (k + 1) * N_Y);
+            EVALUATE(model_output, NULL, y + (k + 1) * N_Y);
         }
     }
     free(arg);
