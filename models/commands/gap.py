@@ -1,6 +1,6 @@
-"""Find where plant and measurement disagree, name the missing effect and add it.
+"""Diagnosis of the difference between plant and measurement: missing effects are named and added.
 
-Writes OUT/gap.json (what was found), OUT/plant.json (the plant with it) and OUT/report.html.
+Writes OUT/gap.json (results), OUT/plant.json (the improved plant) and OUT/report.html.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ def run(args: argparse.Namespace) -> int:
     trials = read_trials(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.diagnosis import diagnose
-    from models.gap.report.gap_json import gap_document, write_gap_document
+    from models.gap.report.gap_json import write_gap_document
     from models.gap.report.gap_page import write_gap_page
+    from models.gap.report.gap_results import gap_document
     from models.gap.report.gap_words import gap_in_words
     from models.gap.report.waterfall import waterfall_steps
 

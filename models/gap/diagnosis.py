@@ -139,6 +139,8 @@ def diagnose(
 ) -> Diagnosis:
     """Find, name and add the effects that a plant lacks.
 
+    Long because every result is handed over once.
+
     Parameters
     ----------
     plant : Plant
@@ -157,14 +159,7 @@ def diagnose(
     InputError
         If the trials are of one and of two joints, or an effect to leave out is unknown.
     """
-    catalogue = candidate_effects(plant)
-    for name in leave_out:
-        if name not in catalogue:
-            raise InputError(
-                f"--without {name}", "is no effect of this plant",
-                "choose from " + ", ".join(catalogue),
-            )  # fmt: skip
-    catalogue = [e for e in catalogue if e not in leave_out]
+    catalogue = _catalogue(plant, leave_out)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
     floor = noise_floor_of(plant, trials[0].meta.dof) or floor_of_nuisance_fit(residuals)
@@ -239,3 +234,15 @@ def _inclusions(result: SearchResult, settings: GapSettings) -> tuple[Inclusion,
         )
         for turn, c in enumerate(result.chosen)
     )
+
+
+def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:
+    """Effects that may be named."""
+    known = candidate_effects(plant)
+    for name in leave_out:
+        if name not in known:
+            raise InputError(
+                f"--without {name}", "is no effect of this plant",
+                "choose from " + ", ".join(known),
+            )  # fmt: skip
+    return [e for e in known if e not in leave_out]

@@ -1,4 +1,4 @@
-"""Fit parameters: directions in the parameters and outputs of the twin that may close a gap.
+"""Parameters of the fit: directions in parameters and outputs of the twin that may close a gap.
 
 A fit parameter at zero leaves the plant as it is. There are three kinds: `nuisance` holds for all
 trials and never counts as missing; `trial` varies from trial to trial with a known standard

@@ -19,7 +19,8 @@ from hil.emulator.twin_fmu import build_twin
 from hil.report import write_gap_report, write_report
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
-from models.gap.report.gap_json import GapDocument, SignalFloor, errors_in_floors
+from models.gap.report.gap_json import GapDocument, SignalFloor
+from models.gap.report.gap_results import errors_in_floors
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant

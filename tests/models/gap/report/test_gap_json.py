@@ -6,8 +6,9 @@ import msgspec
 import pytest
 
 from firmware_py.errors import InputError
-from models.gap.report.gap_json import gap_document, read_gap_document, write_gap_document
+from models.gap.report.gap_json import read_gap_document, write_gap_document
 from models.gap.report.gap_page import write_gap_page
+from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 

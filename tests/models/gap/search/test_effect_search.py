@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.gap.diagnosis import diagnose
-from models.gap.report.gap_json import errors_in_floors, gap_document
+from models.gap.report.gap_results import errors_in_floors, gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.residuals import rows_that_follow

@@ -1,0 +1,189 @@
+"""Gap document from the results of a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from models.gap.diagnosis import Diagnosis, Inclusion
+from models.gap.report.gap_json import (
+    FittedValue,
+    GapDocument,
+    LocatedRegion,
+    MappedRegion,
+    NamedEffect,
+    NamingEvidence,
+    NoiseFloorSummary,
+    RemainingGap,
+    SeparatingMotion,
+    SignalFloor,
+    SignalGap,
+    SimilarEffect,
+    WaterfallStep,
+)
+from models.gap.report.separating_motion import separating_motion
+from models.gap.residuals.localisation import GapRegion, location_sentence
+from models.gap.residuals.spectrum import Array
+from models.plant.identification.evaluation import compare_with_trials, signal_errors
+from models.plant.plant import Plant
+from models.trials.trial import Trial, TrialSet
+
+__all__ = ["errors_in_floors", "gap_document"]
+
+MOST_LOCATED: Final = 40
+MOST_REMAINING: Final = 10
+"""Significant regions that are listed before and after; `map` holds all."""
+
+
+def gap_document(
+    found: Diagnosis, trials: TrialSet, waterfall: Sequence[tuple[str, float]] = ()
+) -> GapDocument:
+    """Document of a diagnosis.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Its results.
+    trials : TrialSet
+        Where the gap was looked for.
+    waterfall : sequence of tuple
+        As `models.gap.report.waterfall.waterfall_steps`.
+    """
+    floor = noise_floor_rms(found)
+    unused = found.goal_not_followed_at_row
+    fit, held_out = trials.split()
+    parts = {"fitted": fit, "held_out": held_out} if len(held_out) else {"fitted": fit}
+    before, after = (
+        {part: errors_in_floors(plant, own, floor, unused) for part, own in parts.items()}
+        for plant in (found.plant, found.improved)
+    )
+    return GapDocument(
+        schema=GapDocument.VERSION,
+        verdict=found.verdict,
+        gap_left_fraction=round(found.gap_left_fraction, 4),
+        noise_floor=NoiseFloorSummary(found.floor.learned, floor, round(found.dispersion, 4)),
+        nuisance_bias=found.nuisance_bias,
+        goal_not_followed_at_row=unused,
+        sentence=location_sentence(found.located, found.settings),
+        located=_located(found.located, MOST_LOCATED),
+        map=tuple(
+            MappedRegion(c.signal, c.factor, c.level, round(c.floors, 3), c.significant)
+            for c in found.located
+        ),
+        named=tuple(_named(found, trials, inclusion) for inclusion in found.inclusions),
+        before=before,
+        after=after,
+        remaining=RemainingGap(
+            location_sentence(found.remaining, found.settings),
+            _located(found.remaining, MOST_REMAINING),
+        ),
+        rejected=found.rejected,
+        waterfall=tuple(WaterfallStep(step, floors) for step, floors in waterfall),
+        settings=found.settings,
+    )
+
+
+def noise_floor_rms(found: Diagnosis) -> dict[str, SignalFloor]:
+    """Noise floor of each signal as root mean squares over the spectrum."""
+    floor = found.floor
+    return {
+        s: SignalFloor(
+            _rms(floor.noise[s]), _rms(floor.model[s]), _rms(floor.noise[s] + floor.model[s])
+        )
+        for s in floor.noise
+    }
+
+
+def errors_in_floors(
+    plant: Plant,
+    trials: Sequence[Trial],
+    floor: Mapping[str, SignalFloor],
+    goal_not_followed_at_row: Mapping[str, int],
+) -> dict[str, SignalGap]:
+    """Root mean square of each signal's error, and the same in noise floors.
+
+    Parameters
+    ----------
+    plant : Plant
+        To simulate with.
+    trials : sequence of Trial
+        To compare with.
+    floor : mapping of str to SignalFloor
+        By signal.
+    goal_not_followed_at_row : mapping of str to int
+        By trial, the row from which on nothing counts.
+    """
+    compared = []
+    for c in compare_with_trials(plant, trials):
+        end = goal_not_followed_at_row.get(c.trial.name, len(c.trial))
+        unused = np.where(np.arange(len(c.trial)) < end, 0.0, np.nan)
+        compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))
+    result = {}
+    for signal, row in signal_errors(plant, compared).items():
+        if not np.isfinite(row.rms):  # never measured where the rows count
+            continue
+        size = floor[signal].rms if signal in floor else np.nan
+        result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size))
+    return result
+
+
+def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEffect:
+    """One inclusion: effects, values, evidence, look-alikes."""
+    consistencies = [
+        found.strength_consistency[e] for e in inclusion.effects if e in found.strength_consistency
+    ]
+    before, separated_by = found.plant.parameters, None
+    if inclusion.look_alikes:
+        motion, sizes = separating_motion(found, trials, inclusion.look_alikes)
+        separated_by = SeparatingMotion(motion, {k: round(v, 2) for k, v in sizes.items()})
+    return NamedEffect(
+        effect=" + ".join(inclusion.effects),
+        kept=inclusion.kept,
+        parameters={
+            name: FittedValue(
+                q.value, q.unit, q.error, before[name].value if name in before else 0.0
+            )
+            for direction in found.fit_parameters if direction.effect in inclusion.effects
+            for name in direction.parameters if (q := found.improved.parameters.get(name))
+        },
+        evidence=NamingEvidence(
+            separation=inclusion.separation,
+            least=inclusion.least,
+            held_out_gain=_number(inclusion.held_out_gain),
+            held_out_error=_number(inclusion.held_out_error),
+            strength_standard_deviation=max(
+                (c.standard_deviation for c in consistencies), default=0.0
+            ),
+            strength_holds=all(c.holds for c in consistencies),
+        ),
+        look_alikes=tuple(
+            SimilarEffect(" + ".join(c.effects), c.separation) for c in inclusion.look_alikes
+        ),
+        separated_by=separated_by,
+    )  # fmt: skip
+
+
+def _located(regions: Sequence[GapRegion], most: int) -> tuple[LocatedRegion, ...]:
+    """The largest significant regions; sizes are in noise floors."""
+    return tuple(
+        msgspec.convert(
+            {
+                "signal": c.signal, c.factor: c.level, "size": round(c.floors, 3),
+                "mean": round(c.mean, 3), "p": round(c.p, 4),
+            },
+            LocatedRegion,
+        )
+        for c in [c for c in regions if c.significant][:most]
+    )  # fmt: skip
+
+
+def _rms(variance: Array) -> float:
+    return float(np.sqrt(np.mean(variance)))
+
+
+def _number(value: float) -> float | None:
+    """None in place of a float that is not finite."""
+    return float(value) if np.isfinite(value) else None
