@@ -1,3 +1,3 @@
-"""What runs on the robot PC: the fixed-rate loop, its estimator, predictor and safety."""
+"""Software of the robot PC: fixed-rate loop, estimator, predictor, safety and log."""
 
 __version__ = "0.2.0"

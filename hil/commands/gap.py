@@ -1,7 +1,7 @@
-"""Write one HTML page about a gap that was closed: plant, unit and robot before and after.
+"""HTML page about a gap that was closed: plant, FMU and robot before and after.
 
-DIR holds what `make gap-demo` built: the diagnosis (found/), runs of both twin units in FMPy over
-trials that nothing was fitted to (fmpy_*), and of the robot's loop with both bundles (sil_*).
+DIR holds the results of `make gap-demo`: the diagnosis (found/), runs of both twin FMUs in FMPy on
+trials that nothing was fitted to (fmpy_*), and runs of the robot's loop with both bundles (sil_*).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("directory", type=Path, metavar="DIR", help="what was built around the diagnosis")
+    add("directory", type=Path, metavar="DIR", help="directory that `make gap-demo` filled")
     add("--plant", type=Path, required=True, help="plant before the diagnosis")
     add(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
-        help="what was hidden in the laboratory, to set beside what was found; repeatable",
+        help="effect hidden in the rig, shown beside the effect found; repeatable",
     )  # fmt: skip
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)")
 

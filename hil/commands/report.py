@@ -1,6 +1,6 @@
-"""Write one self-contained HTML page about everything that a build directory holds.
+"""HTML page about all results in a build directory, in one self-contained file.
 
-A section whose inputs are missing is left out with one line that says which command makes them.
+A section without inputs is replaced by one line that names the command to run.
 """
 
 from __future__ import annotations
