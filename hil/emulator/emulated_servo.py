@@ -123,7 +123,15 @@ class EmulatedServo:
         return cell.decode(self._memory, cell.address) if cell else 0
 
     def put(self, register: Register, raw: int) -> None:
-        """Set a register regardless of access rights; no effect where the model lacks it."""
+        """Set a register regardless of access rights; no effect where the model lacks it.
+
+        Parameters
+        ----------
+        register : Register
+            Register to set.
+        raw : int
+            Its value.
+        """
         if register in self._table:
             self._store(self._table[register], raw)
             self._refresh()
@@ -169,7 +177,13 @@ class EmulatedServo:
     # --- physics -------------------------------------------------------------------------------
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
-        """Write the plant's state into the present registers, quantised and clipped."""
+        """Write the plant's state into the present registers, quantised and clipped.
+
+        Parameters
+        ----------
+        angle_rad, velocity_rad_s, current_a : float
+            State at the servo's output.
+        """
         model = self.model
         self._angle_rad = angle_rad
         raws = (
@@ -234,7 +248,18 @@ class EmulatedServo:
     # --- registers as the bus sees them --------------------------------------------------------
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Return the error number and, where it is 0, the bytes."""
+        """Read registers.
+
+        Parameters
+        ----------
+        address, length : int
+            First byte and number of bytes.
+
+        Returns
+        -------
+        (int, bytes)
+            Error number and, where it is 0, the bytes.
+        """
         if length == 0:
             return StatusError.DATA_LENGTH, b""
         if address + length > MEMORY_BYTES:
@@ -245,7 +270,15 @@ class EmulatedServo:
         return StatusError.NONE, bytes(self._memory[a] for a in behind)
 
     def covers(self, address: int, length: int, register: Register) -> bool:
-        """Whether a span, read through the indirect addresses, contains a register's first byte."""
+        """Whether a span, read through the indirect addresses, contains a register's first byte.
+
+        Parameters
+        ----------
+        address, length : int
+            The span.
+        register : Register
+            The register.
+        """
         wanted = self._table[register].address
         if not self._shows_others(address, length):
             return address <= wanted < address + length
@@ -264,7 +297,20 @@ class EmulatedServo:
         return held if held < MEMORY_BYTES else address
 
     def write(self, address: int, data: bytes) -> int:
-        """Write whole registers in order; nothing changes where one is refused."""
+        """Write whole registers in order; nothing changes where one is refused.
+
+        Parameters
+        ----------
+        address : int
+            First byte.
+        data : bytes
+            Content of one register or several.
+
+        Returns
+        -------
+        int
+            Error number, see `StatusError`.
+        """
         fields = []
         indirect = self._table.indirect
         if indirect.address <= address < indirect.address + 2 * indirect.entries:

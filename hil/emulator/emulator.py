@@ -121,7 +121,13 @@ class Truth(NamedTuple):
 
 
 class TruthLog:
-    """Record of the true tip at every reading of a present position."""
+    """Record of the true tip at every reading of a present position.
+
+    Parameters
+    ----------
+    physics : Physics
+        Plant whose tip is recorded.
+    """
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics

@@ -77,7 +77,40 @@ class Line:
         self._parser = PacketParser()
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
-        """Take bytes that the host writes at `now_ns`; return (time, bytes) that it may read."""
+        """Transmit bytes of the host and the answers to them.
+
+        Parameters
+        ----------
+        now_ns : int
+            Time at which the host writes.
+        data : bytes
+            What it writes.
+
+        Returns
+        -------
+        list of (int, bytes)
+            Time in ns at which the host may read, and the bytes.
+
+        Examples
+        --------
+        A ping has 10 bytes, its answer 14: at 1 Mbaud it is complete after 100 µs, the return
+        delay of 500 µs and 140 µs.
+
+        >>> from hil.emulator.emulated_servo import EmulatedServo
+        >>> from hil.emulator.packets import Instruction, encode_packet
+        >>> import numpy as np
+        >>> class AtRest:
+        ...     dof, angle_rad, current_a = 1, np.zeros(1), np.zeros(1)
+        ...     tip_m = np.zeros(3)
+        ...
+        ...     def advance(self, goal_rad, step_s):
+        ...         pass
+        >>> from firmware_py.bus.servo_models import MODELS
+        >>> line = Line(EmulatedBus([EmulatedServo(MODELS[54025])], AtRest()), latency_s=0.0)
+        >>> [(time_ns, answer)] = line.receive(0, encode_packet(1, Instruction.PING))
+        >>> time_ns, len(answer)
+        (740000, 14)
+        """
         heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.bus.servos[0].baud)
         self._free_ns = heard_ns
         arrivals: list[Arrival] = []
@@ -145,7 +178,15 @@ class VirtualTransport:
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return the bytes that are readable by the deadline; the clock advances to them."""
+        """Return the bytes that are readable by the deadline; the clock advances to them.
+
+        Parameters
+        ----------
+        size : int
+            Largest number of bytes.
+        deadline_ns : int
+            Time at which it gives up, with no bytes.
+        """
         if not self._pending or self._pending[0][0] > deadline_ns:
             self._clock.sleep_until(deadline_ns)
             return b""
@@ -185,7 +226,14 @@ def pty_endpoint() -> Iterator[tuple[str, Callable[[], int | None]]]:
 def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[], int | None]]]:
     """A UNIX stream socket: its name, and a function that waits for a program to connect.
 
-    The function gives None when `stop_fd` becomes readable instead.
+    The function returns None when `stop_fd` becomes readable instead.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the socket.
+    stop_fd : int
+        Descriptor that ends the waiting.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(str(path))

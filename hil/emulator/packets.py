@@ -169,7 +169,17 @@ def encode_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> b
 
 
 def status_packet(servo_id: int, error: int = 0, parameters: bytes = b"") -> bytes:
-    """Frame a status packet."""
+    """Frame a status packet.
+
+    Parameters
+    ----------
+    servo_id : int
+        Servo that answers.
+    error : int
+        Error byte.
+    parameters : bytes
+        Data, unstuffed.
+    """
     return encode_packet(servo_id, Instruction.STATUS, bytes((error,)) + parameters)
 
 
@@ -178,12 +188,30 @@ def _words(*values: int) -> bytes:
 
 
 def read_packet(servo_id: int, address: int, length: int) -> bytes:
-    """Frame a read of `length` bytes at `address` of one servo."""
+    """Frame a read of one servo.
+
+    Parameters
+    ----------
+    servo_id : int
+        Servo.
+    address, length : int
+        First byte and number of bytes.
+    """
     return encode_packet(servo_id, Instruction.READ, _words(address, length))
 
 
 def write_packet(servo_id: int, address: int, data: bytes) -> bytes:
-    """Frame a write of `data` at `address` of one servo."""
+    """Frame a write to one servo.
+
+    Parameters
+    ----------
+    servo_id : int
+        Servo.
+    address : int
+        First byte.
+    data : bytes
+        Content.
+    """
     return encode_packet(servo_id, Instruction.WRITE, _words(address) + data)
 
 
@@ -227,7 +255,15 @@ def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def sync_write_packet(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Frame a write of the same registers of several servos; none answers."""
+    """Frame a write of the same registers of several servos; none answers.
+
+    Parameters
+    ----------
+    address : int
+        First byte.
+    data : mapping of int to bytes
+        Content by servo, all of one length.
+    """
     length = len(next(iter(data.values())))
     blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
     return encode_packet(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)

@@ -35,7 +35,15 @@ class Physics(Protocol):
         ...
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """Let `step_s` pass with constant goals, one per joint."""
+        """Advance by a step with constant goals.
+
+        Parameters
+        ----------
+        goal_rad : sequence of float
+            Goal of each joint.
+        step_s : float
+            Duration.
+        """
         ...
 
 

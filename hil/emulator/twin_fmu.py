@@ -1,6 +1,6 @@
-"""Twin FMU of a plant document, for use behind the emulated servos.
+"""Twin FMU of a plant file, for use behind the emulated servos.
 
-Apart from `hil.emulator.physics`, so that the emulator's process does not load a compiler and a
+Separate from `hil.emulator.physics` so that the emulator's process does not load a compiler and a
 computer algebra system.
 """
 
@@ -13,11 +13,20 @@ from models.plant.plant import read_plant
 
 
 def build_twin(plant: Path, dof: int, directory: Path) -> Path:
-    """Build the twin of a plant document, without a predictor; returns the .fmu file.
+    """Build the twin of a plant file, without a predictor; return the .fmu file.
+
+    Parameters
+    ----------
+    plant : Path
+        Plant file.
+    dof : int
+        Number of joints.
+    directory : Path
+        Directory of the FMU.
 
     Raises
     ------
     InputError
-        If the document cannot be used.
+        If the file cannot be used.
     """
     return build_fmu(read_plant(plant).step_model(dof, "twin"), directory / f"twin_{dof}dof.fmu")

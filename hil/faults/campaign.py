@@ -28,7 +28,18 @@ def cases_of(
 ) -> list[FaultCase]:
     """Return the cases in the order of the table, the virtual line first.
 
-    In real time a row runs once, on its first model: the bits are the virtual line's to try.
+    In real time a row runs once, on its first model; the virtual line varies the bits.
+
+    Parameters
+    ----------
+    dof : int
+        Joints of the robot.
+    lines : iterable of str
+        Lines to run on, keys of `RUNNERS`.
+    seeds : sequence of int
+        Seeds, of which only the first is used in real time.
+    rows : iterable of FaultRow
+        Rows to run.
     """
     cases = []
     for line in RUNNERS:
@@ -44,7 +55,15 @@ def cases_of(
 
 
 def run_campaign(robot: CaseRobot, cases: Sequence[FaultCase]) -> list[CaseVerdict]:
-    """Run and judge every case."""
+    """Run and judge every case.
+
+    Parameters
+    ----------
+    robot : CaseRobot
+        Common part of the campaign.
+    cases : sequence of FaultCase
+        Cases, in order.
+    """
     progress = Progress("faults", len(cases))
     judged = []
     for case in cases:

@@ -85,7 +85,15 @@ class Host:
 
 
 class FaultyEstimator:
-    """Estimator that stalls, leaves garbage, or returns a wrong value; see `Host`."""
+    """Estimator that stalls, leaves garbage, or returns a wrong value.
+
+    Parameters
+    ----------
+    inner : DeformationEstimator
+        Estimator of the bundle.
+    host : Host
+        Schedule of the faults.
+    """
 
     def __init__(self, inner: DeformationEstimator, host: Host) -> None:
         self._inner, self._host = inner, host
@@ -115,7 +123,15 @@ def _litter() -> None:
 
 
 class FaultyPredictor:
-    """Predictor that is slow or returns a wrong value; see `Host`."""
+    """Predictor that is slow or returns a wrong value.
+
+    Parameters
+    ----------
+    inner : Predictor
+        Predictor of the bundle.
+    host : Host
+        Schedule of the faults.
+    """
 
     def __init__(self, inner: Predictor, host: Host) -> None:
         self._inner, self._host = inner, host
@@ -169,7 +185,17 @@ class SteppedClock(SimClock):
 
 
 class FaultyTransport:
-    """Transport in true time under a stepped clock, which can be unplugged (`Host.unplugged`)."""
+    """Transport in true time under a stepped clock, which can be unplugged.
+
+    Parameters
+    ----------
+    inner : Transport
+        Transport in true time.
+    clock : SteppedClock
+        Clock of the loop.
+    host : Host
+        Schedule that says when it is unplugged.
+    """
 
     def __init__(self, inner: Transport, clock: SteppedClock, host: Host) -> None:
         self._inner, self._clock, self._host = inner, clock, host

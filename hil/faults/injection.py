@@ -139,12 +139,28 @@ class FaultSchedule(FaultPlan):
         return self.start + injection.after
 
     def active(self, injection: Injection, exchange: int) -> bool:
-        """Whether an injection is active in an exchange."""
+        """Whether an injection is active in an exchange.
+
+        Parameters
+        ----------
+        injection : Injection
+            One of the plan.
+        exchange : int
+            Number of the exchange.
+        """
         first = self.first(injection)
         return first <= exchange < first + injection.times
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the servo faults of the next exchange."""
+        """Begin and end the servo faults of the next exchange.
+
+        Parameters
+        ----------
+        servos : sequence of LoggedServo
+            Servos in joint order.
+        now_ns : int
+            Time of the exchange.
+        """
         self.exchange += 1
         if self.began_ns is None and any(self.active(i, self.exchange) for i in self._injections):
             self.began_ns = now_ns

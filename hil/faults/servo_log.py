@@ -115,7 +115,15 @@ class ServoFaults(Protocol):
     began_ns: int | None
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the faults of the next exchange."""
+        """Begin and end the faults of the next exchange.
+
+        Parameters
+        ----------
+        servos : sequence of LoggedServo
+            Servos in joint order.
+        now_ns : int
+            Time of the exchange.
+        """
         ...
 
 

@@ -99,7 +99,15 @@ def build_sil_loop(
 
 @contextlib.contextmanager
 def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
-    """Run the robot's recorder for as long as the block lasts."""
+    """Run the robot's recorder for as long as the block lasts.
+
+    Parameters
+    ----------
+    options : SilOptions
+        Options of the run.
+    config : RobotConfig
+        Configuration of the robot, which the log repeats.
+    """
     # The observer is not told the payload, but whoever imports the log may know it.
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg)

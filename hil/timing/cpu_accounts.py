@@ -51,7 +51,12 @@ class ProbeRecord:
         return self.privileged and len(self.wake_ns) > 0
 
     def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Time within the window for which the processor stood still, in one stall or several.
+        """Time within a window for which the processor stood still, in one stall or several.
+
+        Parameters
+        ----------
+        start_ns, end_ns : int
+            The window.
 
         Returns
         -------
@@ -73,7 +78,13 @@ class ProbeRecord:
         return int(certain), int(possible)
 
     def own_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Processor time of this program that may fall into the window."""
+        """Processor time of this program that may fall into a window.
+
+        Parameters
+        ----------
+        start_ns, end_ns : int
+            The window.
+        """
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns))
         return int(self.own_ns[first : last + 1].sum())
 
@@ -95,6 +106,12 @@ class Releases:
     run_delay_ns: Nanoseconds = field(default_factory=_NONE.copy)
 
     def run_delay_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Run-queue delay of the emulator that may fall into the window."""
+        """Run-queue delay of the emulator that may fall into a window.
+
+        Parameters
+        ----------
+        start_ns, end_ns : int
+            The window.
+        """
         first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
         return int(self.run_delay_ns[first : last + 1].sum())

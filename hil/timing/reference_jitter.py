@@ -43,7 +43,7 @@ class ReferenceJitter(Percentiles, frozen=True, kw_only=True):
 
 
 class Cyclictest:
-    """A running cyclictest, or none where it is not installed or may not run.
+    """Running cyclictest, or none where it is not installed or may not run.
 
     Parameters
     ----------
@@ -138,7 +138,13 @@ def probe_jitter(probe: ProbeRecord) -> ReferenceJitter:
 
 @contextlib.contextmanager
 def cyclictest(cpu: int, period_s: float, scratch: Path) -> Iterator[Cyclictest]:
-    """Run one as long as the block lasts."""
+    """Run one for as long as the block lasts.
+
+    Parameters
+    ----------
+    cpu, period_s, scratch
+        See `Cyclictest`.
+    """
     running = Cyclictest(cpu, period_s, scratch)
     try:
         yield running

@@ -54,7 +54,15 @@ def write_timeline(
 
 
 def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
-    """Mask of the ticks to show: all of a short run, the longest and missed ones of a long one."""
+    """Mask of the ticks to show: all of a short run, the longest and missed ones of a long one.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        The run.
+    period_ns : int
+        Control period.
+    """
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)
     taken = records["lateness_ns"] + records["busy_ns"]

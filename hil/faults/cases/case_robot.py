@@ -128,7 +128,15 @@ def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
 
 
 def lean(physics: Physics, angle_rad: float) -> None:
-    """Move the arm slowly to an angle in rad, and let it come to rest there."""
+    """Move the arm slowly to an angle, and let it come to rest there.
+
+    Parameters
+    ----------
+    physics : Physics
+        Plant.
+    angle_rad : float
+        Angle of every joint.
+    """
     x = np.linspace(0.0, 1.0, 100)
     way_rad = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
     for goal_rad in (*way_rad.tolist(), *[angle_rad] * 100):
@@ -183,7 +191,17 @@ def drive(
 
 
 def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
-    """Return the study's motion, or a slow motion to a goal of given pulses and back."""
+    """Return the study's motion, or a slow motion to a goal of given pulses and back.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        Configuration of the case.
+    setup : Setup
+        Differences of the case.
+    number : int
+        Model of the servos.
+    """
     if setup.through_pulse is None:
         return config.goals_rad(repeated=True)
     angle_rad = MODELS[number].angle_rad(setup.through_pulse)
