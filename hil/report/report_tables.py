@@ -41,6 +41,12 @@ def _at_most(value: float | None, limit: float, text: str) -> TableCell:
     return TableCell(NO_VALUE) if value is None else TableCell(text, value <= limit)
 
 
+def _power(value: float, decimals: int) -> str:
+    """A small number as "1e-9", without zeros in the exponent."""
+    mantissa, exponent = f"{value:.{decimals}e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
 def results_table(inputs: BuildInputs) -> Table:
     """Results beside their targets; what was not measured is not judged."""
     limits = "\u00a0/\u00a0".join(LENGTH.number(TIP_RMS_LIMIT_M[dof], 0) for dof in DOFS)
@@ -66,10 +72,10 @@ def results_table(inputs: BuildInputs) -> Table:
             row.append(NO_VALUE if gain is None else TableCell(FRACTION.text(gain), gain >= limit))
         rows.append(row)
     rows.append(["Largest difference of the twin FMU from the Python plant, SI units",
-                 f"≤\u00a0{PARITY_LIMIT:.0e}"])  # fmt: skip
+                 f"≤\u00a0{_power(PARITY_LIMIT, 0)}"])  # fmt: skip
     for dof in DOFS:
         parity = _parity(inputs.checks.get(f"twin_{dof}dof"))
-        rows[-1].append(_at_most(parity, PARITY_LIMIT, f"{parity:.0e}" if parity else "0"))
+        rows[-1].append(_at_most(parity, PARITY_LIMIT, _power(parity, 0) if parity else "0"))
     loops = {dof: _real_time_loop(inputs, dof) for dof in DOFS}
     rows.append(["Own cost of a tick, p99", f"≤\u00a0{TICK_TIME.text(OWN_COST_LIMIT_NS, 1)}"])
     for loop in loops.values():
@@ -234,7 +240,7 @@ def fmu_tables(checks: Mapping[str, FmuCheck]) -> list[Table]:
         parity.append([output])
         for check in checks.values():
             value = check.parity.get(output)
-            text = f"{value:.1e}" if value else "0"
+            text = _power(value, 1) if value else "0"
             parity[-1].append(_at_most(value, check.parity_limit, text))
     equal = (
         f"{len(outputs) - len(differing)} of {len(outputs)} outputs are equal to the last bit, "

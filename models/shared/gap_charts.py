@@ -108,7 +108,7 @@ def draw_bars(ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: st
     """
     for k, (_, value) in enumerate(rows):
         ax.barh(k, value, height=0.7, color=MUTED if k else BEFORE)
-        ax.text(value, k, f" {value:.1f}", va="center", fontsize=8.5)
+        _bar_label(ax, value, k, f"{value:.1f}")
     _value_axis(ax, [label for label, _ in rows], [value for _, value in rows], limit, said)
 
 
@@ -132,9 +132,15 @@ def draw_waterfall(ax: Any, steps: Sequence[tuple[str, float]], limit: float, sa
         ax.barh(k, max(before - value, 0.0), left=min(value, before), height=0.7, color=AFTER,
                 alpha=0.18)  # fmt: skip
         ax.barh(k, value, height=0.7, color=colour)
-        ax.text(max(value, before), k, f" {value:.2f}", va="center", fontsize=8.5)
+        _bar_label(ax, max(value, before), k, f"{value:.2f}")
         before = value
     _value_axis(ax, [label for label, _ in steps], [value for _, value in steps], limit, said)
+
+
+def _bar_label(ax: Any, end: float, row: int, text: str) -> None:
+    ax.annotate(
+        text, (end, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
+    )  # fmt: skip
 
 
 def _value_axis(

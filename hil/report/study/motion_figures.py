@@ -131,7 +131,10 @@ def _poses(studies: Studies) -> Figure:
                 color=colour, marker="o", markersize=4, label=motion,
             )  # fmt: skip
         ax.set(xlabel=TIME.label("time"), ylabel=DEFORMATION.label("DI"), ylim=(0, None))
-        ax.legend(frameon=False, fontsize=8, handlelength=1.4, loc="upper right")
+        ax.legend(
+            frameon=False, fontsize=8, handlelength=1.2, columnspacing=1.0, ncols=3,
+            loc="lower center", bbox_to_anchor=(0.5, 1.0),
+        )  # fmt: skip
     panels.append(
         drawing.panel(
             "DI of these poses", "DI of the poses over time, one line for each kind of motion."
