@@ -18,7 +18,7 @@ COMMANDS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `dropstitch`."""
+    """Run `dropstitch`; return its exit code, see `firmware_py.console.dispatch`."""
     return dispatch("dropstitch", __doc__ or "", COMMANDS, argv)
 
 

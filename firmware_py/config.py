@@ -139,14 +139,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Whether the recorder process writes the ticks to a file.
     logs : str
         Directory of these files, relative to the file.
-    motion : MotionConfig
-        Table `[motion]`.
-    limits : Limits
-        Table `[limits]`.
-    live : LiveConfig
-        Table `[live]`.
-    real_time : RealTimeOptions
-        Table `[real_time]`.
+    motion, limits, live, real_time
+        Tables of these names.
     """
 
     schema: int = SCHEMA

@@ -135,7 +135,13 @@ class Progress:
         self._shown_s = 0.0
 
     def step(self, detail: str = "") -> None:
-        """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file."""
+        """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file.
+
+        Parameters
+        ----------
+        detail : str
+            Text at the end of the line.
+        """
         self.done += 1
         now_s, last = time.monotonic(), self.done >= self.total
         if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):

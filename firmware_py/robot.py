@@ -1,4 +1,24 @@
-"""Assembly of a robot from its configuration: bundle, bus, control loop, metadata of the log."""
+"""Assembly of a robot from its configuration: bundle, bus, control loop, metadata of the log.
+
+Examples
+--------
+A run in simulated time against a servo in memory, without models:
+
+>>> from firmware_py.bus.loopback import LoopbackTransport
+>>> from firmware_py.config import BusConfig, ServoConfig
+>>> from firmware_py.inference.no_models import NoModels
+>>> from firmware_py.realtime.clock import SimClock
+>>> config = RobotConfig(
+...     bundle="",
+...     bus=BusConfig(port="memory"),
+...     servos=(ServoConfig(id=1, model="XM430-W350"),),
+... )
+>>> clock, servos = SimClock(), {setup.id: setup.model for setup in config.setups()}
+>>> with contextlib.closing(build_bus(config, LoopbackTransport(servos), clock)) as bus:
+...     summary = build_loop(config, NoModels(), bus, clock).run()
+>>> summary.ended.value, summary.released, summary.timing.misses
+('finished', True, 0)
+"""
 
 from __future__ import annotations
 
@@ -186,25 +206,6 @@ def build_loop(
     ------
     InputError
         If the motion breaks a limit or has another number of joints than the bus.
-
-    Examples
-    --------
-    A run in simulated time against a servo in memory, without models:
-
-    >>> from firmware_py.bus.loopback import LoopbackTransport
-    >>> from firmware_py.config import BusConfig, ServoConfig
-    >>> from firmware_py.inference.no_models import NoModels
-    >>> from firmware_py.realtime.clock import SimClock
-    >>> config = RobotConfig(
-    ...     bundle="",
-    ...     bus=BusConfig(port="memory"),
-    ...     servos=(ServoConfig(id=1, model="XM430-W350"),),
-    ... )
-    >>> clock, servos = SimClock(), {setup.id: setup.model for setup in config.setups()}
-    >>> with contextlib.closing(build_bus(config, LoopbackTransport(servos), clock)) as bus:
-    ...     summary = build_loop(config, NoModels(), bus, clock).run()
-    >>> summary.ended.value, summary.released, summary.timing.misses
-    ('finished', True, 0)
     """
     if goals_rad is None:
         goals_rad = config.goals_rad(repeated=slots is not None)

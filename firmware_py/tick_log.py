@@ -154,7 +154,13 @@ class TickLog:
         self._stages_ns, self._tick = stages_ns, tick
 
     def close(self, end_ns: int) -> None:
-        """Complete the latest record with what is known only at the end of its tick."""
+        """Complete the latest record at the end of its tick.
+
+        Parameters
+        ----------
+        end_ns : int
+            End of the tick, on the clock of the loop.
+        """
         bus_wait_ns, marks_ns = self._tick.bus_wait_ns, self._tick.marks_ns
         lateness_ns, busy_ns = self._stages_ns[0], end_ns - marks_ns[1]
         log_ns = end_ns - marks_ns[-1]

@@ -230,6 +230,11 @@ class DynamixelBus:
 
         Every servo is tried, whatever the others answer.
 
+        Parameters
+        ----------
+        on : bool
+            Whether to switch it on.
+
         Returns
         -------
         BusStatus

@@ -55,12 +55,30 @@ class LoopbackTransport:
                 self.put(id_, register, raw)
 
     def put(self, id_: int, register: Register, raw: int) -> None:
-        """Set a register."""
+        """Set a register.
+
+        Parameters
+        ----------
+        id_ : int
+            Id of the servo.
+        register : Register
+            The register.
+        raw : int
+            Raw value.
+        """
         cell = self._models[id_].table[register]
         self.memory[id_][cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def get(self, id_: int, register: Register) -> int:
-        """Return a register."""
+        """Return the raw value of a register.
+
+        Parameters
+        ----------
+        id_ : int
+            Id of the servo.
+        register : Register
+            The register.
+        """
         cell = self._models[id_].table[register]
         return cell.decode(self.memory[id_], cell.address)
 

@@ -240,7 +240,13 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return self.send(port, self.finished(txpacket))
 
     def finished(self, txpacket: list[int]) -> bytes:
-        """Return an instruction as it is sent: header, stuffing and CRC filled in."""
+        """Return an instruction as it is sent.
+
+        Parameters
+        ----------
+        txpacket : list of int
+            Instruction; header, stuffing and CRC are filled in, the list is not changed.
+        """
         packet = self.addStuffing(txpacket)
         packet[:4] = (*_HEADER, 0)
         crc = self.updateCRC(0, packet, len(packet) - 2)
@@ -248,13 +254,39 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return bytes(packet)
 
     def send(self, port: DeadlinePort, packet: bytes) -> int:
-        """Send a finished instruction that is answered; bytes received before are dropped."""
+        """Send a finished instruction that is answered; bytes received before are dropped.
+
+        Parameters
+        ----------
+        port : DeadlinePort
+            Port to the servos.
+        packet : bytes
+            From `finished`.
+
+        Returns
+        -------
+        int
+            COMM_SUCCESS or another result of the SDK.
+        """
         if not port.is_using:
             port.clearPort()
         return self._write(port, packet)
 
     def tell(self, port: DeadlinePort, txpacket: list[int]) -> int:
-        """Send an instruction that is not answered; `txpacket` itself is not changed."""
+        """Send an instruction that is not answered.
+
+        Parameters
+        ----------
+        port : DeadlinePort
+            Port to the servos.
+        txpacket : list of int
+            Instruction; header and CRC are filled in, the list is not changed.
+
+        Returns
+        -------
+        int
+            COMM_SUCCESS or another result of the SDK.
+        """
         result = self._write(port, self.finished(txpacket))
         if result == COMM_SUCCESS:
             port.is_using = False

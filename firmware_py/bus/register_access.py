@@ -68,7 +68,20 @@ class RegisterAccess:
         return None
 
     def get(self, id_: int, cell: RegisterField) -> int | None:
-        """Read a register, up to three times; None where all failed or the port has gone."""
+        """Read a register, up to three times.
+
+        Parameters
+        ----------
+        id_ : int
+            Id of the servo.
+        cell : RegisterField
+            The register.
+
+        Returns
+        -------
+        int or None
+            Raw value; None where every attempt failed or the port has gone.
+        """
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
@@ -80,7 +93,22 @@ class RegisterAccess:
         return None
 
     def put(self, id_: int, cell: RegisterField, raw: int) -> bool:
-        """Write a register, up to three times; return whether the servo confirmed it."""
+        """Write a register, up to three times.
+
+        Parameters
+        ----------
+        id_ : int
+            Id of the servo.
+        cell : RegisterField
+            The register.
+        raw : int
+            Raw value.
+
+        Returns
+        -------
+        bool
+            Whether the servo confirmed it.
+        """
         data = list(cell.encode(raw))
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS

@@ -72,7 +72,7 @@ class RegisterField(NamedTuple):
     writable: bool = True
 
     def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
-        """Return the raw value at `offset` of `data`."""
+        """Return the raw value at `offset` of received bytes."""
         return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
 
     def encode(self, raw: int) -> bytes:

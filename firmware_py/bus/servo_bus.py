@@ -78,11 +78,25 @@ class ServoBus(Protocol):
         ...
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure angles and currents; `deadline_ns` ends the wait for the answers."""
+        """Measure angles and currents.
+
+        Parameters
+        ----------
+        deadline_ns : int
+            End of the wait for the answers, on the clock of the bus.
+        """
         ...
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Send the goals, shape (dof,); `deadline_ns` is the end of the slot."""
+        """Send the goals.
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goal angles.
+        deadline_ns : int
+            End of the slot, on the clock of the bus.
+        """
         ...
 
     def torque(self, on: bool) -> BusStatus:

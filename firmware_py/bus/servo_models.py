@@ -85,6 +85,11 @@ class Model:
     def position_raw(self, angle_rad: float) -> int:
         """Return the raw position nearest to an angle.
 
+        Parameters
+        ----------
+        angle_rad : float
+            Angle of the output shaft, zero where the link is upright.
+
         Raises
         ------
         ValueError

@@ -34,15 +34,40 @@ class Transport(Protocol):
     """Byte stream to and from the servos; raises OSError when the device has gone."""
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return up to `size` bytes as soon as any arrive, or none after the deadline."""
+        """Return received bytes as soon as any arrive, or none after the deadline.
+
+        Parameters
+        ----------
+        size : int
+            Largest number of bytes.
+        deadline_ns : int
+            End of the wait.
+
+        Raises
+        ------
+        OSError
+            If the device has gone.
+        """
         ...
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return the number accepted."""
+        """Send bytes; return the number accepted.
+
+        Raises
+        ------
+        OSError
+            If the device has gone.
+        """
         ...
 
     def discard_input(self) -> None:
-        """Drop all bytes received and not yet read."""
+        """Drop all bytes received and not yet read.
+
+        Raises
+        ------
+        OSError
+            If the device has gone.
+        """
         ...
 
     def close(self) -> None:

@@ -28,7 +28,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks; the verdict is negative where a setting spoils the timing."""
+    """Run the checks; the verdict is negative where a setting spoils the timing.
+
+    Parameters
+    ----------
+    args : Namespace
+        Arguments of `configure`.
+
+    Raises
+    ------
+    InputError
+        If --bus and --config are not given together, or the configuration is refused.
+    """
     if args.bus != (args.config is not None):
         raise InputError("doctor", "needs --bus and --config together", f"like '{EXAMPLE}'")
     return _bus(args, read_config(args.config)) if args.bus else _machine(args)

@@ -69,7 +69,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write both files, or print them."""
+    """Write both files, or print them.
+
+    Parameters
+    ----------
+    args : Namespace
+        Arguments of `configure`.
+
+    Raises
+    ------
+    InputError
+        If the configuration is refused or a file cannot be written.
+    """
     path = args.config.resolve()
     files = {SERVICE_PATH: service_file(read_config(path), path, args.user), RULE_PATH: _RULE}
     if args.dry_run:

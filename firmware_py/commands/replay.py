@@ -33,7 +33,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; the verdict is negative where a value differs by more than the tolerance."""
+    """Compare; the verdict is negative where a value differs by more than the tolerance.
+
+    Parameters
+    ----------
+    args : Namespace
+        Arguments of `configure`.
+
+    Raises
+    ------
+    InputError
+        If log or bundle cannot be read, or they do not fit together.
+    """
     if args.log is None:
         if args.bundle is None:
             raise InputError("replay", "has neither a log nor a bundle", "name one of them")

@@ -7,62 +7,23 @@ whose buffers are allocated once; `set` and `get` by name serve all other purpos
 from __future__ import annotations
 
 import ctypes
-import platform
-import zipfile
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
-from typing import Any, Final, NamedTuple
-from xml.etree import ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.fmu_file import InstanceVariable, open_fmu
 
-__all__ = ["Channel", "FmuInstance", "InstanceVariable"]
+__all__ = ["Channel", "FmuInstance"]
 
 Array = NDArray[np.float64]
 
-_MACHINES: Final = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-_SYSTEMS: Final = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
 _LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
-_FUNCTIONS: Final = (
-    "fmi3InstantiateCoSimulation", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode",
-    "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
-    "fmi3FreeInstance",
-)  # fmt: skip
-"""Functions of the standard that are called."""
 _FMI_WARNING: Final = 1
 """A call has failed where its status is above this."""
-
-
-class InstanceVariable(NamedTuple):
-    """Scalar variable of an FMU, as its model description declares it.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    reference : int
-        Value reference.
-    type : str
-        Type, like "Float64".
-    causality : str
-        Causality, like "input".
-    unit : str
-        SI unit; "1" for none.
-    start : float or None
-        Start value of a Float64.
-    """
-
-    name: str
-    reference: int
-    type: str
-    causality: str
-    unit: str
-    start: float | None
 
 
 class Channel:
@@ -127,7 +88,7 @@ class FmuInstance:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        root, self.variables, self._library = _open(self.path)
+        root, self.variables, self._library = open_fmu(self.path)
         self.time_s = 0.0
         self._message = ""
         self._log = _LOG(self._take_message)
@@ -202,17 +163,41 @@ class FmuInstance:
         return found
 
     def channel(self, names: Sequence[str]) -> Channel:
-        """Return a channel for variables that are transferred together."""
+        """Return a channel for variables of type Float64 that are transferred together."""
         return Channel(self, names)
 
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
-        """Set variables by name; `values` has the shape (n,)."""
+        """Set variables by name.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Variables of type Float64.
+        values : array_like, shape (n,)
+            Values in SI units.
+
+        Raises
+        ------
+        FmuRefusal
+            If the FMU refuses a value.
+        """
         channel = self.channel(names)
         channel.values[:] = values
         channel.send()
 
     def get(self, names: Sequence[str]) -> Array:
-        """Return the values of variables by name, shape (n,); a Boolean is 1 or 0."""
+        """Return the values of variables by name.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Variables of type Float64 or Boolean.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Values in SI units; a Boolean is 1 or 0.
+        """
         return np.array([self._get(self.variable(name)) for name in names])
 
     def _get(self, variable: InstanceVariable) -> float:
@@ -231,7 +216,18 @@ class FmuInstance:
         self._initializing = False
 
     def step(self, step_s: float) -> None:
-        """Advance by `step_s` with the inputs that are set."""
+        """Advance with the inputs that are set.
+
+        Parameters
+        ----------
+        step_s : float
+            Communication step, positive.
+
+        Raises
+        ------
+        FmuRefusal
+            If the FMU refuses the step.
+        """
         if self._initializing:
             self.start()
         self.call(
@@ -256,74 +252,3 @@ class FmuInstance:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _open(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
-    """Read the model description with its variables, and load the binary for this machine."""
-    remedy = "build it again with 'python -m fmu build' or copy it again"
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-            astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
-            if astray:
-                raise InputError(
-                    path, f"holds a file with a path outside the archive ({astray[0]})", remedy
-                )
-            root = ET.fromstring(archive.read("modelDescription.xml"))
-            variables = {v.name: v for v in _variables(root)}
-            name = _binary(path, root, names)
-            binary = archive.read(name)
-    except FileNotFoundError:
-        raise InputError(path, "is missing", remedy) from None
-    except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
-            ValueError, RuntimeError) as error:  # fmt: skip
-        raise InputError(path, f"is no FMU ({error})", remedy) from None
-    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
-        library = Path(private) / PurePosixPath(name).name
-        library.write_bytes(binary)
-        try:
-            # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
-            # could cost the loop's thread a switch interval to get it back.
-            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is deleted
-        except OSError as error:
-            raise InputError(
-                path, f"its binary does not load ({error})",
-                "set TMPDIR to a directory from which programs may run, or build the FMU again",
-            ) from None  # fmt: skip
-    absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
-    if absent:
-        raise InputError(path, f"its binary lacks {absent[0]}", remedy)
-    return root, variables, loaded
-
-
-def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
-    """Return the name of the binary for this machine inside the archive."""
-    version = root.get("fmiVersion", "?")
-    if not version.startswith("3."):
-        raise InputError(path, f"is of FMI {version}", "build it with --fmi 3")
-    simulation = root.find("CoSimulation")
-    if simulation is None:
-        raise InputError(path, "is not for Co-Simulation", "build it with 'python -m fmu build'")
-    system, suffix = _SYSTEMS.get(platform.system(), (platform.system().lower(), ".dll"))
-    here = f"{_MACHINES.get(platform.machine(), platform.machine())}-{system}"
-    name = f"binaries/{here}/{simulation.get('modelIdentifier')}{suffix}"
-    if name not in names:
-        offered = sorted({n.split("/")[1] for n in names if n.startswith("binaries/")})
-        raise InputError(
-            path, f"holds no binary for {here}, only for {', '.join(offered) or 'none'}",
-            "build the FMU for this platform",
-        )  # fmt: skip
-    return name
-
-
-def _variables(root: ET.Element) -> Iterator[InstanceVariable]:
-    for element in root.findall("ModelVariables/*"):
-        start = element.get("start") if element.tag == "Float64" else None
-        yield InstanceVariable(
-            name=element.get("name", ""),
-            reference=int(element.get("valueReference", "0")),
-            type=element.tag,
-            causality=element.get("causality", "local"),
-            unit=element.get("unit", "1"),
-            start=float(start) if start else None,
-        )

@@ -77,7 +77,15 @@ def record_golden(
 
 
 def write_golden(path: Path, golden: Golden) -> None:
-    """Write the golden ticks; equal ticks give equal bytes."""
+    """Write the golden ticks; equal ticks give equal bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    golden : Golden
+        The ticks.
+    """
     np.savez(path, allow_pickle=False, **golden._asdict())
 
 

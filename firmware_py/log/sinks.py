@@ -26,7 +26,15 @@ class Sink(Protocol):
     """Receiver of ticks in the recorder process."""
 
     def write(self, time_ns: int, data: bytes) -> None:
-        """Take one tick: its wall time in ns and its JSON."""
+        """Take one tick.
+
+        Parameters
+        ----------
+        time_ns : int
+            Wall time.
+        data : bytes
+            The tick as JSON.
+        """
 
     def finish(self) -> None:
         """Complete the output after the last tick."""

@@ -23,7 +23,13 @@ class Telemetry(Protocol):
     drops: int
 
     def put(self, record: memoryview) -> None:
-        """Take the bytes of one record; never blocks, never raises."""
+        """Take one record; never blocks, never raises.
+
+        Parameters
+        ----------
+        record : memoryview
+            Packed record of `firmware_py.signals.tick_dtype`, valid during the call.
+        """
         ...
 
 

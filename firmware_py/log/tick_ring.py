@@ -46,12 +46,26 @@ class TickRing:
         self.count = 0
 
     def append(self, values: Sequence[Any]) -> None:
-        """Write a record, values in the order of `firmware_py.signals.tick_signals`."""
+        """Write a record.
+
+        Parameters
+        ----------
+        values : sequence
+            Values in the order of `firmware_py.signals.tick_signals`.
+        """
         self._pack(self._bytes, self.count % self._keep * self._size, *values)
         self.count += 1
 
     def amend(self, name: str, value: int) -> None:
-        """Replace one integer of the latest record."""
+        """Replace an integer of the latest record.
+
+        Parameters
+        ----------
+        name : str
+            Name of the column.
+        value : int
+            New value.
+        """
         start = (self.count - 1) % self._keep * self._size
         self._integer(self._bytes, start + self._offsets[name], value)
 

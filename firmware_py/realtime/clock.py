@@ -33,7 +33,13 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at `deadline_ns`; at once if that has passed."""
+        """Return at a deadline; at once if it has passed.
+
+        Parameters
+        ----------
+        deadline_ns : int
+            Absolute time of this clock.
+        """
         ...
 
 

@@ -79,7 +79,13 @@ class Histogram:
             self.max_ns = value
 
     def percentile_ns(self, fraction: float) -> int:
-        """Return the lowest upper end of a bucket that this fraction does not exceed."""
+        """Return a percentile, rounded up to the end of its bucket.
+
+        Parameters
+        ----------
+        fraction : float
+            Fraction of the durations that do not exceed it, 0 to 1.
+        """
         needed, seen = fraction * self.count, 0
         for bucket, count in enumerate(self.counts):
             seen += count
@@ -265,7 +271,15 @@ class Timing:
         self.stages["own"].add(busy_ns - bus_wait_ns)
 
     def miss(self, slots: int, cause: Cause) -> None:
-        """Count slots missed in a row, with their cause."""
+        """Count slots missed in a row.
+
+        Parameters
+        ----------
+        slots : int
+            Number of slots.
+        cause : Cause
+            Their common cause.
+        """
         self.misses += slots
         self.longest_run = max(self.longest_run, slots)
         self.causes[cause] += slots

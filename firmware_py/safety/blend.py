@@ -102,7 +102,13 @@ class Blend:
         self._tick, self._ticks = 0, math.ceil(least_s / self._period_s) if distance else 0
 
     def next(self, desired: list[float]) -> list[float]:
-        """Return the goals of the next tick from those of the motion, both in rad."""
+        """Return the goals of the next tick.
+
+        Parameters
+        ----------
+        desired : list of float
+            Goals of the motion, in rad.
+        """
         if self._tick == self._ticks:
             return desired
         left = self._left()

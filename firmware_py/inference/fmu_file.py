@@ -1,0 +1,145 @@
+"""File of an FMI 3.0 co-simulation FMU: its variables and its binary for this machine."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Final, NamedTuple
+from xml.etree import ElementTree as ET
+
+from firmware_py.errors import InputError
+
+__all__ = ["InstanceVariable", "open_fmu"]
+
+_MACHINES: Final = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
+_SYSTEMS: Final = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
+_FUNCTIONS: Final = (
+    "fmi3InstantiateCoSimulation", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode",
+    "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
+    "fmi3FreeInstance",
+)  # fmt: skip
+"""Functions of the standard that are called."""
+
+
+class InstanceVariable(NamedTuple):
+    """Scalar variable of an FMU, as its model description declares it.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    reference : int
+        Value reference.
+    type : str
+        Type, like "Float64".
+    causality : str
+        Causality, like "input".
+    unit : str
+        SI unit; "1" for none.
+    start : float or None
+        Start value of a Float64.
+    """
+
+    name: str
+    reference: int
+    type: str
+    causality: str
+    unit: str
+    start: float | None
+
+
+def open_fmu(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
+    """Read the model description with its variables, and load the binary for this machine.
+
+    Parameters
+    ----------
+    path : Path
+        The .fmu file.
+
+    Returns
+    -------
+    Element
+        Root of the model description.
+    dict of str to InstanceVariable
+        Variables by name, in the order of the file.
+    PyDLL
+        The loaded binary.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, is of another FMI version or kind, or has no binary for
+        this machine.
+    """
+    remedy = "build it again with 'python -m fmu build' or copy it again"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
+            if astray:
+                raise InputError(
+                    path, f"holds a file with a path outside the archive ({astray[0]})", remedy
+                )
+            root = ET.fromstring(archive.read("modelDescription.xml"))
+            variables = {v.name: v for v in _variables(root)}
+            name = _binary(path, root, names)
+            binary = archive.read(name)
+    except FileNotFoundError:
+        raise InputError(path, "is missing", remedy) from None
+    except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
+            ValueError, RuntimeError) as error:  # fmt: skip
+        raise InputError(path, f"is no FMU ({error})", remedy) from None
+    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
+        library = Path(private) / PurePosixPath(name).name
+        library.write_bytes(binary)
+        try:
+            # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
+            # could cost the loop's thread a switch interval to get it back.
+            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is deleted
+        except OSError as error:
+            raise InputError(
+                path, f"its binary does not load ({error})",
+                "set TMPDIR to a directory from which programs may run, or build the FMU again",
+            ) from None  # fmt: skip
+    absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
+    if absent:
+        raise InputError(path, f"its binary lacks {absent[0]}", remedy)
+    return root, variables, loaded
+
+
+def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
+    """Return the name of the binary for this machine inside the archive."""
+    version = root.get("fmiVersion", "?")
+    if not version.startswith("3."):
+        raise InputError(path, f"is of FMI {version}", "build it with --fmi 3")
+    simulation = root.find("CoSimulation")
+    if simulation is None:
+        raise InputError(path, "is not for Co-Simulation", "build it with 'python -m fmu build'")
+    system, suffix = _SYSTEMS.get(platform.system(), (platform.system().lower(), ".dll"))
+    here = f"{_MACHINES.get(platform.machine(), platform.machine())}-{system}"
+    name = f"binaries/{here}/{simulation.get('modelIdentifier')}{suffix}"
+    if name not in names:
+        offered = sorted({n.split("/")[1] for n in names if n.startswith("binaries/")})
+        raise InputError(
+            path, f"holds no binary for {here}, only for {', '.join(offered) or 'none'}",
+            "build the FMU for this platform",
+        )  # fmt: skip
+    return name
+
+
+def _variables(root: ET.Element) -> Iterator[InstanceVariable]:
+    for element in root.findall("ModelVariables/*"):
+        start = element.get("start") if element.tag == "Float64" else None
+        yield InstanceVariable(
+            name=element.get("name", ""),
+            reference=int(element.get("valueReference", "0")),
+            type=element.tag,
+            causality=element.get("causality", "local"),
+            unit=element.get("unit", "1"),
+            start=float(start) if start else None,
+        )
