@@ -9,6 +9,8 @@ import msgspec
 
 from firmware_py.errors import InputError
 
+__all__ = ["Parameter", "Role", "check_values"]
+
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
 """Treatment of a parameter by `identify`.
 

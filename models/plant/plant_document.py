@@ -33,6 +33,16 @@ from models.plant.parameter import Role
 from models.plant.provenance import Provenance, read_provenance
 from models.trials.trial import SignalRole
 
+__all__ = [
+    "EffectEntry",
+    "ParameterEntry",
+    "PartKind",
+    "PlantDocument",
+    "plant_json",
+    "read_plant_document",
+    "write_plant_document",
+]
+
 
 class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Drive or load of a plant document, by its kind."""

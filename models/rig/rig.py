@@ -14,6 +14,8 @@ from models.rig.rig_servo import RigServo
 from models.rig.trial_case import DOWN
 from models.shared.kinematics import Array
 
+__all__ = ["Rig"]
+
 FOLDED_RAD: Final = 0.8
 """Bend of a hinge beyond which the link has folded and the trial is refused."""
 

@@ -17,6 +17,8 @@ from models.rig.trial_case import TrialCase
 from models.shared.kinematics import Array
 from models.trials.trial_files import Trial, TrialMeta
 
+__all__ = ["Variation", "draw_variation", "run_case"]
+
 REST_SAMPLES: Final = 60
 """Rows at rest in front of the motion: the reference of the Deformation Index."""
 

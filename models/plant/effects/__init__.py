@@ -24,6 +24,8 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Scope
 from models.shared.catalogue import CATALOGUE, Port
 
+__all__ = ["EFFECTS", "Effect", "Need", "applicable", "check_effects"]
+
 EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
