@@ -1,6 +1,10 @@
-# The map of the data flow: each target below is one arrow of the design, in its order.
+# The commands of this repository. `make help` lists the targets.
 #
-#   trials -> plant -> bundle (+ observer unit) -> twin unit -> software in the loop -> report
+# The targets below "the main job" follow the flow of data, one target per step:
+#
+#   trials -> plant -> bundle (with the observer FMU) -> twin FMU -> software in the loop -> report
+#
+# Every step is one command, which is printed and works on its own.
 
 PYTHON ?= python3
 export OMP_NUM_THREADS := 1
@@ -10,13 +14,19 @@ BIN := .venv/bin
 READY := .venv/.ready
 SEED ?= 1
 
-# What gap-demo hides in the laboratory: EFFECT=STRENGTH, several with spaces between them.
+# Effects that gap-demo hides in the rig: EFFECT=STRENGTH, separated by spaces.
 HIDE ?= stiffness_softening=0.15
 SPACE := $() $()
 GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
 HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))
 
-# Run one command of ours, show it, and keep it for the report that it belongs to.
+# Recordings of other machines (docs/real-data.md).
+DATA ?= $(or $(DROPSTITCH_DATA),../shared/data)
+
+# Claims to measure, by name or group; empty: all whose command takes 20 minutes at most.
+ONLY ?=
+
+# Run a command of this project, print it, and log it for the report that it belongs to.
 LOG = $(if $(filter $(GAP)/%,$@),$(GAP),build)/commands.log
 
 define run
@@ -24,28 +34,35 @@ define run
 @PATH="$(CURDIR)/$(BIN):$$PATH" $(1)
 endef
 
-# The same for a command whose verdict belongs into the report, good or bad (exit 1 and 3).
+# The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo gap-demo test lint sil faults mutate soak hitl hitl-emulated bench bench-real lock clean
+.PHONY: help setup demo gap-demo test test-fast test-durations lint pytest sil faults mutate soak \
+  hitl hitl-emulated bench bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
 help:
-	@echo "make demo    the main job end to end; ends by naming the report to open"
+	@echo "make demo       the whole chain from trials to the report; prints the report's path"
 	@echo "make gap-demo HIDE=$(HIDE)"
-	@echo "             hide an effect in the laboratory, find and add it, rebuild unit and bundle,"
-	@echo "             run the robot again; ends by naming the report of before and after"
-	@echo "make test    lint, types, import contract and tests"
-	@echo "make sil     the loop in software for 10 s, its timing judged"
-	@echo "make soak    the same for 28 minutes under load with faults on the wire"
-	@echo "make faults  every fault injected and judged, three minutes"
-	@echo "make mutate  every comparison of the safety supervisor changed: do the tests notice?"
-	@echo "make hitl    tests on a real servo at DROPSTITCH_HITL_PORT; hitl-emulated: without one"
-	@echo "make bench   ratios against peers, measured side by side"
-	@echo "make bench-real DATA=DIR  measured data of two other rigs: name what their plants lack"
-	@echo "make lock    renew requirements/ from pyproject.toml"
-	@echo "make clean   remove what was built (keeps .venv)"
+	@echo "                hides an effect in the rig, finds it and adds it to the plant, rebuilds"
+	@echo "                FMU and bundle, runs the robot's loop again; prints the report's path"
+	@echo "make test       lint, types, import contracts and all tests"
+	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
+	@echo "                which lists tests that need more than half a second of processor time"
+	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict"
+	@echo "make soak       the same for 28 minutes under load with faults on the line"
+	@echo "make faults     the fault campaign: every fault injected and judged, three minutes"
+	@echo "make mutate     changes every comparison of the safety supervisor; a test has to fail"
+	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT"
+	@echo "make hitl-emulated  the same tests on an emulated servo"
+	@echo "make claims     measures the figures that the documentation states and prints them beside"
+	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
+	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
+	@echo "make bench-real DATA=DIR  recordings of two other machines: which effects their plants lack"
+	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
+	@echo "make lock       renews requirements/ from pyproject.toml"
+	@echo "make clean      removes what was built (keeps .venv)"
 
 # --- set-up -------------------------------------------------------------------------------------
 
@@ -76,7 +93,7 @@ demo: build/report.html
 	@echo
 	@echo "open $(CURDIR)/build/report.html"
 
-# The paper gives no phase between the joints of 2DOF: both ends of its range are run.
+# The paper does not state the phase between the joints (2DOF): 0 and 90 degrees are run.
 build/trials/.done: | $(READY)
 	$(call run,python -m models simulate --out $(@D) --dof 1 2 --seed $(SEED))
 	$(call run,python -m models simulate --out $(@D) --dof 2 --phase-deg 90 --seed $(SEED))
@@ -94,12 +111,12 @@ build/unseen_multisine/.done: | $(READY)
 build/plant.json: build/trials/.done
 	$(call run,python -m models identify build/trials --plant models/plant/nominal.toml --out $@)
 
-# After training the observer unit goes into the bundle, so the bundle is done when it is there.
+# The observer FMU is put into the bundle after training, so it is the last file of a bundle.
 build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done
 	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
 	$(call run,python -m fmu build $(@D) --plant build/plant.json --unit observer --out $@)
 
-# Studies of one phase each, for the report alone: the robot's bundle is trained on both.
+# Studies of one phase each, for the report only: the robot's bundle is trained on both phases.
 build/study_2dof_phase%/study.json: build/plant.json build/unseen_20deg/.done
 	$(call run,python -m models train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
 
@@ -134,8 +151,8 @@ build/report.html: $(REPORT_PARTS)
 
 # --- the gap workflow ---------------------------------------------------------------------------
 
-# Three payloads. The gap is looked for in the study's motion and judged on another, where the
-# trials differ from those of build/unseen_multisine in nothing but the effect.
+# Three payloads. The gap is searched in trials of the study's motion and judged on trials of a
+# multisine, which differ from those of build/unseen_multisine only by the hidden effect.
 GAP_PAYLOADS := 0 1 2
 
 gap-demo: $(GAP)/report.html
@@ -165,7 +182,7 @@ $(GAP)/twin_1dof.fmu: $(GAP)/bundle_after/observer.fmu
 $(GAP)/check_twin_1dof.json: $(GAP)/twin_1dof.fmu
 	$(call judge,python -m fmu check $< --json > $@)
 
-# Both units in FMPy on the sealed trials, and the one before on the same without the effect.
+# Twin FMUs before and after in FMPy on the sealed trials, and the one before without the effect.
 in_fmpy = $(call run,python -m fmu simulate $(1) --trial $(2)/dof1_payload$*_trial1_multisine_30deg.csv --out $(basename $@) --json > $@)
 
 $(GAP)/fmpy_before_%.json: build/twin_1dof.fmu $(GAP)/sealed/.done
@@ -175,7 +192,7 @@ $(GAP)/fmpy_after_%.json: $(GAP)/twin_1dof.fmu $(GAP)/sealed/.done
 $(GAP)/fmpy_without_%.json: build/twin_1dof.fmu build/unseen_multisine/.done
 	$(call in_fmpy,$<,build/unseen_multisine)
 
-# The robot's loop with every bundle, the laboratory behind its servos.
+# The robot's loop with every bundle; the rig moves behind the emulated servos.
 on_robot = $(call judge,python -m hil sil --bundle $(<D) --rig $(1) --payload-kg $* --line virtual --seconds 24 --out $(@D))
 
 $(GAP)/sil_before_%/timing.json: build/bundle_1dof/observer.fmu
@@ -196,8 +213,20 @@ $(GAP)/report.html: $(GAP_PARTS)
 
 # --- checks -------------------------------------------------------------------------------------
 
-test: lint
-	$(BIN)/python -m pytest -n 2
+# Lint runs beside the tests; the output of each is printed when it ends.
+test: $(READY)
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest
+
+test-fast: $(READY)
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest PYTEST_OPTIONS='-m "not slow"'
+
+# worksteal gives each process one half of the tests in their order, so that most fixtures are
+# built once; a process that has finished takes over tests of the other.
+pytest: $(READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_OPTIONS)
+
+test-durations: $(READY)
+	$(BIN)/python -m pytest -n 0 --record-slow
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -213,7 +242,7 @@ soak: build/twin_2dof.fmu
 	$(call run,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 1700 \
 	  --load 1 --faults lost=0.01 corrupt=0.01 --out build/soak)
 
-# The same tests at DROPSTITCH_HITL_PORT, a real servo's port, and at an emulated one's.
+# The same tests on the real servo at DROPSTITCH_HITL_PORT and on an emulated one.
 hitl: $(READY)
 	@test -n "$$DROPSTITCH_HITL_PORT" || \
 	  { echo "set DROPSTITCH_HITL_PORT to the port of a real servo (docs/robot.md)"; exit 2; }
@@ -234,6 +263,32 @@ bench: build/twin_2dof.fmu
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)
+
+# --- claims -------------------------------------------------------------------------------------
+
+claims: $(READY)
+	$(BIN)/python -m bench.claims --only $(ONLY)
+
+claims-accept: $(READY)
+	$(BIN)/python -m bench.claims --accept --only $(ONLY)
+
+build/bench/onnx.json: $(READY)
+	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]
+
+build/faults/faults.json: build/twin_2dof.fmu
+	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out $(@D))
+
+build/real/xl330_pendulum.json: $(wildcard $(DATA)/bam_xl330/*.json)
+build/real/emps.json: $(wildcard $(DATA)/emps/*.mat)
+build/real/%.json: models/plant/examples/%_identified.json | $(READY)
+	@test -n "$(filter $(DATA)/%,$^)" || { echo "no recordings in $(DATA): set DATA"; exit 2; }
+	for file in $(filter $(DATA)/%,$^); do $(BIN)/python -m models import $$file --as table \
+	  --map models/plant/examples/$*.map.toml --out build/real/$* >&2 || exit 2; done
+	$(BIN)/python -m models evaluate build/real/$* --plant $< --json > $@
+
+# The page of gap-demo as numbers.
+$(GAP)/figures.json: $(GAP)/report.html
+	$(BIN)/python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --json > $@
 
 lock:
 	for extra in record:robot test:workshop; do \

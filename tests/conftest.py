@@ -1,4 +1,7 @@
-"""A toy link, quick enough for every test: constant curvature, one lag, friction in the servo."""
+"""Toy link for tests that need trials, an observer, a study or a bundle in little time.
+
+Constant curvature, one first-order lag, friction in the servo.
+"""
 
 import os
 
@@ -11,6 +14,11 @@ import pytest
 from models.plant.step_model import StepModel, Variable
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
+from tests.durations import (  # noqa: F401 (hooks of pytest)
+    pytest_addoption,
+    pytest_collection_modifyitems,
+    pytest_configure,
+)
 
 STEP_S, PERIOD_S, REST = 0.017, 4.352, 20
 OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15

@@ -57,3 +57,15 @@ def test_the_compilers_complaint_is_passed_on(source, tmp_path):
     with pytest.raises(DropstitchError, match=r"wave\.c:1"):
         c_compiler.compile_library([source], tmp_path / "wave.so")
     assert not (tmp_path / "wave.so").exists()
+
+
+def test_options_of_the_environment_build_anew_and_compute_the_same(source, tmp_path, monkeypatch):
+    def wave(name):
+        library = ctypes.CDLL(str(c_compiler.compile_library([source], tmp_path / name)))
+        library.wave.restype, library.wave.argtypes = ctypes.c_double, [ctypes.c_double]
+        return library.wave(0.3)
+
+    optimised = wave("one.so")
+    monkeypatch.setenv(c_compiler.OPTIONS_VARIABLE, "-O0")
+    assert wave("two.so") == optimised
+    assert len(list(c_compiler.CACHE.glob("*.so"))) == 2
