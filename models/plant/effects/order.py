@@ -13,8 +13,6 @@ from typing import Final
 
 from models.shared.catalogue import Port
 
-__all__ = ["ORDER", "PORTS", "in_order"]
-
 PORTS: Final[tuple[Port, ...]] = (
     "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
 )  # fmt: skip
