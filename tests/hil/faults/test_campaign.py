@@ -15,6 +15,7 @@ from firmware_py.bus import feedback
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.errors import InputError
 from firmware_py.inference.bundle import Manifest, ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
@@ -180,10 +181,11 @@ def test_verdicts_are_counted_and_written(tmp_path):
     assert document.cases[1].complaints == ("tripped (why), not finished",)
     write_faults(tmp_path / "faults.json", document)
     assert read_faults(tmp_path / "faults.json") == document
-    assert (
-        json.loads((tmp_path / "faults.json").read_text())["cases"][0]["model"]
-        == "H54-200-S500-R(A)"
-    )
+    written = json.loads((tmp_path / "faults.json").read_text())
+    assert written["cases"][0]["model"] == "H54-200-S500-R(A)"
+    (tmp_path / "faults.json").write_text(json.dumps(written | {"schema": 1}))
+    with pytest.raises(InputError, match=r"schema version 1.*python -m hil faults"):
+        read_faults(tmp_path / "faults.json")
     suite = ET.fromstring(fault_verdict.faults_junit(judged))
     assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
     assert suite.find("testcase/failure").get("message") == "tripped (why), not finished"

@@ -176,6 +176,21 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     assert timing.reason in describe_sil(timing, chosen.out)
 
 
+def test_a_timing_document_of_before_is_refused_in_one_sentence(options):
+    chosen = options(seconds=1.0)
+    write_results(run_sil(chosen), chosen)
+    path = chosen.out / "timing.json"
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"schema": 1}))
+    with pytest.raises(InputError, match="schema version 1") as error:
+        read_timing(path)
+    assert "python -m hil sil" in str(error.value) and "\n" not in str(error.value)
+    del document["miss_rate_upper_bound_95"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="miss_rate_upper_bound_95"):
+        read_timing(path)
+
+
 @pytest.mark.parametrize("line", ["socket", "pty"])
 def test_the_verdict_on_a_run_in_real_time_follows_from_its_evidence(options, line):
     chosen = options(line=line, seconds=1.0)
