@@ -329,7 +329,9 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
     for key, value, low, high in ranges:
         if value is not None and not low <= value <= high:
             raise InputError(
-                path, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
+                path,
+                f"{key} is {value}, outside {low:g} to {high:g}",
+                "give it in the unit of its name",
             )
     low, high = limits.angle_rad
     if not -math.pi <= low < high <= math.pi:

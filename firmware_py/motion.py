@@ -210,7 +210,9 @@ def _multisine(fraction: Array, harmonics: Sequence[int]) -> Array:
     """Sum of harmonics over the whole duration with peak 1, faded in and out in a tenth each."""
     fine = np.linspace(0.0, 1.0, 4097)
     scale = 1.0 / np.max(np.abs(_harmonic_sum(fine, harmonics)))
-    peak_held = np.clip(scale * _harmonic_sum(fraction, harmonics), -1.0, 1.0)  # between the points
+    peak_held = np.clip(
+        scale * _harmonic_sum(fraction, harmonics), -1.0, 1.0
+    )  # the peak may lie between the points
     return np.asarray(peak_held)
 
 

@@ -150,6 +150,6 @@ class ServoPreparation:
 
     def _silent(self, servo: ServoSetup, attempt: str) -> InputError:
         return self.unfit(
-            f"servo {servo.id} gives no good answer to '{attempt}'",
+            f"servo {servo.id} gives no valid answer to '{attempt}'",
             "check its power, cable and id, and that the baud rate is the servo's",
         )

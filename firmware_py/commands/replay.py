@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 def _bundle_of(path: Path, log: Recording) -> Path:
     directory = Path(log.metadata.get("bundle", ""))
     if not directory.is_dir():
-        raise InputError(path, f"its bundle {directory} is not here", "name one with --bundle")
+        raise InputError(path, f"its bundle {directory} is missing", "name one with --bundle")
     return directory
 
 

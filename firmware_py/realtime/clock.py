@@ -1,9 +1,9 @@
 """Clocks of the loop, real and simulated, and real-time scheduling of its thread.
 
 Waiting for absolute deadlines keeps the phase: 600 ticks of 17 ms drift by 3 ms in all, against
-1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). `SCHED_FIFO` is worth more
-than everything else against a busy machine, and it is set inside the loop's own thread: a policy
-for the whole unit would promote every helper thread as well.
+1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). On a busy machine
+`SCHED_FIFO` has the largest effect. It is set inside the loop's thread: a policy for the whole
+service would promote every other thread as well.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The control loop in simulated time, over a bus that fails as a script says."""
+"""Control loop in simulated time, over a bus that fails by a script."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""robot.toml: the commented example says every default, and each wrong input gets its sentence."""
+"""Configuration: defaults of the commented robot.toml, and refusals of wrong input."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""Documents: what is written is read back, and what does not fit is refused in one sentence."""
+"""Documents: round trip, and refusals of files that do not fit."""
 
 from __future__ import annotations
 

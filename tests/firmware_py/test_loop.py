@@ -1,4 +1,4 @@
-"""The loop in simulated time: phase, missed slots, stale data, the way to the motion."""
+"""Loop in simulated time: phase, missed slots, stale data, approach to the motion."""
 
 import numpy as np
 import pytest

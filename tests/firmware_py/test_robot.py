@@ -1,4 +1,4 @@
-"""What a configuration puts together: here, a payload that is known to the observer."""
+"""Robot from a configuration: payload of the observer, bus and loop."""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,4 @@
-"""The commands as a user runs them, against servos in memory behind a socket."""
+"""Commands of the robot, against servos in memory behind a socket."""
 
 import contextlib
 import json
@@ -151,7 +151,7 @@ def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("id = 1", "id = 2"), "servo 2 gives no good answer"),
+        (("id = 1", "id = 2"), "servo 2 gives no valid answer"),
         (("H54-200-S500-R", "H42-20-S300-R"), "servo 1 is H54-200-S500-R, not H42-20-S300-R"),
         (("unix:", "unix:/no"), "cannot be connected to"),
         (("amplitude_rad = 0.02", "amplitude_rad = 0.5"), "motion sinusoid"),

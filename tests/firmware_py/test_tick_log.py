@@ -1,4 +1,4 @@
-"""Records and durations of the loop in simulated time; and no memory left behind."""
+"""Records and durations of the loop in simulated time, and net allocation of a tick."""
 
 import gc
 import tracemalloc

@@ -1,4 +1,4 @@
-"""The rig: real servos at a port that the environment names, asked gently, left as they were found.
+"""Real servos at a port that the environment names, driven slowly and left without torque.
 
     DROPSTITCH_HITL_PORT     serial device; without it every test here is skipped
     DROPSTITCH_HITL_BAUD     default 1000000
@@ -60,7 +60,7 @@ class Witness:
         raise AssertionError(f"servo {id_} does not answer")
 
 
-class Rig:
+class Hardware:
     """What a test may do with the servos; it counts what goes wrong."""
 
     def __init__(self, config):
@@ -122,14 +122,18 @@ def configured():
 
 
 @pytest.fixture
-def rig():
-    """The rig; whatever a test did, it ends without an error and without torque."""
-    rig = Rig(configured())
-    assert rig.witness.registers(Register.TORQUE_ENABLE) == [0] * rig.config.dof, "released before"
-    yield rig
-    driven = rig.witness.registers(Register.TORQUE_ENABLE)
+def hardware():
+    """The servos; every test must end without an error and without torque."""
+    hardware = Hardware(configured())
+    assert hardware.witness.registers(Register.TORQUE_ENABLE) == [0] * hardware.config.dof, (
+        "released before"
+    )
+    yield hardware
+    driven = hardware.witness.registers(Register.TORQUE_ENABLE)
     if any(driven):
-        rig.witness.registers(Register.TORQUE_ENABLE, 0)
-    assert driven == [0] * rig.config.dof, "torque is off"
-    assert rig.witness.registers(Register.HARDWARE_ERROR) == [0] * rig.config.dof
-    assert {name: n for name, n in rig.faults.items() if name != "OK"} == {}, "no error was counted"
+        hardware.witness.registers(Register.TORQUE_ENABLE, 0)
+    assert driven == [0] * hardware.config.dof, "torque is off"
+    assert hardware.witness.registers(Register.HARDWARE_ERROR) == [0] * hardware.config.dof
+    assert {name: n for name, n in hardware.faults.items() if name != "OK"} == {}, (
+        "no error was counted"
+    )

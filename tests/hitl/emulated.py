@@ -1,4 +1,4 @@
-"""Run tests/hitl against emulated servos: `make hitl-emulated`, to know that they work.
+"""Run of tests/hitl against emulated servos, to check these tests (`make hitl-emulated`).
 
 Arguments go to pytest. One joint by default; set DROPSTITCH_HITL_IDS and _MODEL for others.
 """

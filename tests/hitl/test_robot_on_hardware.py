@@ -1,4 +1,4 @@
-"""The loop on real servos: a whole run, a stop in motion, a limit; and nothing left driven."""
+"""Loop on real servos: a whole run, a stop in motion, a limit; torque off at the end of each."""
 
 import msgspec
 import numpy as np
@@ -18,12 +18,12 @@ def column(summary, name, dof):
     return np.column_stack([summary.records[name.format(j)] for j in range(1, dof + 1)])
 
 
-def test_the_arm_follows_the_motion_from_where_it_stands_to_its_end(rig):
-    with rig.bus() as bus:
-        summary = rig.run(rig.loop(bus))
+def test_the_arm_follows_the_motion_from_where_it_stands_to_its_end(hardware):
+    with hardware.bus() as bus:
+        summary = hardware.run(hardware.loop(bus))
     assert (summary.ended, summary.released) == (Ended.FINISHED, True)
-    goal_rad = column(summary, "goal_{}_rad", rig.config.dof)
-    angle_rad = column(summary, "angle_{}_rad", rig.config.dof)
+    goal_rad = column(summary, "goal_{}_rad", hardware.config.dof)
+    angle_rad = column(summary, "angle_{}_rad", hardware.config.dof)
     assert np.abs(goal_rad).max() == pytest.approx(AMPLITUDE_RAD, rel=0.01)
     assert np.abs(angle_rad).max() <= REACH_RAD
     assert np.ptp(angle_rad, axis=0).min() > AMPLITUDE_RAD, "it moves"
@@ -31,7 +31,7 @@ def test_the_arm_follows_the_motion_from_where_it_stands_to_its_end(rig):
     steps_rad = np.abs(
         np.diff(np.vstack([angle_rad[:1], goal_rad]), axis=0)
     )  # from where it stands
-    assert steps_rad.max() <= RATE_RAD_S * rig.config.period_s * (
+    assert steps_rad.max() <= RATE_RAD_S * hardware.config.period_s * (
         summary.records["missed"].max() + 1
     )
     assert (summary.records["stale_ticks"] == 0).all()
@@ -51,22 +51,24 @@ class StopAt:
             self.loop.stop("SIGTERM")
 
 
-def test_a_stop_in_motion_brings_the_arm_to_rest_and_releases_it(rig):
+def test_a_stop_in_motion_brings_the_arm_to_rest_and_releases_it(hardware):
     stop = StopAt(80)
-    with rig.bus() as bus:
-        stop.loop = rig.loop(bus, telemetry=stop)
-        summary = rig.run(stop.loop)
+    with hardware.bus() as bus:
+        stop.loop = hardware.loop(bus, telemetry=stop)
+        summary = hardware.run(stop.loop)
     assert (summary.ended, summary.reason) == (Ended.SIGNALLED, "SIGTERM")
     assert summary.released
     assert summary.ticks < 80 + 60, "at once, not at the motion's end"
-    goal_rad = column(summary, "goal_{}_rad", rig.config.dof)
+    goal_rad = column(summary, "goal_{}_rad", hardware.config.dof)
     assert np.ptp(goal_rad[-10:], axis=0).max() == 0.0, "the last goal is held"
 
 
-def test_a_limit_stops_the_arm_and_releases_it(rig):
-    low_ceiling = msgspec.structs.replace(rig.config.limits_in_force, tip_max_m=(1.2, 1.2, 0.5))
-    with rig.bus() as bus:
-        summary = rig.run(rig.loop(bus, limits=low_ceiling))
+def test_a_limit_stops_the_arm_and_releases_it(hardware):
+    low_ceiling = msgspec.structs.replace(
+        hardware.config.limits_in_force, tip_max_m=(1.2, 1.2, 0.5)
+    )
+    with hardware.bus() as bus:
+        summary = hardware.run(hardware.loop(bus, limits=low_ceiling))
     assert summary.ended is Ended.TRIPPED
     assert "the predicted tip has z" in summary.reason
     assert summary.released

@@ -1,4 +1,4 @@
-"""The transport's budget against published times, and the choice that the servos' answers leave."""
+"""Bus plans: transmission times against published ones, and the choice by the servos' answers."""
 
 import numpy as np
 import pytest

@@ -147,7 +147,7 @@ def test_a_servo_that_is_unfit_is_named_with_what_is_wrong(register, raw, words)
 def test_a_silent_servo_is_named():
     bus, transport, _ = make(LEGACY, LEGACY)
     transport.tamper = lambda data: b"" if data[4:5] == b"\x02" else data
-    with pytest.raises(InputError, match="servo 2 gives no good answer"):
+    with pytest.raises(InputError, match="servo 2 gives no valid answer"):
         bus.connect()
 
 

@@ -1,4 +1,4 @@
-"""The port under deadlines and the packets, with the SDK as shipped beside them."""
+"""Port under deadlines and packets, compared with the SDK as shipped."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Control tables, against the SDK's own byte order and the published addresses."""
+"""Control tables, against the SDK's byte order and the published addresses."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""A bundle loads only if every byte is what it was and this machine answers the same."""
+"""Loading of a bundle: hashes, golden ticks, and refusals."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""The robot's stepper against FMPy on the same FMU, and what it refuses."""
+"""FMU instance of the robot, against FMPy on the same FMU; and refusals."""
 
 import platform
 import tracemalloc

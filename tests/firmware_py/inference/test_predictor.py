@@ -1,4 +1,4 @@
-"""The predictor and the lagged estimator on the robot, against where they were trained."""
+"""Predictor and lagged estimator on the robot, against the models that were trained."""
 
 import gc
 import math

@@ -1,6 +1,6 @@
-"""The live view, looked at through a real WebSocket, and a loop that nobody can hold up.
+"""Live view through a real WebSocket, and a loop that neither viewer nor recorder can delay.
 
-Viewers and recorder are processes of their own here, killed and stopped as a system does it.
+Viewers and recorder are separate processes here, killed and stopped by signals.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""From the loop's socket to a file and back, with the recorder slow, dead or cut off."""
+"""Path of a tick from the loop's socket to a file and back, also with a slow or dead recorder."""
 
 import contextlib
 import ctypes

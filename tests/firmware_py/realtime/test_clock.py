@@ -1,4 +1,4 @@
-"""Clocks, and a thread that is made real-time and given back as it was."""
+"""Clocks, and a thread that is made real-time and restored."""
 
 import gc
 import os

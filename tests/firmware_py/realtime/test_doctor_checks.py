@@ -1,4 +1,4 @@
-"""The doctor on machines made of files."""
+"""Doctor checks on machines made of files."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What systemd hears from the loop, and the unit and rule that are installed."""
+"""Notification of systemd, and the service file and udev rule that are installed."""
 
 import configparser
 import json

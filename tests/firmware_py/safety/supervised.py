@@ -1,4 +1,4 @@
-"""A supervisor at work, as the tests of limits, blends and states want it."""
+"""Supervisors in operation, for the tests of limits, blends and states."""
 
 import numpy as np
 

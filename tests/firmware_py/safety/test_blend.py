@@ -1,4 +1,4 @@
-"""No goal jumps: not at the start, after missed slots, nor when a motion is taken up again."""
+"""Blends: goals without jumps at the start, after missed slots and after a replug."""
 
 import math
 

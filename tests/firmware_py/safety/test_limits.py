@@ -1,4 +1,4 @@
-"""Every limit just inside, at and just outside."""
+"""Limits, each just inside, at and just outside."""
 
 import math
 import tomllib

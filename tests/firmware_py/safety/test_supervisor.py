@@ -1,4 +1,4 @@
-"""The supervisor: when it degrades, stops, ends and starts anew."""
+"""Supervisor: degradation, stops, ends and restarts."""
 
 import math
 
