@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from firmware_py.console import DONE, emit
+from firmware_py.display_units import FILE_SIZE
 
 EXAMPLE = "python -m hil report --build build --out build/report.html"
 
@@ -26,5 +27,5 @@ def run(args: argparse.Namespace) -> int:
 
     out = args.out or args.build / "report.html"
     size = write_report(args.build, out)
-    emit(args, {"report": str(out), "bytes": size}, f"{out}: {size / 1e3:.0f} kB")
+    emit(args, {"report": str(out), "bytes": size}, f"{out}: {FILE_SIZE.number(size)} {FILE_SIZE.name}")
     return DONE

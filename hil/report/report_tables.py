@@ -261,7 +261,7 @@ def verdict_sentence(loop: LoopRun) -> str:
             "On the virtual line the clock is simulated: computation takes no time and a run can "
             "be repeated bit by bit. Durations contain bus time only."
         )
-    causes = ", ".join(f"{count} {cause}" for cause, count in timing.causes.items() if count)
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items() if count)
     lost = (
         f" {timing.misses} of {timing.slots} slots were missed ({causes}; longest run of "
         f"misses {timing.longest_run_of_misses})."

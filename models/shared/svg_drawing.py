@@ -92,8 +92,8 @@ def _to_svg(figure: Any) -> str:
     text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough
     text = re.sub(r"\n\s*", "\n", text)
     head, end, body = text.partition(">")
-    head = re.sub(r' (width|height|version|xmlns)="[^"]*"', "", head)
-    return head + end + body
+    head = re.sub(r' (width|height|version|xmlns(:xlink)?)="[^"]*"', "", head)
+    return head + end + body.replace("xlink:href", "href")
 
 
 def _with_own_ids(svg: str, about: str) -> str:

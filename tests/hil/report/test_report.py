@@ -291,7 +291,7 @@ def test_one_slow_tick_among_many_is_seen(slow_run):
 def test_misses_of_our_own_doing_are_said_and_judged(build, slow_run):
     inputs = replace(read_build(build), loops=[slow_run])
     first = verdict_sentence(slow_run)
-    assert first.startswith("Verdict: fail; 1 of ") and "1 own compute" in first
+    assert first.startswith("Verdict: fail; the loop missed 1 of ") and "1 own compute" in first
     table = results_table(inputs)
     assert row_of(table, "missed by the loop itself")[2].met is False
     assert row_of(table, "Own cost")[2].met is True  # p99 of 0.6 ms
