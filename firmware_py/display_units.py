@@ -67,12 +67,16 @@ PAYLOAD: Final = DisplayUnit("kg", 1.0, 1)
 TIME: Final = DisplayUnit("s", 1.0, 1)
 DURATION: Final = DisplayUnit("ms", 1e3, 1)
 """Of durations in seconds: a period, a timeout."""
+DELAY: Final = DisplayUnit("µs", 1e6, 0)
+"""Of short durations in seconds: a servo's return delay."""
 TICK_TIME: Final = DisplayUnit("ms", 1e-6, 3)
 """Of durations in nanoseconds, as ticks are timed."""
 CPU_TIME: Final = DisplayUnit("µs", 1e-3, 0)
 """Of short durations in nanoseconds: what a computation takes."""
 FILE_SIZE: Final = DisplayUnit("kB", 1e-3, 0)
 """Of sizes in bytes."""
+BAUD_RATE: Final = DisplayUnit("Mbaud", 1e-6, 0)
+"""Of baud rates in bits per second."""
 
 VALUE_UNITS: Final = {"rad": ANGLE, "rad/s": ANGULAR_RATE, "m": LENGTH}
 """SI unit of a value to the unit in which it is shown; others are shown as they are."""

@@ -22,6 +22,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from firmware_py.display_units import ANGLE
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 
@@ -89,7 +90,7 @@ class Motion:
             raise InputError("dof", f"is {self.dof}", "choose 1 or 2")
         if not 0 <= self.amplitude_rad <= np.pi / 2:
             raise InputError(
-                "amplitude", f"is {np.degrees(self.amplitude_rad):g} degrees", "choose 0 to 90"
+                "amplitude", f"is {ANGLE.factor * self.amplitude_rad:g} degrees", "choose 0 to 90"
             )
         if not 0.1 <= self.period_s <= 600:
             raise InputError("period", f"is {self.period_s:g} s", "choose 0.1 to 600")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import html
 import importlib.metadata
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from firmware_py.display_units import VALUE_UNITS
+from markupsafe import Markup
+
+from firmware_py.display_units import VALUE_UNITS, symbol_of
 from firmware_py.signals import PERIOD_S
 from fmu.interface import FmiVariable, Interface, finite_bounds
 from fmu.si_units import base_exponents
+from models.shared.html_page import render_page
+from models.shared.page_parts import Paragraph, Section, Table
 
 FmiVersion = Literal[2, 3]
 
@@ -188,29 +191,19 @@ def documentation_page(interface: Interface, description: str) -> str:
     description : str
         One sentence that describes the FMU.
     """
-    rows = "\n".join(
-        "<tr>"
-        + "".join(
-            f"<td>{html.escape(cell)}</td>"
-            for cell in (v.name, v.causality, v.unit, _range(v), v.description)
-        )
-        + "</tr>"
+    rows = [
+        [v.name, v.causality, symbol_of(v.unit), _range(v), v.description]
         for v in interface.variables
+    ]
+    usage = Markup(
+        "Co-Simulation with any communication step size. A value that is set between two steps "
+        "acts on the outputs immediately. A refused call leaves the instance unchanged and logs "
+        "one message under <code>logStatusError</code>. The folder <code>resources/</code> holds "
+        "the plant and the predictor that the FMU was built from."
     )
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{interface.name}</title>
-<style>body{{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}}
-td,th{{text-align:left;padding:.1em .8em .1em 0;border-bottom:1px solid #ddd}}</style></head>
-<body><h1>{interface.name}</h1>
-<p>{html.escape(description)}</p>
-<p>Co-Simulation with any communication step size. A value that is set between two steps acts on
-the outputs immediately. A refused call leaves the instance unchanged and logs one message under
-<code>logStatusError</code>. The folder <code>resources/</code> holds the plant and the predictor
-that the FMU was built from.</p>
-<table><tr><th>Variable</th><th>Causality</th><th>Unit</th><th>Range</th><th>Description</th></tr>
-{rows}
-</table></body></html>
-"""
+    table = Table("", ["variable", "causality", "unit", "range", "description"], rows)
+    lead = [Paragraph(description, "lead"), Paragraph(usage)]
+    return render_page(interface.name, lead, [Section("variables", "Variables", [table])])
 
 
 def _range(variable: FmiVariable) -> str:

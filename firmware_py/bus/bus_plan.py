@@ -48,6 +48,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from firmware_py.bus.registers import Block, ControlTable
+from firmware_py.display_units import BAUD_RATE, DURATION
 from firmware_py.errors import InputError
 
 BITS_PER_BYTE: Final = 10
@@ -232,13 +233,15 @@ def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
     baud = next(enough, None)
     raise InputError(
         where,
-        f"{plan.servos} servos at {plan.baud:,} baud need {plan.total_s * 1e3:.1f} ms of "
+        f"{plan.servos} servos at {plan.baud:,} baud need {DURATION.number(plan.total_s)} ms of "
         "transmission in every tick, bus.reply_timeout_s and period_s leave "
-        f"{budget_s * 1e3:.1f} ms",
+        f"{DURATION.number(budget_s)} ms",
         f"use ≥ {_readable(baud)}, here and in the servos" if baud else
         "use fewer servos on the bus, a shorter return delay or a longer period",
     )  # fmt: skip
 
 
 def _readable(baud: int) -> str:
-    return f"{baud / 1e6:g} Mbaud" if baud >= 1_000_000 else f"{baud:,} baud"
+    return (
+        f"{BAUD_RATE.factor * baud:g} {BAUD_RATE.name}" if baud >= 1_000_000 else f"{baud:,} baud"
+    )

@@ -22,6 +22,7 @@ from firmware_py.bus.registers import (
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_setup import ServoPreparation, ServoSetup
 from firmware_py.bus.transport import Transport
+from firmware_py.display_units import DURATION, TICK_TIME
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import Clock
 
@@ -219,8 +220,8 @@ class DynamixelBus:
         timeout_s = self._reply_timeout_s
         if timeout_s is not None and usual_ns > round(timeout_s * 1e9):
             raise self._preparation.unfit(
-                f"answers take {usual_ns / 1e6:.1f} ms, bus.reply_timeout_s allows "
-                f"{timeout_s * 1e3:g} ms",
+                f"answers take {TICK_TIME.number(usual_ns, 1)} ms, bus.reply_timeout_s allows "
+                f"{DURATION.factor * timeout_s:g} ms",
                 "set the adapter's latency timer to 1 ms ('dropstitch install-service' does), or "
                 "raise the baud rate",
             )

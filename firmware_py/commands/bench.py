@@ -16,6 +16,7 @@ import msgspec
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.display_units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, real_time
@@ -62,14 +63,15 @@ def run(args: argparse.Namespace) -> int:
     good = stages["own"].p99_ns <= LIMIT_NS
     lines = [f"{'stage':>10} {'p50':>8} {'p99':>8} {'max':>8}  µs"]
     lines += [
-        f"{name:>10} " + " ".join(f"{ns / 1e3:8.1f}" for ns in (s.p50_ns, s.p99_ns, s.max_ns))
+        f"{name:>10} "
+        + " ".join(f"{CPU_TIME.number(ns, 1):>8}" for ns in (s.p50_ns, s.p99_ns, s.max_ns))
         for name, s in stages.items()
     ]
     lines += [f"note: {sentence}" for sentence in refused]
     lines.append(
-        f"own cost p99 {stages['own'].p99_ns / 1e3:.0f} µs of at most {LIMIT_NS / 1e3:.0f} µs "
-        f"in {summary.ticks} ticks, {summary.timing.misses} slots missed: "
-        + ("good" if good else "too much")
+        f"own cost p99 {CPU_TIME.number(stages['own'].p99_ns)} µs of at most "
+        f"{CPU_TIME.number(LIMIT_NS)} µs in {summary.ticks} ticks, "
+        f"{summary.timing.misses} slots missed: " + ("good" if good else "too much")
     )
     document = summary.document(None, bus.plan.name)
     verdict = {"dof": dof, "limit_own_p99_ns": LIMIT_NS, "good": good}

@@ -13,6 +13,7 @@ from pathlib import Path
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.display_units import DELAY, DURATION
 from firmware_py.errors import InputError
 from firmware_py.realtime.doctor_checks import Severity, examine
 
@@ -63,12 +64,12 @@ def _bus(args: argparse.Namespace, config: RobotConfig) -> int:
     plans, budget_s = config.bus_plans(), config.transmission_budget_s
     lines = [
         f"{config.dof} × {config.servos[0].model} at {config.bus.baud:,} baud, return delay "
-        f"{plans[0].return_delay_s * 1e6:.0f} µs; ms of transmission in a tick",
+        f"{DELAY.number(plans[0].return_delay_s)} µs; ms of transmission in a tick",
         f"{'plan':26} {'block':>7} {'read':>7} {'write':>7} {'sum':>7} {'of period':>10} "
         f"{'read twice':>11}",
         *(_row(plan, config.period_s, budget_s) for plan in plans),
-        f"there are {budget_s * 1e3:.1f} ms; the USB latency timer adds up to its setting to the "
-        "read",
+        f"there are {DURATION.number(budget_s)} ms; the USB latency timer adds up to its setting "
+        "to the read",
         "the first plan that the servos answer at the start is used; a read that fails is repeated "
         "where there is time to read twice",
     ]
@@ -88,8 +89,8 @@ def _row(plan: Plan, period_s: float, budget_s: float) -> str:
     times = (plan.read_s, plan.write_s, plan.total_s)
     return (
         f"{plan.name:26} {plan.block.size:5d} B "
-        + " ".join(f"{t * 1e3:7.2f}" for t in times)
-        + f" {plan.total_s / period_s:10.1%} {plan.read_twice_s * 1e3:11.2f}"
+        + " ".join(f"{DURATION.number(t, 2):>7}" for t in times)
+        + f" {plan.total_s / period_s:10.1%} {DURATION.number(plan.read_twice_s, 2):>11}"
         + _remark(plan, budget_s)
     )
 

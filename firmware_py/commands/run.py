@@ -22,6 +22,7 @@ import msgspec
 
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
+from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recorder import recording
@@ -144,9 +145,9 @@ def describe(summary: RunSummary, log: Path | None) -> str:
     lines = [
         f"{summary.ended.value}: {summary.reason}",
         f"{summary.ticks} ticks, {summary.timing.misses} slots missed, bus faults: {faults}",
-        f"tick p50 {busy.p50_ns / 1e3:.0f} µs, p99 {busy.p99_ns / 1e3:.0f} µs, "
-        f"max {busy.max_ns / 1e3:.0f} µs; own cost p50 {own.p50_ns / 1e3:.0f} µs, "
-        f"p99 {own.p99_ns / 1e3:.0f} µs",
+        f"tick p50 {CPU_TIME.number(busy.p50_ns)} µs, p99 {CPU_TIME.number(busy.p99_ns)} µs, "
+        f"max {CPU_TIME.number(busy.max_ns)} µs; own cost p50 {CPU_TIME.number(own.p50_ns)} µs, "
+        f"p99 {CPU_TIME.number(own.p99_ns)} µs",
     ]
     if summary.replugs:
         lines.append(f"continued {summary.replugs} times after the port had gone")

@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.display_units import CPU_TIME
+
 __all__ = ["Percentiles"]
 
 Nanoseconds = NDArray[np.int64]
@@ -56,4 +58,6 @@ class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def in_us(self) -> str:
         """Return median, tails and maximum in whole µs, as a line of text."""
-        return ", ".join(f"{label} {getattr(self, f) / 1e3:.0f} µs" for label, f in LABELS.items())
+        return ", ".join(
+            f"{label} {CPU_TIME.number(getattr(self, f))} µs" for label, f in LABELS.items()
+        )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from firmware_py.console import DONE, emit
+from firmware_py.display_units import FILE_SIZE
 from firmware_py.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     size = output.stat().st_size
     data = {"unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size}
-    emit(args, data, f"{output}: {kind}, {manifest.dof}DOF, FMI {args.fmi}.0, {size / 1e3:.0f} kB")
+    emit(
+        args,
+        data,
+        f"{output}: {kind}, {manifest.dof}DOF, FMI {args.fmi}.0, {FILE_SIZE.number(size)} kB",
+    )
     return DONE
 
 

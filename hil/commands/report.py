@@ -27,5 +27,9 @@ def run(args: argparse.Namespace) -> int:
 
     out = args.out or args.build / "report.html"
     size = write_report(args.build, out)
-    emit(args, {"report": str(out), "bytes": size}, f"{out}: {FILE_SIZE.number(size)} {FILE_SIZE.name}")
+    emit(
+        args,
+        {"report": str(out), "bytes": size},
+        f"{out}: {FILE_SIZE.number(size)} {FILE_SIZE.name}",
+    )
     return DONE

@@ -21,6 +21,7 @@ import msgspec
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
+from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
@@ -139,8 +140,8 @@ def _timing_lines(timing: TimingDocument) -> list[str]:
     }
     return [
         *(f"{name:9} {row.in_us()}" for name, row in rows.items()),
-        f"target for the own cost, p50 {timing.budget.own_cost_p50_ns / 1e3:.0f} µs, "
-        f"p99 {timing.budget.own_cost_p99_ns / 1e3:.0f} µs: {met}",
+        f"target for the own cost, p50 {CPU_TIME.number(timing.budget.own_cost_p50_ns)} µs, "
+        f"p99 {CPU_TIME.number(timing.budget.own_cost_p99_ns)} µs: {met}",
         f"misses {timing.misses} ({causes}); with 95 % confidence the loop's own are fewer than 1 "
         f"in {1 / timing.own_miss_rate_upper_bound_95:.0f}",
     ]
@@ -150,12 +151,13 @@ def _error_lines(error: PredictionError) -> list[str]:
     if error.mean_euclidean_distance_m is None or error.max_m is None:
         return []
     return [
-        f"predicted tip off by {error.mean_euclidean_distance_m * 1e3:.1f} mm on average, "
-        f"{error.max_m * 1e3:.1f} mm at most",
+        f"predicted tip off by {LENGTH.number(error.mean_euclidean_distance_m)} mm on average, "
+        f"{LENGTH.number(error.max_m)} mm at most",
         *(
-            f"  {name.replace('_', ' '):12} {(part.mean_euclidean_distance_m or 0) * 1e3:5.1f} mm, "
-            f"{(part.max_m or 0) * 1e3:5.1f} mm at most, interval covers "
-            f"{100 * (part.interval_coverage or 0):.1f} %"
+            f"  {name.replace('_', ' '):12} "
+            f"{LENGTH.number(part.mean_euclidean_distance_m or 0):>5} mm, "
+            f"{LENGTH.number(part.max_m or 0):>5} mm at most, interval covers "
+            f"{FRACTION.number(part.interval_coverage or 0, 1)} %"
             for name, part in error.parts.items()
         ),
     ]

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.display_units import DURATION
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import RealTimeOptions, real_time
 from firmware_py.realtime.timing import KernelCounters
@@ -101,7 +102,9 @@ class Specification:
             )
         if not 0.0 <= self.latency_s <= MAX_LATENCY_S:
             raise InputError(
-                "--latency-ms", f"is {self.latency_s * 1e3:g}", f"give 0 to {MAX_LATENCY_S * 1e3:g}"
+                "--latency-ms",
+                f"is {DURATION.factor * self.latency_s:g}",
+                f"give 0 to {DURATION.factor * MAX_LATENCY_S:g}",
             )
 
 

@@ -14,6 +14,7 @@ from typing import Final
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.display_units import TICK_TIME
 from firmware_py.realtime.timing import Cause
 from hil.faults.fault_row import FaultRow
 from hil.faults.observation import CaseObservation
@@ -105,8 +106,8 @@ def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
     limit_ns = round(watchdog_steps(period_s) * WATCHDOG_STEP_S * 1e9)
     if seen.watched and seen.unheard_ns > limit_ns:
         complaints.append(
-            f"driven without supervision for {seen.unheard_ns / 1e6:.0f} ms, the watchdog's time "
-            f"is {limit_ns / 1e6:.0f} ms"
+            f"driven without supervision for {TICK_TIME.number(seen.unheard_ns, 0)} ms, the "
+            f"watchdog's time is {TICK_TIME.number(limit_ns, 0)} ms"
         )
     if seen.live and (seen.watched or seen.ended == "finished"):
         complaints.append("a servo still drives in the end")

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.display_units import CPU_TIME, TICK_TIME
 from firmware_py.realtime.percentiles import LABELS, Nanoseconds, Percentiles
 from firmware_py.signals import STAGES
 
@@ -224,7 +225,7 @@ def describe_budget(budget: TickBudget) -> list[str]:
     """Return the budget table and the figures beside it as lines of text."""
     rows = [f"{'stage, µs':18} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
     for stage, measured in budget.budget.items():
-        limit = f"{measured.budget_p99_ns / 1e3:8.0f}" + (
+        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}" + (
             "" if measured.within_budget else "  over"
         )
         if stage == "read":
@@ -232,15 +233,15 @@ def describe_budget(budget: TickBudget) -> list[str]:
             rows += [f"{parts[0]} {limit}", *parts[1:]]
         else:
             rows.append(f"{_row(stage, measured)} {limit}")
-    rows.append(_row("slack", budget.slack) + f"  least {budget.slack.min_ns / 1e3:.0f}")
+    rows.append(_row("slack", budget.slack) + f"  least {CPU_TIME.number(budget.slack.min_ns)}")
     return [*rows, _exchange_words(budget), *_cost_words(budget), *_lateness_words(budget)]
 
 
 def _exchange_words(budget: TickBudget) -> str:
     exchange = budget.exchange
     return (
-        f"read and write p50 {exchange.p50_ns / 1e3:.0f} µs, {exchange.ratio_p50:.2f} × their "
-        f"{exchange.plan_ns / 1e3:.0f} µs by the plan, "
+        f"read and write p50 {CPU_TIME.number(exchange.p50_ns)} µs, {exchange.ratio_p50:.2f} × "
+        f"their {CPU_TIME.number(exchange.plan_ns)} µs by the plan, "
         f"{exchange.until_goals_arrived_ratio_p50:.2f} × until the goals have arrived; the loop "
         f"computes for {budget.cpu_fraction:.1%} of the time"
     )
@@ -249,8 +250,8 @@ def _exchange_words(budget: TickBudget) -> str:
 def _cost_words(budget: TickBudget) -> list[str]:
     costs = (("that read twice", budget.read_again), ("without data", budget.without_data))
     return [
-        f"{cost.n} ticks {words} took at most {cost.max_ns / 1e6:.2f} ms, p99 "
-        f"{cost.p99_ns / 1e6:.2f} ms, and lost {cost.missed_slots} slots"
+        f"{cost.n} ticks {words} took at most {TICK_TIME.number(cost.max_ns, 2)} ms, p99 "
+        f"{TICK_TIME.number(cost.p99_ns, 2)} ms, and lost {cost.missed_slots} slots"
         for words, cost in costs
         if cost.n
     ]
@@ -262,14 +263,14 @@ def _lateness_words(budget: TickBudget) -> list[str]:
         f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"
         for name, ratio in ratios.items()
     )
-    mark = budget.high_water_mark_ns / 1e6
+    mark = TICK_TIME.number(budget.high_water_mark_ns, 2)
     return [
         *([f"lateness against the reference beside it: {late}"] if ratios else []),
-        f"high-water mark {mark:.2f} ms: the longest tick seen, which bounds nothing",
+        f"high-water mark {mark} ms: the longest tick seen, which bounds nothing",
     ]
 
 
 def _row(name: str, row: Percentiles) -> str:
     return f"{name:18} " + " ".join(
-        f"{getattr(row, field) / 1e3:8.0f}" for field in LABELS.values()
+        f"{CPU_TIME.number(getattr(row, field)):>8}" for field in LABELS.values()
     )

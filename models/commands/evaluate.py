@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.console import DONE, emit
+from firmware_py.display_units import LENGTH
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.plant.provenance import Evaluation
@@ -53,4 +54,4 @@ def as_text(result: Evaluation) -> str:
 
 
 def _millimetres(length_m: float | None) -> str:
-    return "" if length_m is None else f"{1e3 * length_m:.2f}"
+    return "" if length_m is None else f"{LENGTH.number(length_m, 2)}"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from firmware_py.console import DONE, emit
+from firmware_py.display_units import DURATION
 from firmware_py.log.recording import read_recording
 from models.trials.importers import KINDS, read_series
 from models.trials.importers.assembly import align_rest_pose, assemble_trial
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         "cut_off": cut_off,
     }
     rest = trial.meta.rest_samples
-    text = f"{path}: {len(trial)} rows of {trial.step_s * 1e3:.3g} ms, {rest} at rest"
+    text = f"{path}: {len(trial)} rows of {DURATION.factor * trial.step_s:.3g} ms, {rest} at rest"
     if not mapping.signals:
         text += f", {result['occluded_share']:.1%} of the marker cells empty"
     if "correlation" in result:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
 from models.plant.provenance import Provenance
 from models.trials.trial_files import STEP_TOLERANCE, Trial, TrialSet, read_trials
@@ -32,7 +33,6 @@ EXAMPLE = (
 )
 STEPS: Final = 20
 """Progress steps of a study before its tests: DI, 18 cross-validations and the fits."""
-MM: Final = 1e3
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -233,10 +233,11 @@ def _summary(out: Path, document: StudyDocument) -> str:
         pooled = table["pooled"]
         r2 = document.estimators[name]["observer"].r2_di
         lines.append(
-            f"  {name}: mean Euclidean distance {MM * pooled['estimated_di'][degree]:.2f} mm with "
-            f"estimated DI ({MM * pooled['with_di'][degree]:.2f} with true DI, "
-            f"{MM * pooled['without_di'][degree]:.2f} without), R² of DI {r2:.3f}, interval "
-            f"covers {document.deployed[name].interval_coverage_mean:.1%}"
+            f"  {name}: mean Euclidean distance "
+            f"{LENGTH.number(pooled['estimated_di'][degree], 2)} mm with "
+            f"estimated DI ({LENGTH.number(pooled['with_di'][degree], 2)} with true DI, "
+            f"{LENGTH.number(pooled['without_di'][degree], 2)} without), R² of DI {r2:.3f}, "
+            f"interval covers {document.deployed[name].interval_coverage_mean:.1%}"
         )
     if not any(name.startswith("trial_") for name in document.tests):
         lines.append("  no trial 2 to test on: simulate with --trials 2")

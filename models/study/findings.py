@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from firmware_py.display_units import FRACTION, LENGTH
 from models.learning.predictors import Array
 from models.learning.validation import payload_key
 from models.study.study_document import ByDegree, StudyDocument, StudyFinding
@@ -26,8 +27,6 @@ MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
 ANGLE_BINS: Final = 12
 """Bins of the angle over a DI loop."""
-MM: Final = 1e3
-PERCENT: Final = 1e2
 
 
 def judge_findings(
@@ -68,7 +67,7 @@ def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> Stud
 
 
 def _percent(value: float) -> str:
-    return f"{PERCENT * value:.2f} %"
+    return f"{FRACTION.number(value, 2)} %"
 
 
 def _rises_with_payload(mean_di: Mapping[str, float]) -> StudyFinding:
@@ -87,15 +86,15 @@ def _degree_one_is_worst(by_degree: ByDegree, name: str) -> StudyFinding:
     others = [v for d, v in by_degree.items() if d != "1"]
     return _finding(
         "Degree 1 is worst", worst == "1",
-        f"mean Euclidean distance on {name} {MM * by_degree['1']:.1f} mm at degree 1, "
-        f"{MM * min(others):.1f} to {MM * max(others):.1f} mm at the others",
+        f"mean Euclidean distance on {name} {LENGTH.number(by_degree['1'])} mm at degree 1, "
+        f"{LENGTH.number(min(others))} to {LENGTH.number(max(others))} mm at the others",
         "the geometry: the tip moves on an arc, which no linear map of the angle follows",
     )  # fmt: skip
 
 
 def _di_helps(table: Mapping[str, ByDegree], name: str) -> StudyFinding:
     gains = {d: table["without_di"][d] - v for d, v in table["with_di"].items()}
-    listed = ", ".join(f"{MM * g:.1f}" for g in gains.values())
+    listed = ", ".join(f"{LENGTH.number(g)}" for g in gains.values())
     return _finding(
         "DI helps at every degree", all(g > 0 for g in gains.values()),
         f"without DI the distance on {name} is larger by {listed} mm at degrees "
@@ -112,9 +111,10 @@ def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> Stu
     chosen = min(validated, key=lambda d: validated[d].selection_m)
     return _finding(
         f"{document.dof}DOF predicts best at degree {paper}", best == str(paper),
-        f"on {name} degree {best} is best with {MM * by_degree[best]:.2f} mm (degree {paper}: "
-        f"{MM * by_degree[str(paper)]:.2f} mm, degree 6: {MM * by_degree['6']:.2f} mm); "
-        f"cross-validation on the training trials, without {name}, chooses {chosen}",
+        f"on {name} degree {best} is best with {LENGTH.number(by_degree[best], 2)} mm "
+        f"(degree {paper}: {LENGTH.number(by_degree[str(paper)], 2)} mm, degree 6: "
+        f"{LENGTH.number(by_degree['6'], 2)} mm); cross-validation on the training trials, "
+        f"without {name}, chooses {chosen}",
         "trial-to-trial variation: the minimum lies below degree 6 only if the second trial "
         "differs from the first by more than the higher terms gain",
     )  # fmt: skip
@@ -145,15 +145,16 @@ def _hysteresis(training: TrialSet) -> StudyFinding:
     beyond = {k: found.width > NOISE_FACTOR * found.noise for k, found in loops.items()}
     heaviest = max(loops, key=float)
     listed = ", ".join(
-        f"{PERCENT * found.width:.3f} % at {k} kg ({PERCENT * found.width / found.span:.0f} % of "
-        f"its range{'' if beyond[k] else ', within noise'})"
+        f"{FRACTION.number(found.width, 3)} % at {k} kg "
+        f"({FRACTION.number(found.width / found.span)} % of its range"
+        f"{'' if beyond[k] else ', within noise'})"
         for k, found in loops.items()
     )
     noise = max(found.noise for found in loops.values())
     return _finding(
         "DI shows hysteresis at high payload", beyond[heaviest],
         f"DI at rising and at falling angle differs on average by {listed}; marker noise alone "
-        f"gives up to {PERCENT * noise:.3f} %",
+        f"gives up to {FRACTION.number(noise, 3)} %",
         "inertia and damping as well as hysteresis of the material: a loop at one speed does not "
         "separate them",
     )  # fmt: skip

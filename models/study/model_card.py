@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Final
 
+from firmware_py.display_units import DURATION, FRACTION, LENGTH
 from firmware_py.inference.bundle import Manifest
 from models.study.study_document import StudyDocument, TrialsSummary
-
-MM: Final = 1e3
 
 
 def model_card(manifest: Manifest, document: StudyDocument) -> str:
@@ -49,9 +47,9 @@ def _purpose(manifest: Manifest) -> str:
 
 A polynomial of degree {manifest.degree} that predicts the tip position of an inflatable link \
 from the measured angles and currents of its servos and the Deformation Index (DI), every \
-{MM * manifest.period_s:g} ms. On the robot DI is estimated, not measured: the plant observer \
-(`observer.fmu`, added by `python -m fmu build --unit observer`) drives the identified link with \
-the measured angle and current. The predictor was trained on the observer's DI.
+{DURATION.factor * manifest.period_s:g} ms. On the robot DI is estimated, not measured: the plant \
+observer (`observer.fmu`, added by `python -m fmu build --unit observer`) drives the identified \
+link with the measured angle and current. The predictor was trained on the observer's DI.
 
 It is valid for this link, its servos, its pressure and its motions. It is not a safety device: \
 the robot needs safety limits of its own.
@@ -81,14 +79,14 @@ def _figures(manifest: Manifest, document: StudyDocument) -> str:
     rows = []
     for name, table in document.mean_euclidean_distance_m.items():
         for variant, by_degree in table["pooled"].items():
-            values = [f"{MM * by_degree[d]:.2f}" for d in degrees]
+            values = [f"{LENGTH.number(by_degree[d], 2)}" for d in degrees]
             rows.append((name, variant.replace("_", " "), *values))
     validated = document.cross_validation["estimated_di"]
     rows.append(("cross-validation", "estimated di",
-                 *(f"{MM * validated[d].selection_m:.2f}" for d in degrees)))  # fmt: skip
+                 *(f"{LENGTH.number(validated[d].selection_m, 2)}" for d in degrees)))  # fmt: skip
     baselines = "; ".join(
-        f"on {name} the observer's own tip {MM * part.observer_tip['pooled']:.2f} mm, a link "
-        f"that does not bend {MM * part.rigid_kinematics['pooled']:.1f} mm"
+        f"on {name} the observer's own tip {LENGTH.number(part.observer_tip['pooled'], 2)} mm, "
+        f"a link that does not bend {LENGTH.number(part.rigid_kinematics['pooled'])} mm"
         for name, part in document.baselines.items()
     )
     several = validated[degrees[0]].leave_one_payload_out_m is not None
@@ -108,7 +106,7 @@ def _estimation(document: StudyDocument) -> str:
     for name, estimators in document.estimators.items():
         for source, part in estimators.items():
             fraction = part.benefit_recovered["3"]
-            shown = "no benefit" if fraction is None else f"{100 * fraction:.0f} %"
+            shown = "no benefit" if fraction is None else f"{FRACTION.number(fraction)} %"
             rows.append((name, source, f"{part.r2_di:.3f}", shown))
     header = ("test", "DI from", "R² of DI", "fraction of true DI's benefit at degree 3")
     return "## DI without motion capture\n\n" + _table(header, rows)
@@ -117,15 +115,15 @@ def _estimation(document: StudyDocument) -> str:
 def _limits(manifest: Manifest, document: StudyDocument) -> str:
     coverage = "\n".join(
         f"- On {name} the 95 % interval contained the tip in "
-        f"{100 * part.interval_coverage_mean:.1f} % of the rows and axes; "
-        f"{100 * part.in_range_fraction:.1f} % of the rows were in range."
+        f"{FRACTION.number(part.interval_coverage_mean, 1)} % of the rows and axes; "
+        f"{FRACTION.number(part.in_range_fraction, 1)} % of the rows were in range."
         for name, part in document.deployed.items()
     )
     validated = document.cross_validation["estimated_di"][str(manifest.degree)]
     payload = validated.leave_one_payload_out_m
     unseen = (
-        f"\n- Mean distance for a payload that is not in the training: {MM * payload:.1f} mm (each "
-        "payload left out in turn)."
+        f"\n- Mean distance for a payload that is not in the training: {LENGTH.number(payload)} mm "
+        "(each payload left out in turn)."
         if payload is not None
         else ""
     )
