@@ -88,7 +88,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
 
 
 def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequence[str]) -> bool:
-    """Whether the whole catalogue tells a denied effect from what was named in its place.
+    """Whether the whole catalogue tells a denied effect from its stand-ins.
 
     It does where it names the effect, and no stand-in is among the declared look-alikes.
     """

@@ -75,7 +75,17 @@ class BenchCase:
 def draw_cases(
     singles: int, nulls: int, pairs: int, outside: int, seed: int
 ) -> Iterator[BenchCase]:
-    """Draw cases: `singles` of every effect and size, and so many of the other kinds."""
+    """Draw cases.
+
+    Parameters
+    ----------
+    singles : int
+        Of every effect and size.
+    nulls, pairs, outside : int
+        Without an effect, with two, and with one that the catalogue is denied.
+    seed : int
+        Of the draw.
+    """
     rng = np.random.default_rng(seed)
     names = list(TYPICAL)
 

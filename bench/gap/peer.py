@@ -179,7 +179,7 @@ def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
 
 
 def main() -> int:
-    """Run the cases that stand in the benchmark's directory, and summarise."""
+    """Run the cases whose results are in the benchmark's directory, and summarise."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plant", type=Path, required=True, help="as the benchmark had it")
     parser.add_argument("--out", type=Path, required=True, help="results of the benchmark")

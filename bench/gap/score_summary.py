@@ -36,7 +36,7 @@ def fraction_with_interval(rows: Sequence[bool]) -> dict[str, Any]:
 
 
 def benchmark_figures(directory: Path) -> dict[str, Any]:
-    """Figures over every result that stands."""
+    """Figures over every result in a directory."""
     results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
     possible = [r for r in results if "impossible" not in r]
     of = lambda kind: [r for r in possible if r["case"]["kind"] == kind]  # noqa: E731
@@ -64,9 +64,11 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
             [set(r["named"]) == set(r["case"]["hidden"]) for r in of("pair")]
         ),
         "pairs_in_class": fraction_with_interval([_pair_in_class(r) for r in of("pair")]),
-        "outside_said": fraction_with_interval([_said(r) for r in of("outside") if r["separable"]]),
-        "outside_said_all": fraction_with_interval([_said(r) for r in of("outside")]),
-        "inside_said": fraction_with_interval([_said(r) for r in detected]),
+        "outside_reported": fraction_with_interval(
+            [_reported(r) for r in of("outside") if r["separable"]]
+        ),
+        "outside_reported_all": fraction_with_interval([_reported(r) for r in of("outside")]),
+        "inside_reported": fraction_with_interval([_reported(r) for r in detected]),
         "fraction_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
         "coverage": fraction_with_interval([c for r in detected if (c := _covered(r)) is not None]),
@@ -156,7 +158,7 @@ def _pair_in_class(r: dict[str, Any]) -> bool:
     return any(a in alike[0] and b in alike[1] for a, b in permutations(r["case"]["hidden"]))
 
 
-def _said(r: dict[str, Any]) -> bool:
+def _reported(r: dict[str, Any]) -> bool:
     return bool(r["verdict"] == "not in the catalogue")
 
 

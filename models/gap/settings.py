@@ -46,7 +46,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Standard deviation of a nuisance parameter of the link, as a fraction of its value, by a part
     of its name [assumed]."""
     bound_prior_fraction: float = 0.25
-    """The same for other loads, as a fraction of the distance between the bounds [assumed]."""
+    """Standard deviation of a nuisance parameter of other loads, as a fraction of the distance
+    between its bounds [assumed]."""
     frame_shift_prior_m: float = 0.005
     """Standard deviation of the mocap frame's shift that is common to all trials [assumed]."""
     clock_limit_s: float = 0.010
@@ -54,19 +55,20 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     pressure_variation_fraction: float = 0.01
     """Standard deviation of stiffness between repetitions of a trial [assumed]."""
     friction_variation_fraction: float = 0.05
-    """The same of friction [assumed]."""
+    """Standard deviation of friction between repetitions [assumed]."""
     eccentricity_variation_m: float = 0.003
-    """The same of the payload's eccentricity [assumed]."""
+    """Standard deviation of the payload's eccentricity between repetitions [assumed]."""
     clock_variation_s: float = 0.002
-    """The same of the clock [assumed]."""
+    """Standard deviation of the clock between repetitions [assumed]."""
     frame_variation_m: float = 0.0003
-    """The same of each coordinate of the mocap frame [assumed]."""
+    """Standard deviation of each coordinate of the mocap frame between repetitions [assumed]."""
 
     # Noise floor
     noise_floor_rounds: int = 3
     """Times that floor and trial variation are found in turn [assumed]."""
     nuisance_floor_rounds: int = 2
-    """The same where the plant file carries no floor [assumed]."""
+    """Times that floor and nuisance are found in turn, where the plant file carries no floor
+    [assumed]."""
     samples_per_independent_sample: float = 12.0
     """Samples that count as one in the first guess of a floor
     (docs/sources.md, "Naming a missing effect")."""
@@ -87,7 +89,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     payload_reach_kg: float = 1.0
     """Difference in payload over which the plant's own error changes [assumed]."""
     least_noise_fraction: float = 1e-9
-    """Least noise, as a fraction of a signal's largest variance: keeps matrices regular."""
+    """Least noise, as a fraction of a signal's largest variance: keeps matrices regular
+    [assumed]."""
     discrepancy_patterns: int = 16
     """Patterns of the plant's own error. Measured by bench.gap.calibrate (64 rigs, four folds): on
     links left out they take the error from 8.9 to 2.0 times the noise's power; twice as many would
@@ -101,22 +104,23 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     floor_fit_steps: int = 12
     """Most steps of a fit while the noise floor is measured [assumed]."""
     nuisance_fit_steps: int = 20
-    """The same of the nuisance fit and of what was chosen [assumed]."""
+    """Most steps of the nuisance fit, and of the fit after an inclusion [assumed]."""
     candidate_start_steps: int = 2
-    """The same of each start of a candidate [assumed]."""
+    """Most steps of a candidate's fit from each start [assumed]."""
     candidate_fit_steps: int = 8
-    """The same of a candidate from its best start [assumed]."""
+    """Most further steps of a candidate's fit, from the best of these [assumed]."""
     candidate_relative_fall: float = 1e-3
     """Fall of the cost, as a fraction of that so far, below which a candidate's fit takes exact
     derivatives [assumed]."""
     restart_steps: int = 3
     """Most steps of a fit from another strength (`restart_bound_fractions`) [assumed]."""
     deletion_steps: int = 5
-    """The same without an effect that was included earlier [assumed]."""
+    """Most steps of a fit without an effect that was included earlier [assumed]."""
     normal_ridge_fraction: float = 1e-10
-    """Ridge of a scaled normal equation: keeps it regular."""
+    """Ridge of a scaled normal equation: keeps it regular [assumed]."""
     held_out_ridge_fraction: float = 1e-9
-    """The same in cross-validation, where fewer trials determine it."""
+    """Ridge of a scaled normal equation in cross-validation, where fewer trials determine it
+    [assumed]."""
     nuisance_bias_limit_sd: float = 8.0
     """Least |z| of the nuisance that is too much to be chance. Measured on development cases of the
     benchmark: up to 4.4 where nothing had gone into the variation, 15 to 24 where a denied payload
@@ -127,11 +131,12 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     # Effect search
     widening_rounds: int = 2
-    """Times that the floor is widened by a fraction of the gap and the nuisance refitted."""
+    """Times that the floor is widened by a fraction of the gap and the nuisance refitted
+    [assumed]."""
     refitted_candidates: int = 5
     """Candidates of a round that are refitted, best first [assumed]."""
     refitted_pairs: int = 3
-    """The same of pairs [assumed]."""
+    """Pairs of effects that are refitted, best first [assumed]."""
     most_named: int = 3
     """Effects that one diagnosis may include [assumed]."""
     acceptable_score_fraction: float = 0.5
@@ -142,10 +147,11 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     further_effect_fraction_by_port: dict[str, float] = msgspec.field(
         default_factory=lambda: {"stiffness": 0.2, "bend_torque": 0.2}
     )
-    """The same by the port of what was named [assumed]."""
+    """`further_effect_fraction` by the port of the effect named before [assumed]."""
     inconsistent_further_effect_fraction: float = 0.35
-    """The same where the strength of the further effect is not consistent. Measured on single
-    hidden effects: stand-ins for an equation's error reached 0.25 of the first."""
+    """`further_effect_fraction` where the strength of the further effect is not consistent.
+    Measured on single hidden effects: stand-ins for an equation's error reached 0.25 of the
+    first."""
     restart_bound_fractions: tuple[float, ...] = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
     """Fractions of its bounds from which a chosen effect is fitted again where much is left
     [assumed]."""
@@ -172,7 +178,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     tolerated_difference_fraction_by_port: dict[str, float] = msgspec.field(
         default_factory=lambda: {"sensor": 0.15, "joint_torque": 0.15}
     )
-    """The same by port: a sensor's equation is exact."""
+    """`tolerated_difference_fraction` by port: the equation of a sensor is exact. Measured on the
+    same cases."""
     inconsistency_probability: float = 1e-3
     """Probability of a larger χ² below which strengths differ [assumed]."""
     least_block_information: float = 1.0
@@ -180,7 +187,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     # Null distribution
     null_quantile: float = 0.98
-    """Fraction of data sets without an effect on which nothing shall be named."""
+    """Fraction of data sets without an effect on which nothing shall be named [assumed]."""
     residual_limit_log_sd: float = 4.0
     """Standard deviations of the logarithm, over data sets without an effect, up to which a
     residual counts as noise: a link with little damping is fitted much worse than others
@@ -194,7 +201,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     effect were given a name, at 4.25, 4.43, 4.47 and 7.5; of 66 hidden effects none was named below
     4.5."""
     uncalibrated_threshold: float = 5.0
-    """The same for loads without a measured null distribution [assumed]."""
+    """Least d′ of a named effect for loads without a measured null distribution [assumed]."""
     uncalibrated_residual_limit: float = 1.6
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
@@ -206,15 +213,16 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Largest fraction of a gap (in amplitude) that may be left once one effect is named [assumed].
     """
     gap_left_limit_fraction_of_several: float = 0.5
-    """The same for several: two effects that leave more are no explanation [assumed]."""
+    """Largest fraction that may be left once several effects are named: two effects that leave more
+    are no explanation [assumed]."""
     strength_error_fraction: float = 0.03
     """Error of an effect's equation as a fraction of its strength: part of the standard error.
     Measured on 16 rigs of other draws than the benchmark's."""
     strength_error_fraction_by_port: dict[str, float] = msgspec.field(
         default_factory=lambda: {"stiffness": 0.3, "bend_torque": 0.3, "servo_torque": 0.1}
     )
-    """The same by port: two hinges a plane stand for a whole beam. On those rigs strengths were off
-    by 31 to 35 %, 2 to 44 % and mostly up to 3 %."""
+    """`strength_error_fraction` by port: two hinges a plane stand for a whole beam. On those rigs
+    strengths were off by 31 to 35 %, 2 to 44 % and mostly up to 3 %."""
 
     # Localisation
     location_bands_hz: tuple[float, ...] = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
@@ -243,8 +251,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     waterfall_steps: int = 12
     """Most steps of each fit [assumed]."""
     waterfall_relative_fall: float = 1e-3
-    """Fall of the cost, as a fraction of that so far, at which these fits take derivatives anew
-    [assumed]."""
+    """Fall of the cost, as a fraction of that so far, at which these fits compute exact
+    derivatives [assumed]."""
 
 
 DEFAULT_SETTINGS: Final = GapSettings()

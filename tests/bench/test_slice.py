@@ -1,4 +1,4 @@
-"""A slice of the gap benchmark: what the laboratory hides is found in a plant identified on it."""
+"""Slice of the gap benchmark: effects hidden in the rig are named with a plant identified on it."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Shares of the benchmark count what they say."""
+"""Fractions of the benchmark: a pair counts as right where each effect has a name of its own."""
 
 import pytest
 

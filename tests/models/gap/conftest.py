@@ -110,3 +110,9 @@ def late(plant, hidden, diagnosed):
     """Diagnosis of 20 ms of dead time, and its trials."""
     trials = hidden(dead_time_1_s=0.02)
     return diagnosed(plant, trials), trials
+
+
+@pytest.fixture(scope="session")
+def variation():
+    """Standard deviations of what differs between the trials of `make_trials`."""
+    return VARIATION

@@ -161,12 +161,13 @@ def fitted(plant, trials_of):
     ],
 )
 def test_the_strength_of_an_effect_that_is_there_is_the_same_everywhere(
-    fitted, hidden, change, named
+    fitted, variation, hidden, change, named
 ):
+    """It differs by less than trials do by construction: friction by 5 %, pressure by 1 %."""
     for seed in (11, 12, 13):
         found = fitted(hidden, change, named, seed)
         assert found.holds
-        assert found.standard_deviation < found.tolerated
+        assert found.standard_deviation < variation["friction"]
 
 
 def test_the_strength_of_a_stand_in_is_not(fitted):
