@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 LEAST = 20
 """Public functions and classes with an example, over all rooms."""

@@ -9,7 +9,7 @@ import pytest
 
 from hil.document_schemas import DOCUMENTS, main, schema_files
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 REMEDY = "python -m hil.document_schemas docs/schema"
 
