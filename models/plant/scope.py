@@ -160,11 +160,25 @@ class Scope:
             self.parameters[q.name] = (variable, ca.SX.sym(q.name))
 
     def name(self, pattern: str, joint: int | None = None) -> str:
-        """Name with `{j}`, `{angle}` and `{torque}` of the pattern filled in."""
+        """Name with `{j}`, `{angle}` and `{torque}` of the pattern filled in.
+
+        Parameters
+        ----------
+        pattern : str
+            Name with `{j}`, `{angle}` and `{torque}` as place holders.
+        joint : int, optional
+            Number of the joint, for `{j}`.
+        """
         return pattern.format(j=joint, **self.suffix)
 
     def p(self, pattern: str, joint: int | None = None) -> Expr:
-        """Symbol of the parameter whose name is the pattern filled in."""
+        """Symbol of the parameter whose name is the pattern filled in.
+
+        Parameters
+        ----------
+        pattern, joint
+            As for `name`.
+        """
         return self.parameters[self.name(pattern, joint)][1]
 
     def measured_angle(self, joint: int) -> Expr:
@@ -184,14 +198,30 @@ class Scope:
         return symbol
 
     def state(self, variable: Variable, initial: Expr = 0.0) -> Expr:
-        """Add a state, constant until it is given a rate or an update; returns its symbol."""
+        """Add a state, constant until it is given a rate or an update; returns its symbol.
+
+        Parameters
+        ----------
+        variable : Variable
+            Name and unit of the state.
+        initial : SX or float
+            Value at the start.
+        """
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
-    """Expression in which the first of each pair is replaced by the second, simultaneously."""
+    """Expression in which the first of each pair is replaced by the second, simultaneously.
+
+    Parameters
+    ----------
+    expression : SX
+        To change.
+    pairs : sequence of (SX, SX)
+        Old symbol, new expression.
+    """
     if not pairs:
         return expression
     old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))

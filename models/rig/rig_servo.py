@@ -72,7 +72,15 @@ class RigServo:
         return self.rotor_rad + self._encoder_offset
 
     def send(self, goal_rad: float, time_s: float) -> None:
-        """Send a goal; it takes effect after the dead time."""
+        """Send a goal; it takes effect after the dead time.
+
+        Parameters
+        ----------
+        goal_rad : float
+            Goal.
+        time_s : float
+            Time at which it is sent.
+        """
         self._pending.append((time_s + self._delay_s, goal_rad))
 
     def step(self, time_s: float, joint_rad: float, joint_rad_s: float) -> float:

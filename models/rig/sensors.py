@@ -28,13 +28,31 @@ class MarkerLog(NamedTuple):
 
 
 def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
-    """Angle in rad rounded to whole pulses, as the servo reports it."""
+    """Angle in rad rounded to whole pulses, as the servo reports it.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        With the resolution of the encoder.
+    encoder_rad : ndarray
+        Angle of the rotor, seen from the output, with the offset of the encoder.
+    """
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
 
 
 def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Generator) -> Array:
-    """Current in A with scale error, bias and noise, rounded to whole counts."""
+    """Current in A with scale error, bias and noise, rounded to whole counts.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        With the errors of the sensor.
+    current_a : ndarray
+        True current.
+    rng : numpy.random.Generator
+        Of the trial.
+    """
     p = parameters
     read = current_a * (1.0 + p["sensor.current_scale_share"]) + p["sensor.current_bias_a"]
     read = read + p["sensor.current_noise_a"] * rng.standard_normal(current_a.shape)

@@ -55,7 +55,17 @@ class Drive(Protocol):
         ...
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step whose mean current is `scope.current`."""
+        """Current at the end of a step whose mean current is `scope.current`.
+
+        Parameters
+        ----------
+        scope : Scope
+            With `current` set.
+        joint : int
+            Number of the joint.
+        step_s : SX
+            Length of the step.
+        """
         ...
 
 
@@ -209,12 +219,12 @@ def declare_presliding(scope: Scope, joint: int) -> None:
 
 
 class Duty:
-    """DC motor with a proportional duty cycle, the position control of small Dynamixels (BAM).
+    """DC motor with a proportional duty cycle, the position control of small Dynamixels.
 
         d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
     The supply voltage V is an input: a drop of it resembles friction (README of the data). With
-    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking.
+    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking. Source: BAM (docs/sources.md, "Real recordings").
     """
 
     kind: ClassVar[str] = "duty"
@@ -284,7 +294,10 @@ class Duty:
 
 
 class Force:
-    """Force in proportion to a commanded voltage (EMPS): F = k u."""
+    """Force in proportion to a commanded voltage: F = k u.
+
+    Source: EMPS (docs/sources.md, "Real recordings").
+    """
 
     kind: ClassVar[str] = "force"
     features: ClassVar[tuple[str, ...]] = ()

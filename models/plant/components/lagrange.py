@@ -16,7 +16,15 @@ PointMass = tuple[Expr, Expr]
 
 
 def rod_points(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
-    """Point masses with the mass, centre and inertia of a uniform slender rod (Simpson's rule)."""
+    """Point masses with the mass, centre and inertia of a uniform slender rod (Simpson's rule).
+
+    Parameters
+    ----------
+    mass_kg : SX
+        Mass of the rod.
+    start_m, end_m : SX, shape (3,)
+        Its ends.
+    """
     return [
         (mass_kg / 6, start_m),
         (mass_kg * 2 / 3, (start_m + end_m) / 2),
@@ -55,13 +63,27 @@ def lagrange_equations(
 
 
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
-    """Solution of a symmetric positive definite system, by LDL decomposition."""
+    """Solution of a symmetric positive definite system, by LDL decomposition.
+
+    Parameters
+    ----------
+    matrix : SX, shape (n, n)
+        Symmetric positive definite.
+    right : SX, shape (n,)
+        Right-hand side.
+    """
     diagonal, upper, order = ca.ldl(matrix)
     return ca.ldl_solve(right, diagonal, upper, order)
 
 
 def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
-    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
+    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`.
+
+    Parameters
+    ----------
+    about_y, about_minus_x : SX
+        Angles in rad.
+    """
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
     return ca.vertcat(

@@ -255,7 +255,13 @@ class Link:
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
-    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
+    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero.
+
+    Parameters
+    ----------
+    mean, deviation : SX
+        Mean and standard deviation of x.
+    """
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)

@@ -90,7 +90,17 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
 def apply_measured_motion(
     scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> None:
-    """Set the rates of the bends on joints that move as measured, and the current needed."""
+    """Set the rates of the bends on joints that move as measured, and the current needed.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the motion of the joints set.
+    drive, load : Drive, PlantLoad
+        Parts of the plant.
+    effects : sequence of Effect
+        In the order of `models.plant.effects.order`.
+    """
     load.declare(scope)
     apply_load_torques(scope, load, effects)
     mass, force = load.motion_equations(scope)

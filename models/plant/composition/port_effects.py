@@ -29,7 +29,17 @@ def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]
 
 
 def apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
-    """Set every torque except the drive's: on the bends, on the joints and through the gears."""
+    """Set every torque except the drive's: on the bends, on the joints and through the gears.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the motion of the joints and the bends set.
+    load : PlantLoad
+        Of the plant.
+    effects : sequence of Effect
+        In the order of `models.plant.effects.order`.
+    """
     apply_effects(scope, ("stiffness", "mass"), effects)
     load.apply_elastic_torques(scope)
     apply_effects(scope, ("bend_torque", "joint_torque"), effects)

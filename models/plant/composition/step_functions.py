@@ -26,7 +26,17 @@ def current_variable(joint: int) -> Variable:
 
 
 def measured_current(scope: Scope, joint: int, current: Expr) -> Expr:
-    """Motor current as the sensor measures it."""
+    """Motor current as the sensor measures it.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the errors of the current sensor set.
+    joint : int
+        Number of the joint.
+    current : SX
+        True current in A.
+    """
     return (1 + scope.current_scale[joint]) * current + scope.current_bias[joint]
 
 

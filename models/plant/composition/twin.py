@@ -81,7 +81,17 @@ def compose_twin(
 
 
 def declare_joint_states(scope: Scope, joint: int, initial: Expr) -> None:
-    """Add the coordinate of a joint and its rate as states."""
+    """Add the coordinate of a joint and its rate as states.
+
+    Parameters
+    ----------
+    scope : Scope
+        To which they are added.
+    joint : int
+        Number of the joint.
+    initial : SX
+        Coordinate at the start.
+    """
     angle = scope.suffix["angle"]
     unit = SI_UNIT_OF[angle]
     scope.angle[joint] = scope.state(Variable(f"joint_{joint}_{angle}", unit, nominal=0.5), initial)

@@ -97,7 +97,13 @@ class Effect:
         return 0.0
 
     def apply(self, scope: Scope) -> None:
-        """Change the quantities of the port."""
+        """Change the quantities of the port.
+
+        Parameters
+        ----------
+        scope : Scope
+            Of the composition.
+        """
         raise NotImplementedError
 
 
@@ -126,7 +132,13 @@ def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
 
 
 def applicable(drive: type[Drive], load: type[PlantLoad]) -> list[str]:
-    """Names of the effects that a plant with this drive and this load can have."""
+    """Names of the effects that a plant with this drive and this load can have.
+
+    Parameters
+    ----------
+    drive, load : type
+        Classes of the parts of the plant.
+    """
     has = {*drive.features, *load.features}
     return [name for name in in_order(EFFECTS) if has.issuperset(EFFECTS[name].needs)]
 

@@ -128,6 +128,11 @@ def sensitivity_model(
         Names of parameters.
     max_substep_s : float, optional
         Other longest sub-step, for a model that is not stiff.
+
+    Raises
+    ------
+    ValueError
+        If the model has no `rate`.
     """
     if model.rate is None:
         raise ValueError(f"{model.name} has no rate")

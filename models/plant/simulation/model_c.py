@@ -16,6 +16,13 @@ def write_model_c(model: StepModel, directory: Path) -> Path:
     """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
 
     Arguments and results are dense vectors, also where CasADi finds them sparse.
+
+    Parameters
+    ----------
+    model : StepModel
+        To write.
+    directory : Path
+        Of both files.
     """
     generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
     for name in FUNCTIONS:

@@ -91,6 +91,13 @@ def _is_goal(column: str, mapping: RecordingMap) -> bool:
 def align_rest_pose(series: list[Series], mapping: RecordingMap) -> list[Series]:
     """Move the markers to the upright link by their rest pose, where the map asks for it.
 
+    Parameters
+    ----------
+    series : list of Series
+        Those without the marker m01 are returned as they are.
+    mapping : RecordingMap
+        With `[frame]` and the size of the link.
+
     Raises
     ------
     InputError

@@ -198,7 +198,13 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     @property
     def dof(self) -> int:
-        """Joints of the trial, 1 or 2."""
+        """Joints of the trial, 1 or 2.
+
+        Raises
+        ------
+        InputError
+            If the map does not give it.
+        """
         dof = self.trial.get("dof")
         if dof not in (1, 2):
             raise InputError(self.path, f"[trial] dof is {dof!r}", "set dof = 1 or dof = 2")

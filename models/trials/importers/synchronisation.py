@@ -88,7 +88,15 @@ def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchroni
 
 
 def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
-    """Series whose times are larger by `offset_s`."""
+    """Series whose times are larger by `offset_s`.
+
+    Parameters
+    ----------
+    series : list of Series
+        On one clock.
+    offset_s : float
+        Added to their times.
+    """
     return [replace(s, time_s=s.time_s + offset_s) for s in series]
 
 
