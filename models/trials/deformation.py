@@ -85,8 +85,7 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
     A straight link whose height grows by one per cent in its last row:
 
     >>> from models.trials.trial import TrialMeta
-    >>> z_m = np.tile(np.repeat([0.25, 0.5, 0.75, 1.0], 4), (3, 1))  # rows of the markers
-    >>> z_m[2] *= 1.01
+    >>> z_m = np.outer([1, 1, 1.01], np.repeat([0.25, 0.5, 0.75, 1.0], 4))
     >>> x_m, y_m = np.tile([0.1, -0.1, 0.1, -0.1], 4), np.tile([0.1, 0.1, -0.1, -0.1], 4)
     >>> columns = {"time_s": np.arange(3) * 0.017, "angle_1_rad": np.zeros(3)}
     >>> for k in range(16):

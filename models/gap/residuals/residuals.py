@@ -24,12 +24,8 @@ from models.gap.residuals.spectrum import (
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
-from models.plant.simulation.compiled_model import (
-    CompiledModel,
-    run_trial,
-    sensitivity_model,
-    trial_parameters,
-)
+from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 from models.trials.trial import Trial
 

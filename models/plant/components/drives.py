@@ -224,7 +224,8 @@ class Duty:
         d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
     The supply voltage V is an input: a drop of it resembles friction (README of the data). With
-    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking. Source: BAM (docs/sources.md, "Real recordings").
+    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking. Source: BAM
+    (docs/sources.md, "Real recordings").
     """
 
     kind: ClassVar[str] = "duty"

@@ -22,9 +22,9 @@ from models.plant.simulation.compiled_model import (
     Array,
     CompiledModel,
     run_trial,
-    sensitivity_model,
     trial_parameters,
 )
+from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial

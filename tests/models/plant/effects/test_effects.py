@@ -6,7 +6,8 @@ import pytest
 from firmware_py.errors import InputError
 from models.plant.effects import EFFECTS
 from models.plant.plant import _scope, read_plant
-from models.plant.simulation.compiled_model import CompiledModel, sensitivity_model
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE
 

@@ -8,7 +8,8 @@ import pytest
 
 from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, sensitivity_model
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 
 ROOT = Path(__file__).parents[4]

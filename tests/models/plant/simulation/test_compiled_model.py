@@ -5,7 +5,8 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, model_inputs, sensitivity_model
+from models.plant.simulation.compiled_model import CompiledModel, model_inputs
+from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 
 STEP_S = 0.017
