@@ -213,7 +213,7 @@ def line(request, tmp_path):
             each.close()
 
 
-def test_bytes_pass_through_a_real_wire_both_ways(line):
+def test_bytes_pass_through_a_real_transport_both_ways(line):
     name, other_end = line
     clock = DeadlineClock()
     transport = open_transport(name, 1_000_000, clock)
@@ -227,7 +227,7 @@ def test_bytes_pass_through_a_real_wire_both_ways(line):
     transport.close()
 
 
-def test_a_silent_wire_gives_nothing_once_the_deadline_is_over(line):
+def test_a_silent_transport_gives_nothing_once_the_deadline_is_over(line):
     name, other_end = line
     clock = DeadlineClock()
     transport = open_transport(name, 1_000_000, clock)
