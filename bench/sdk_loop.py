@@ -35,7 +35,7 @@ from firmware_py.console import DONE, NEGATIVE, Progress
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
-from hil.emulator.emulator import Emulator, Specification
+from hil.emulator.emulator import Emulator, EmulatorSpecification
 from hil.sil import LineKind, SilOptions, run_sil
 from hil.timing.processors import assign_processors, cpu_load, pinned_to
 
@@ -125,7 +125,7 @@ def sdk_turn(setting: Setting, priority: int) -> Turn:
     """One turn with the SDK as shipped."""
     bundle, loop_cpu, other_cpus = setting.bundle, *assign_processors()
     dof = bundle.manifest.dof
-    specification = Specification(
+    specification = EmulatorSpecification(
         setting.fmu, setting.model.number, tuple(range(1, dof + 1)), BAUD,
         faults={"lost": setting.lost},
     )  # fmt: skip

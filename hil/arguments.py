@@ -9,7 +9,7 @@ from hil.emulator.line_faults import FAULT_KINDS
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of the emulated line (`hil.emulator.emulator.Specification`)."""
+    """Declare the arguments of an `EmulatorSpecification`."""
     models = ", ".join(model.name for model in MODELS.values())
     parser.add_argument(
         "--model", default="H54-200-S500-R", help=f"servo (default: %(default)s): {models}"

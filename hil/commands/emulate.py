@@ -16,7 +16,7 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 from hil.arguments import add_line_arguments
-from hil.emulator.emulator import Specification, serve_forever
+from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.twin_fmu import build_twin
 
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(args.path, "exists already", "name another --path, or remove it")
     with TemporaryDirectory(prefix="dropstitch-emulate-") as scratch:
         fmu = args.fmu or build_twin(args.plant, len(args.ids), Path(scratch))
-        specification = Specification(
+        specification = EmulatorSpecification(
             fmu, model.number, tuple(args.ids), args.baud,
             latency_s=args.latency_ms * 1e-3, payload_kg=args.payload_kg,
             faults=parse_rates(args.faults), seed=args.seed,

@@ -27,11 +27,11 @@ from firmware_py.bus.registers import (
 )
 from firmware_py.bus.servo_models import Model
 from hil.emulator.packets import ALERT, StatusError
+from hil.emulator.register_memory import RegisterMemory
 
 __all__ = ["EmulatedServo"]
 
 EXTENDED_POSITION_MODE: Final = 4
-MEMORY_BYTES: Final = 1024
 BAUD_OF_CODE: Final = {
     0: 9600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000,
 }  # fmt: skip
@@ -54,7 +54,7 @@ _RANGES: Final = {
 """Values that a register accepts; any that fits its bytes where it is not listed."""
 
 
-class EmulatedServo:
+class EmulatedServo(RegisterMemory):
     """Servo on the bus.
 
     Parameters
@@ -81,8 +81,8 @@ class EmulatedServo:
     def __init__(
         self, model: Model, servo_id: int = 1, baud: int = 1_000_000, return_delay_s: float = 500e-6
     ) -> None:
-        self.model, self._table = model, model.table
-        self._memory = bytearray(MEMORY_BYTES)
+        super().__init__(model.table)
+        self.model = model
         self._cell_at = {cell.address: (r, cell) for r, cell in model.table.cells.items()}
         self._present = tuple(
             model.table[register]
@@ -112,38 +112,15 @@ class EmulatedServo:
             Register.PRESENT_TEMPERATURE: _TEMPERATURE_DEGC,
         }.items():
             self.put(register, raw)
-        self._point_at_themselves()
+        self._reset_indirect()
         self._boot()
 
     # --- registers as the servo's own firmware sees them ---------------------------------------
 
-    def get(self, register: Register) -> int:
-        """Raw value of a register; 0 for one that the model lacks."""
-        cell = self._table.cells.get(register)
-        return cell.decode(self._memory, cell.address) if cell else 0
-
     def put(self, register: Register, raw: int) -> None:
-        """Set a register regardless of access rights; no effect where the model lacks it.
-
-        Parameters
-        ----------
-        register : Register
-            Register to set.
-        raw : int
-            Its value.
-        """
-        if register in self._table:
-            self._store(self._table[register], raw)
-            self._refresh()
-
-    def _point_at_themselves(self) -> None:
-        """Restore the indirect addresses to the factory setting: each points at itself."""
-        indirect = self._table.indirect
-        for k in range(indirect.entries):
-            self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
-
-    def _store(self, cell: RegisterField, raw: int) -> None:
-        self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+        """See `RegisterMemory.put`; the servo obeys the new value."""
+        super().put(register, raw)
+        self._refresh()
 
     def _refresh(self) -> None:
         """Update the attributes that the physics reads in every step."""
@@ -234,7 +211,7 @@ class EmulatedServo:
         """Set the RAM area to its initial values."""
         self._release()
         if self._table.indirect.address >= self._table.ram_start:
-            self._point_at_themselves()
+            self._reset_indirect()
         for register in (Register.HARDWARE_ERROR, Register.BUS_WATCHDOG, *_GOALS):
             self.put(register, 0)
         self.put(Register.STATUS_RETURN_LEVEL, 2)
@@ -246,55 +223,6 @@ class EmulatedServo:
         self._boot()
 
     # --- registers as the bus sees them --------------------------------------------------------
-
-    def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Read registers.
-
-        Parameters
-        ----------
-        address, length : int
-            First byte and number of bytes.
-
-        Returns
-        -------
-        (int, bytes)
-            Error number and, where it is 0, the bytes.
-        """
-        if length == 0:
-            return StatusError.DATA_LENGTH, b""
-        if address + length > MEMORY_BYTES:
-            return StatusError.ACCESS, b""
-        if not self._shows_others(address, length):
-            return StatusError.NONE, bytes(self._memory[address : address + length])
-        behind = (self._behind(address + k) for k in range(length))
-        return StatusError.NONE, bytes(self._memory[a] for a in behind)
-
-    def covers(self, address: int, length: int, register: Register) -> bool:
-        """Whether a span, read through the indirect addresses, contains a register's first byte.
-
-        Parameters
-        ----------
-        address, length : int
-            The span.
-        register : Register
-            The register.
-        """
-        wanted = self._table[register].address
-        if not self._shows_others(address, length):
-            return address <= wanted < address + length
-        return any(self._behind(address + k) == wanted for k in range(length))
-
-    def _shows_others(self, address: int, length: int) -> bool:
-        data = self._table.indirect.data
-        return address + length > data and address < data + self._table.indirect.entries
-
-    def _behind(self, address: int) -> int:
-        """Address that one refers to: itself, or the content of its indirect entry."""
-        entry = self._table.indirect.entry_of(address)
-        if entry is None:
-            return address
-        held = self._memory[entry] | self._memory[entry + 1] << 8
-        return held if held < MEMORY_BYTES else address
 
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers in order; nothing changes where one is refused.
@@ -316,7 +244,7 @@ class EmulatedServo:
         if indirect.address <= address < indirect.address + 2 * indirect.entries:
             return self._redirect(address, data)
         while data:
-            address = self._behind(address)
+            address = self._referred(address)
             if address not in self._cell_at:
                 return StatusError.ACCESS
             register, cell = self._cell_at[address]

@@ -37,7 +37,7 @@ from hil.timing.cpu_accounts import Releases
 __all__ = [
     "Emulator",
     "EmulatorOutcome",
-    "Specification",
+    "EmulatorSpecification",
     "Truth",
     "TruthLog",
     "build_line",
@@ -55,7 +55,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
-class Specification:
+class EmulatorSpecification:
     """Specification of line, servos and plant.
 
     Attributes
@@ -172,12 +172,12 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
     return RigPhysics(source, dof, payload_kg)
 
 
-def build_line(specification: Specification) -> tuple[Line, TruthLog]:
+def build_line(specification: EmulatorSpecification) -> tuple[Line, TruthLog]:
     """Build line, servos and plant; the plant is in its initial state at time zero.
 
     Parameters
     ----------
-    specification : Specification
+    specification : EmulatorSpecification
         Line, servos and plant.
 
     Returns
@@ -210,7 +210,11 @@ class EmulatorOutcome(NamedTuple):
 
 
 def _run(
-    pipe: Connection, spec: Specification, kind: Literal["pty", "socket"], path: Path, cpu: int
+    pipe: Connection,
+    spec: EmulatorSpecification,
+    kind: Literal["pty", "socket"],
+    path: Path,
+    cpu: int,
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal stops the loop
     due, written, delays = array("q"), array("q"), array("q")
@@ -243,7 +247,7 @@ class Emulator:
 
     Parameters
     ----------
-    specification : Specification
+    specification : EmulatorSpecification
         Line, servos and plant.
     kind : {"pty", "socket"}
         Kind of the port.
@@ -262,7 +266,7 @@ class Emulator:
 
     def __init__(
         self,
-        specification: Specification,
+        specification: EmulatorSpecification,
         kind: Literal["pty", "socket"],
         directory: Path,
         cpu: int,
@@ -299,7 +303,7 @@ class Emulator:
 
 
 def serve_forever(
-    specification: Specification,
+    specification: EmulatorSpecification,
     kind: Literal["pty", "socket"],
     path: Path,
     announce: Callable[[str], None],
@@ -308,7 +312,7 @@ def serve_forever(
 
     Parameters
     ----------
-    specification : Specification
+    specification : EmulatorSpecification
         Line, servos and plant.
     kind : {"pty", "socket"}
         Kind of the port.

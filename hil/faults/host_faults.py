@@ -33,7 +33,7 @@ them, or remove the port for them."""
 _GARBAGE_CYCLES: Final = 300
 
 
-class Host:
+class HostFaults:
     """Schedule of the host's faults.
 
     Parameters
@@ -91,11 +91,11 @@ class FaultyEstimator:
     ----------
     inner : DeformationEstimator
         Estimator of the bundle.
-    host : Host
+    host : HostFaults
         Schedule of the faults.
     """
 
-    def __init__(self, inner: DeformationEstimator, host: Host) -> None:
+    def __init__(self, inner: DeformationEstimator, host: HostFaults) -> None:
         self._inner, self._host = inner, host
 
     def reset(self) -> None:
@@ -129,11 +129,11 @@ class FaultyPredictor:
     ----------
     inner : Predictor
         Predictor of the bundle.
-    host : Host
+    host : HostFaults
         Schedule of the faults.
     """
 
-    def __init__(self, inner: Predictor, host: Host) -> None:
+    def __init__(self, inner: Predictor, host: HostFaults) -> None:
         self._inner, self._host = inner, host
         self._wrong = Prediction(np.zeros(3), np.zeros(1), np.zeros(3))
 
@@ -156,14 +156,14 @@ class SteppedClock(SimClock):
     ----------
     true : SimClock
         Time of the servos.
-    host : Host or None
+    host : HostFaults or None
         Schedule of the step.
     """
 
     def __init__(self, true: SimClock) -> None:
         super().__init__()
         self.true = true
-        self.host: Host | None = None
+        self.host: HostFaults | None = None
 
     @property
     def step_ns(self) -> int:
@@ -193,11 +193,11 @@ class FaultyTransport:
         Transport in true time.
     clock : SteppedClock
         Clock of the loop.
-    host : Host
+    host : HostFaults
         Schedule that says when it is unplugged.
     """
 
-    def __init__(self, inner: Transport, clock: SteppedClock, host: Host) -> None:
+    def __init__(self, inner: Transport, clock: SteppedClock, host: HostFaults) -> None:
         self._inner, self._clock, self._host = inner, clock, host
         self._dead = False
 

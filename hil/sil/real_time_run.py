@@ -16,7 +16,7 @@ from typing import Literal
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import open_bus
-from hil.emulator.emulator import Emulator, Specification
+from hil.emulator.emulator import Emulator, EmulatorSpecification
 from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.probe import Probe
@@ -29,7 +29,7 @@ _LOAD = "declared host load, normal priority, on the emulator's processor"
 def run_in_real_time(
     options: SilOptions,
     kind: Literal["pty", "socket"],
-    specification: Specification,
+    specification: EmulatorSpecification,
     scratch: Path,
 ) -> SilResult:
     """Run the loop in this process against an emulator in another.
@@ -40,7 +40,7 @@ def run_in_real_time(
         Options of the run.
     kind : {"pty", "socket"}
         Port between the two.
-    specification : Specification
+    specification : EmulatorSpecification
         Servos, line and plant.
     scratch : Path
         Directory for the socket and for intermediate files.

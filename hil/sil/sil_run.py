@@ -13,7 +13,7 @@ from typing import Final
 from firmware_py.config import check_config
 from firmware_py.errors import InputError
 from firmware_py.inference.fmu_instance import FmuInstance
-from hil.emulator.emulator import Specification
+from hil.emulator.emulator import EmulatorSpecification
 from hil.emulator.physics import RigSource
 from hil.emulator.twin_fmu import build_twin
 from hil.sil.real_time_run import run_in_real_time
@@ -42,7 +42,7 @@ def run_sil(options: SilOptions) -> SilResult:
         source = options.rig or options.fmu
         if source is None:
             source = build_twin(_plant(options), options.dof, Path(scratch))
-        specification = Specification(
+        specification = EmulatorSpecification(
             source, options.model.number, options.ids, options.baud,
             latency_s=options.latency_s, payload_kg=options.payload_kg,
             faults=dict(options.faults), seed=options.seed,

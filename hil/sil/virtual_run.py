@@ -9,21 +9,21 @@ from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
 from firmware_py.realtime.clock import SimClock
 from firmware_py.realtime.timing import NoCounters
 from firmware_py.robot import build_bus
-from hil.emulator.emulator import EmulatorOutcome, Specification, build_line
+from hil.emulator.emulator import EmulatorOutcome, EmulatorSpecification, build_line
 from hil.emulator.line import VirtualTransport
 from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 
 
-def run_on_virtual_line(options: SilOptions, specification: Specification) -> SilResult:
+def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecification) -> SilResult:
     """Run the loop and the emulated servos on one simulated clock.
 
     Parameters
     ----------
     options : SilOptions
         Options of the run.
-    specification : Specification
+    specification : EmulatorSpecification
         Servos, line and plant.
     """
     clock = SimClock()

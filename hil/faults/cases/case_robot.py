@@ -22,7 +22,7 @@ from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary
 from hil.emulator.physics import Physics
 from hil.faults.fault_row import FaultRow, Setup
-from hil.faults.host_faults import FaultyEstimator, FaultyPredictor, Host
+from hil.faults.host_faults import FaultyEstimator, FaultyPredictor, HostFaults
 from hil.faults.observation import CaseOutcome, Columns
 from hil.faults.servo_log import LoggedServo
 
@@ -56,7 +56,7 @@ class CaseRobot:
 class FaultyModels:
     """Estimator and predictor of a bundle with the host's faults in them."""
 
-    def __init__(self, bundle: ModelBundle, host: Host) -> None:
+    def __init__(self, bundle: ModelBundle, host: HostFaults) -> None:
         self.estimator = FaultyEstimator(bundle.estimator, host)
         self.predictor = FaultyPredictor(bundle.predictor, host)
 
@@ -95,7 +95,7 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
     )
 
 
-def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
+def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     """Return the servos that are on the bus.
 
     Parameters
@@ -127,7 +127,7 @@ def servos_of(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     return servos
 
 
-def lean(physics: Physics, angle_rad: float) -> None:
+def lean_arm(physics: Physics, angle_rad: float) -> None:
     """Move the arm slowly to an angle, and let it come to rest there.
 
     Parameters
@@ -143,13 +143,13 @@ def lean(physics: Physics, angle_rad: float) -> None:
         physics.advance([goal_rad] * physics.dof, _LEAN_STEP_S)
 
 
-def drive(
+def run_case_loop(
     robot: CaseRobot,
     config: RobotConfig,
     goals_rad: Array,
     slots: int,
     clock: Clock,
-    host: Host,
+    host: HostFaults,
     opener: Callable[[], Transport],
     counters: Counters | None = None,
 ) -> tuple[CaseOutcome, Columns]:
@@ -167,7 +167,7 @@ def drive(
         Slots to run.
     clock : Clock
         Clock of the loop.
-    host : Host
+    host : HostFaults
         Faults of the host.
     opener : callable
         Opens the transport.
@@ -187,10 +187,10 @@ def drive(
     except InputError as error:
         return CaseOutcome("refused", str(error)), {}
     records = summary.records
-    return outcome_of(summary), {name: records[name] for name in records.dtype.names or ()}
+    return case_outcome(summary), {name: records[name] for name in records.dtype.names or ()}
 
 
-def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
+def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:
     """Return the study's motion, or a slow motion to a goal of given pulses and back.
 
     Parameters
@@ -211,7 +211,7 @@ def goals_of(config: RobotConfig, setup: Setup, number: int) -> Array:
     return np.repeat(column[:, None], config.dof, axis=1)
 
 
-def outcome_of(summary: RunSummary) -> CaseOutcome:
+def case_outcome(summary: RunSummary) -> CaseOutcome:
     """Return the end of a run from its summary."""
     causes = summary.timing.causes
     return CaseOutcome(

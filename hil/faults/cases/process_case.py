@@ -1,7 +1,7 @@
 """Case with real processes: `dropstitch run` and its recorder, killed, stopped or unplugged.
 
-The servos live in a process of their own (`hil.faults.cases.station`) that outlives the robot.
-Unplugging uses a pseudo-terminal, which disappears as a USB adapter does; the rest uses a socket.
+The servos run in a process of their own (`servo_process`) that outlives the robot. Unplugging uses
+a pseudo-terminal, which disappears as a USB adapter does; the rest uses a socket.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from firmware_py.errors import InputError
 from firmware_py.log.recording import read_recording
 from firmware_py.realtime.clock import RealTimeOptions
 from hil.faults.cases.case_robot import CaseRobot, case_config
-from hil.faults.cases.station import Station, StationTask
+from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
@@ -52,10 +52,10 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
         scratch = Path(stack.enter_context(TemporaryDirectory(prefix="dropstitch-faults-")))
         stack.enter_context(pinned_to(other_cpus))
         kind = "pty" if setup.unplug_s is not None else "socket"
-        task = StationTask(
+        task = ServoProcessTask(
             robot.fmu, robot.dof, row, number, seed, kind, scratch / "tty-a", max(other_cpus)
         )
-        station = stack.enter_context(contextlib.closing(Station(task)))
+        servo_process = stack.enter_context(contextlib.closing(ServoProcess(task)))
         bundle = Path(shutil.copytree(robot.bundle.directory, scratch / "bundle"))
         port = str(scratch / "tty-*") if setup.port_renamed else str(task.port)
         config = msgspec.structs.replace(
@@ -64,11 +64,11 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
         )  # fmt: skip
         seconds = REPLUG_SECONDS if setup.replug_s else SECONDS
         process = stack.enter_context(_robot(config, scratch, seconds))
-        _await(station, FaultSchedule((), seed).start, process)
-        began_ns = _act(setup, process, station, scratch, task.port)
-        output = _end(process, station)
+        _await(servo_process, FaultSchedule((), seed).start, process)
+        began_ns = _act(setup, process, servo_process, scratch, task.port)
+        output = _end(process, servo_process)
         time.sleep(SETTLE_S)
-        servo_log = station.stop()
+        servo_log = servo_process.stop()
         columns = _columns(scratch / "ticks.mcap")
         outcome = _outcome(process, output, columns)
     slots = round(seconds / config.period_s)
@@ -103,10 +103,10 @@ def _without_none(value: Any) -> Any:
     return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> None:
+def _await(servo_process: ServoProcess, exchange: int, process: subprocess.Popen[str]) -> None:
     """Wait until the running robot has reached an exchange."""
     deadline_s = time.monotonic() + _START_TIMEOUT_S
-    while station.exchange < exchange:
+    while servo_process.exchange < exchange:
         if process.poll() is not None or time.monotonic() > deadline_s:
             words = process.stderr.read() if process.poll() is not None and process.stderr else ""
             raise InputError("dropstitch run", f"did not get going ({words.strip()})", "run it")
@@ -116,7 +116,7 @@ def _await(station: Station, exchange: int, process: subprocess.Popen[str]) -> N
 def _act(
     setup: Setup,
     process: subprocess.Popen[str],
-    station: Station,
+    servo_process: ServoProcess,
     scratch: Path,
     port: Path,
 ) -> int:
@@ -136,10 +136,10 @@ def _act(
         time.sleep(setup.freeze_s)
         os.kill(process.pid, signal.SIGCONT)
     if setup.unplug_s is not None:
-        began_ns = station.unplug()
+        began_ns = servo_process.unplug()
         if setup.replug_s:
             time.sleep(setup.unplug_s)
-            station.plug(port.with_name("tty-b") if setup.port_renamed else port)
+            servo_process.plug(port.with_name("tty-b") if setup.port_renamed else port)
     if setup.signal is not None:
         os.kill(process.pid, setup.signal)
     return began_ns
@@ -156,14 +156,14 @@ def _recorders(pid: int) -> list[int]:
     return found
 
 
-def _end(process: subprocess.Popen[str], station: Station) -> str:
+def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> str:
     """Wait for the robot's end; a recorder that hangs then is ended as well."""
-    seen, since_s = station.exchange, time.monotonic()
+    seen, since_s = servo_process.exchange, time.monotonic()
     deadline_s = since_s + _END_TIMEOUT_S
     while process.poll() is None and time.monotonic() < deadline_s:
         time.sleep(0.02)
-        if station.exchange != seen:
-            seen, since_s = station.exchange, time.monotonic()
+        if servo_process.exchange != seen:
+            seen, since_s = servo_process.exchange, time.monotonic()
         elif time.monotonic() - since_s > _STILL_S:
             for pid in _recorders(process.pid):
                 if _stopped(pid):

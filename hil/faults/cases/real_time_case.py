@@ -15,10 +15,10 @@ import msgspec
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.realtime.timing import KernelCounters
-from hil.faults.cases.case_robot import CaseRobot, case_config, drive
-from hil.faults.cases.station import Station, StationTask
+from hil.faults.cases.case_robot import CaseRobot, case_config, run_case_loop
+from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow
-from hil.faults.host_faults import Host
+from hil.faults.host_faults import HostFaults
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, observe_case
 from hil.timing.processors import assign_processors, pinned_to
@@ -34,14 +34,14 @@ def run_real_time(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Ca
     with contextlib.ExitStack() as stack:
         scratch = Path(stack.enter_context(TemporaryDirectory(prefix="dropstitch-faults-")))
         stack.enter_context(pinned_to(other_cpus))
-        task = StationTask(
+        task = ServoProcessTask(
             robot.fmu, robot.dof, row, number, seed, "socket", scratch / "line", max(other_cpus)
         )
-        station = stack.enter_context(contextlib.closing(Station(task)))
+        servo_process = stack.enter_context(contextlib.closing(ServoProcess(task)))
         config = case_config(robot, row, number, f"unix:{task.port}")
         config = msgspec.structs.replace(config, real_time=RealTimeOptions(cpu=loop_cpu))
         script = FaultSchedule(row.injections, seed)
-        host = Host(script, row.injections, clock.now_ns, time.sleep)
+        host = HostFaults(script, row.injections, clock.now_ns, time.sleep)
         goals_rad = config.goals_rad(repeated=True)
 
         def opener() -> Transport:
@@ -49,11 +49,11 @@ def run_real_time(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Ca
 
         with contextlib.closing(KernelCounters()) as counters, real_time(config.real_time):
             before = _collections()
-            outcome, columns = drive(
+            outcome, columns = run_case_loop(
                 robot, config, goals_rad, SLOTS, clock, host, opener, counters
             )  # fmt: skip
             collections = _collections() - before
-        servo_log = station.stop()
+        servo_log = servo_process.stop()
     if collections:
         outcome = replace(outcome, ended="collected", reason=f"{collections} garbage collections")
     began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]

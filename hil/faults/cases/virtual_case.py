@@ -13,9 +13,16 @@ from firmware_py.errors import InputError
 from firmware_py.realtime.clock import SimClock
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, VirtualTransport
-from hil.faults.cases.case_robot import CaseRobot, case_config, drive, goals_of, lean, servos_of
+from hil.faults.cases.case_robot import (
+    CaseRobot,
+    case_config,
+    case_goals,
+    case_servos,
+    lean_arm,
+    run_case_loop,
+)
 from hil.faults.fault_row import FaultRow
-from hil.faults.host_faults import FaultyTransport, Host, SteppedClock
+from hil.faults.host_faults import FaultyTransport, HostFaults, SteppedClock
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, observe_case
 from hil.faults.servo_log import LoggedBus
@@ -59,12 +66,12 @@ def _run(
     setup = row.setup
     true_clock = SimClock()
     clock, script = SteppedClock(true_clock), FaultSchedule(row.injections, seed)
-    host = clock.host = Host(
+    host = clock.host = HostFaults(
         script, row.injections, true_clock.now_ns, lambda s: true_clock.advance(round(s * 1e9))
     )
-    servos = servos_of(robot.dof, row, number)
+    servos = case_servos(robot.dof, row, number)
     if setup.lean_rad is not None:
-        lean(physics, setup.lean_rad)
+        lean_arm(physics, setup.lean_rad)
     bus = LoggedBus(servos, physics, script)
     if setup.lean_rad is not None:  # switched on where they stand
         for servo in servos:
@@ -77,8 +84,8 @@ def _run(
         return FaultyTransport(VirtualTransport(line, true_clock), clock, host)
 
     config = case_config(robot, row, number, "virtual")
-    goals_rad = goals_of(config, setup, number)
-    outcome, columns = drive(robot, config, goals_rad, SLOTS, clock, host, opener)
+    goals_rad = case_goals(config, setup, number)
+    outcome, columns = run_case_loop(robot, config, goals_rad, SLOTS, clock, host, opener)
     servo_log = bus.log(true_clock.now_ns() + SETTLE_NS)
     if (pulse := setup.through_pulse) is not None:
         wanted_rad = MODELS[number].angle_rad(pulse)

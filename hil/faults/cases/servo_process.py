@@ -21,7 +21,7 @@ from firmware_py.realtime.clock import RealTimeOptions, real_time
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
-from hil.faults.cases.case_robot import servos_of
+from hil.faults.cases.case_robot import case_servos
 from hil.faults.fault_row import FaultRow
 from hil.faults.injection import FaultSchedule
 from hil.faults.servo_log import LoggedBus, LoggedServo, ServoLog
@@ -30,7 +30,7 @@ _SPAWN: Final = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
-class StationTask:
+class ServoProcessTask:
     """Specification of the servos of a case.
 
     Attributes
@@ -62,7 +62,9 @@ class StationTask:
 
 
 @contextlib.contextmanager
-def _plugged(task: StationTask, port: Path, stop_fd: int) -> Iterator[Callable[[], int | None]]:
+def _plugged(
+    task: ServoProcessTask, port: Path, stop_fd: int
+) -> Iterator[Callable[[], int | None]]:
     """Port under a name, for as long as it is plugged in."""
     if task.kind == "socket":
         with socket_endpoint(port, stop_fd) as (_, connect):
@@ -87,11 +89,11 @@ class _CountedScript(FaultSchedule):
         self.counter.value = self.exchange
 
 
-def _run(pipe: Connection, counter: Any, task: StationTask) -> None:
+def _run(pipe: Connection, counter: Any, task: ServoProcessTask) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     script = _CountedScript(task.row.injections, task.seed)
     script.counter = counter
-    servos = servos_of(task.dof, task.row, task.number)
+    servos = case_servos(task.dof, task.row, task.number)
     bus = LoggedBus(servos, FmuPhysics(task.fmu, task.dof), script)
     line = Line(bus, task.row.setup.latency_s, script)
     bus.resume(time.monotonic_ns())
@@ -113,16 +115,16 @@ def _run(pipe: Connection, counter: Any, task: StationTask) -> None:
     pipe.send(bus.log(time.monotonic_ns()))
 
 
-class Station:
+class ServoProcess:
     """Process that runs the servos of a case.
 
     Parameters
     ----------
-    task : StationTask
+    task : ServoProcessTask
         Servos, fault and port.
     """
 
-    def __init__(self, task: StationTask) -> None:
+    def __init__(self, task: ServoProcessTask) -> None:
         self._pipe, child_end = _SPAWN.Pipe()
         self._counter: Any = _SPAWN.RawValue("q", 0)
         self._process = _SPAWN.Process(

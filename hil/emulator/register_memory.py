@@ -1,0 +1,100 @@
+"""Memory of an emulated servo: its control table as bytes, with indirect addresses."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from firmware_py.bus.registers import ControlTable, Register, RegisterField
+from hil.emulator.packets import StatusError
+
+MEMORY_BYTES: Final = 1024
+
+
+class RegisterMemory:
+    """Bytes of a control table.
+
+    Parameters
+    ----------
+    table : ControlTable
+        Addresses, sizes and indirect addresses.
+    """
+
+    def __init__(self, table: ControlTable) -> None:
+        self._table = table
+        self._memory = bytearray(MEMORY_BYTES)
+
+    def get(self, register: Register) -> int:
+        """Raw value of a register; 0 for one that the model lacks."""
+        cell = self._table.cells.get(register)
+        return cell.decode(self._memory, cell.address) if cell else 0
+
+    def put(self, register: Register, raw: int) -> None:
+        """Set a register regardless of access rights; no effect where the model lacks it.
+
+        Parameters
+        ----------
+        register : Register
+            Register to set.
+        raw : int
+            Its value.
+        """
+        if register in self._table:
+            self._store(self._table[register], raw)
+
+    def _reset_indirect(self) -> None:
+        """Restore the indirect addresses to the factory setting: each points at itself."""
+        indirect = self._table.indirect
+        for k in range(indirect.entries):
+            self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
+
+    def _store(self, cell: RegisterField, raw: int) -> None:
+        self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read registers.
+
+        Parameters
+        ----------
+        address, length : int
+            First byte and number of bytes.
+
+        Returns
+        -------
+        (int, bytes)
+            Error number and, where it is 0, the bytes.
+        """
+        if length == 0:
+            return StatusError.DATA_LENGTH, b""
+        if address + length > MEMORY_BYTES:
+            return StatusError.ACCESS, b""
+        if not self._is_redirected(address, length):
+            return StatusError.NONE, bytes(self._memory[address : address + length])
+        referred = (self._referred(address + k) for k in range(length))
+        return StatusError.NONE, bytes(self._memory[a] for a in referred)
+
+    def covers(self, address: int, length: int, register: Register) -> bool:
+        """Whether a span, read through the indirect addresses, contains a register's first byte.
+
+        Parameters
+        ----------
+        address, length : int
+            The span.
+        register : Register
+            The register.
+        """
+        wanted = self._table[register].address
+        if not self._is_redirected(address, length):
+            return address <= wanted < address + length
+        return any(self._referred(address + k) == wanted for k in range(length))
+
+    def _is_redirected(self, address: int, length: int) -> bool:
+        data = self._table.indirect.data
+        return address + length > data and address < data + self._table.indirect.entries
+
+    def _referred(self, address: int) -> int:
+        """Address that one refers to: itself, or the content of its indirect entry."""
+        entry = self._table.indirect.entry_of(address)
+        if entry is None:
+            return address
+        held = self._memory[entry] | self._memory[entry + 1] << 8
+        return held if held < MEMORY_BYTES else address
