@@ -46,7 +46,7 @@ class CheckRow(msgspec.Struct, frozen=True):
     detail: str
 
 
-class FmuCheck(msgspec.Struct, frozen=True):
+class FmuCheckOutput(msgspec.Struct, frozen=True):
     """Output of `python -m fmu check --json`.
 
     Attributes
@@ -134,7 +134,7 @@ class BuildInputs:
         The identified plant.
     evaluations : dict of str to Evaluation
         Of the plant, by the trials that it was compared with.
-    checks : dict of str to FmuCheck
+    checks : dict of str to FmuCheckOutput
         Of FMUs, by name.
     loops : list of LoopRun
         Runs in real time first.
@@ -149,7 +149,7 @@ class BuildInputs:
     manifests: dict[int, Manifest]
     plant: Plant | None
     evaluations: dict[str, Evaluation]
-    checks: dict[str, FmuCheck]
+    checks: dict[str, FmuCheckOutput]
     loops: list[LoopRun]
     commands: list[str]
     faults: FaultsDocument | None = None
@@ -195,7 +195,7 @@ def read_build(directory: Path) -> BuildInputs:
         plant=plant,
         evaluations=_evaluations(directory, plant),
         checks={
-            path.stem.removeprefix("check_"): read_output(path, FmuCheck)
+            path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
             for path in sorted(directory.glob("check_*.json"))
         },
         loops=sorted(

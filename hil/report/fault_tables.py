@@ -74,7 +74,7 @@ def campaign_facts(document: FaultsDocument) -> Facts:
     return Facts(rows)
 
 
-def fault_matrix(document: FaultsDocument) -> list[Table]:
+def campaign_tables(document: FaultsDocument) -> list[Table]:
     """One table per line, one row per fault and way to inject it."""
     tables = []
     for line, title in _LINES.items():

@@ -14,10 +14,10 @@ from firmware_py.display_units import ANGLE, CPU_TIME, FILE_SIZE, PAYLOAD, TICK_
 from firmware_py.inference.bundle import Manifest
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import BuildInputs, LoopRun
-from hil.report.fault_tables import campaign_facts, campaign_sentences, fault_matrix
+from hil.report.fault_tables import campaign_facts, campaign_sentences, campaign_tables
 from hil.report.loop_figures import duration_table, loop_figures
 from hil.report.report_tables import (
-    estimator_table,
+    di_estimator_table,
     evaluation_table,
     fmu_tables,
     parameter_table,
@@ -116,7 +116,7 @@ def _estimators(inputs: BuildInputs) -> list[Part]:
     )
     return [
         Paragraph(intro), predictors_by_payload(inputs.studies), di_estimates(inputs.studies),
-        predictor_table(inputs.every_study), estimator_table(inputs.studies),
+        predictor_table(inputs.every_study), di_estimator_table(inputs.studies),
     ]  # fmt: skip
 
 
@@ -171,7 +171,7 @@ def _loop(loop: LoopRun) -> list[Part]:
 
 def _campaign(document: FaultsDocument) -> list[Part]:
     return [
-        *map(Paragraph, campaign_sentences(document)), *fault_matrix(document),
+        *map(Paragraph, campaign_sentences(document)), *campaign_tables(document),
         campaign_facts(document),
     ]  # fmt: skip
 

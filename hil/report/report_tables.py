@@ -14,7 +14,7 @@ from firmware_py.display_units import (
     signal_words,
     symbol_of,
 )
-from hil.report.build_inputs import BuildInputs, FmuCheck, LoopRun
+from hil.report.build_inputs import BuildInputs, FmuCheckOutput, LoopRun
 from hil.report.study.estimator_figures import test_words
 from hil.timing.timing_document import TipErrors
 from models.plant.plant import Plant
@@ -101,7 +101,7 @@ def _benefit(study: StudyDocument | None, test: str) -> float | None:
     return study.estimators[test]["observer"].benefit_recovered[BENEFIT_DEGREE]
 
 
-def _parity(check: FmuCheck | None) -> float | None:
+def _parity(check: FmuCheckOutput | None) -> float | None:
     return max(check.parity.values(), default=None) if check else None
 
 
@@ -142,7 +142,7 @@ def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
     )  # fmt: skip
 
 
-def estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
+def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
     """Accuracy of the three estimators of DI on every test."""
     rows = []
     for dof, study in studies.items():
@@ -222,7 +222,7 @@ def parameter_table(plant: Plant) -> Table | None:
     return Table("Identified parameters", header, rows) if rows else None
 
 
-def fmu_tables(checks: Mapping[str, FmuCheck]) -> list[Table]:
+def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
     """Checks of every FMU, and the parity of every output."""
     kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
     rows: list[list[Cell]] = []

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from hil.report.build_inputs import (
-    FmuCheck,
+    FmuCheckOutput,
     LoopRun,
     read_commands,
     read_loop,
@@ -71,7 +71,7 @@ class GapInputs:
         As given, and as improved.
     trials, sealed : TrialSet
         Trials of the diagnosis, and trials that no value was fitted to.
-    check : FmuCheck
+    check : FmuCheckOutput
         Of the rebuilt twin.
     fmus : dict of str to dict of float to FmuRunOutput
         Runs of each variant's FMU, by payload in kg.
@@ -88,7 +88,7 @@ class GapInputs:
     after: Plant
     trials: TrialSet
     sealed: TrialSet
-    check: FmuCheck
+    check: FmuCheckOutput
     fmus: dict[str, dict[float, FmuRunOutput]]
     outputs: dict[str, dict[float, NDArray[np.void]]]
     loops: dict[str, dict[float, LoopRun]]
@@ -120,7 +120,7 @@ def read_gap(directory: Path, plant: Path) -> GapInputs:
         after=read_plant(directory / "found" / "plant.json"),
         trials=read_trials(directory / "trials", before.signals),
         sealed=read_trials(directory / "sealed", before.signals),
-        check=read_output(directory / "check_twin_1dof.json", FmuCheck),
+        check=read_output(directory / "check_twin_1dof.json", FmuCheckOutput),
         fmus=_variants(directory, "fmpy_{}_{}.json", lambda path: read_output(path, FmuRunOutput)),
         outputs=_variants(directory, "fmpy_{}_{}/result.csv", _columns),
         loops=_variants(directory, "sil_{}_{}/timing.json", lambda path: read_loop(path.parent)),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 ROOMS = ("firmware_py", "models", "fmu", "hil", "bench")
 PALETTE = ROOT / "models" / "shared" / "palette.py"
 UNITS = ROOT / "firmware_py" / "display_units.py"
