@@ -1,4 +1,4 @@
-"""What `make gap-demo` would run: what is hidden reaches the laboratory, and only there."""
+"""Commands that `make gap-demo` would run: a hidden effect reaches the rig and nothing else."""
 
 from __future__ import annotations
 

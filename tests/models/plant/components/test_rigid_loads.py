@@ -164,8 +164,8 @@ def test_what_a_document_knows_of_an_effect_holds_once_the_plant_holds_it(plant_
     for known in (read, read_plant(again)):
         freed = known.with_effects("stribeck_friction").parameters["stribeck_load_1"]
         assert (freed.high, freed.role) == (0.4, "effect")
-    knobs = [k.name for k in effect_fit_parameters(read, "stribeck_friction", 1)]
-    assert "stribeck_load_1" in knobs
+    names = [k.name for k in effect_fit_parameters(read, "stribeck_friction", 1)]
+    assert "stribeck_load_1" in names
     assert "stribeck_load_1" not in [
         k.name for k in effect_fit_parameters(plant, "stribeck_friction", 1)
     ]
