@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="recording to import")
     parser.add_argument(
-        "--as", dest="kind", required=True, choices=KINDS, help="what the recording is"
+        "--as", dest="kind", required=True, choices=KINDS, help="format of the recording"
     )
     parser.add_argument(
         "--servo", type=Path, metavar="LOG",
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--map", type=Path, metavar="MAP.toml",
-        help="names, units, frame and conditions (form: models/trials/importers/mapping.py)",
+        help="names, units, frame and conditions (docs/trials.md)",
     )  # fmt: skip
     parser.add_argument("--name", help="name of the trial (default: that of FILE)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where trials go")
