@@ -88,7 +88,17 @@ SYSTEMS: Final = (
 
 
 def import_recordings(system: MeasuredSystem, data: Path, out: Path) -> TrialSet:
-    """Trials of every recording of a system."""
+    """Trials of every recording of a system.
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        Recorded machine.
+    data : Path
+        Folder of all recordings.
+    out : Path
+        Directory of the trials.
+    """
     nominal = read_plant(EXAMPLES / f"{system.name}.toml")
     for file in sorted((data / system.folder).glob(system.pattern)):
         if not (out / f"{file.stem}.toml").exists():
@@ -100,7 +110,17 @@ def import_recordings(system: MeasuredSystem, data: Path, out: Path) -> TrialSet
 def name_and_identify(
     system: MeasuredSystem, trials: Path, out: Path
 ) -> tuple[Path, list[list[str]]]:
-    """Plant with all that the program names, and what it named in each round."""
+    """Plant with all that the program names, and what it named in each round.
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        Recorded machine.
+    trials : Path
+        Directory of its trials.
+    out : Path
+        Directory of plants and diagnoses.
+    """
     plant, rounds = out / "identified_0.json", []
     _identify(trials, EXAMPLES / f"{system.name}.toml", plant)
     for k in range(1, ROUNDS + 1):
@@ -133,7 +153,19 @@ def _command(arguments: list[str], negative: bool = False) -> None:
 def identified_plant(
     plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], None]
 ) -> Plant:
-    """Plant identified on trials; read where it was before."""
+    """Plant identified on trials; read where it was before.
+
+    Parameters
+    ----------
+    plant : Plant
+        To start from.
+    trials : TrialSet
+        To fit.
+    path : Path
+        File of the identified plant.
+    step : callable
+        Called with one phrase when it is there.
+    """
     if not path.exists():
         identify(plant, trials).plant.write(path)
     step(path.stem)
@@ -141,7 +173,17 @@ def identified_plant(
 
 
 def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
-    """Mean absolute and root mean square error of a signal, by trial."""
+    """Mean absolute and root mean square error of a signal, by trial.
+
+    Parameters
+    ----------
+    plant : Plant
+        To simulate with.
+    trials : TrialSet
+        To compare with.
+    signal : str
+        Signal that is compared.
+    """
     result = {}
     for c in compare_with_trials(plant, trials):
         error = c.error(signal)
@@ -154,7 +196,21 @@ def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, di
 def judge_fit(
     system: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Errors of one structure: of a fit to all trials, and with each condition left out."""
+    """Errors of one structure: of a fit to all trials, and with each condition left out.
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        Recorded machine.
+    plant : Plant
+        Nominal values and the effects of this structure.
+    trials : TrialSet
+        All trials.
+    out : Path
+        Directory of the identified plants.
+    step : callable
+        Called with one phrase after each fit.
+    """
     full = identified_plant(plant, trials, out / "all.json", step)
     row: dict[str, Any] = {"effects": list(full.effects)}
     row["all"] = _mean(errors_by_trial(full, trials, system.signal), system.measure)
@@ -177,7 +233,19 @@ def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
 def run_system(
     system: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Everything about one system."""
+    """Everything about one system.
+
+    Parameters
+    ----------
+    system : MeasuredSystem
+        Recorded machine.
+    data : Path
+        Folder of all recordings.
+    out : Path
+        Directory of its results.
+    step : callable
+        Called with one phrase after each part.
+    """
     trials = import_recordings(system, data, out / "trials")
     found, rounds = name_and_identify(system, out / "trials", out)
     step("named")

@@ -36,7 +36,15 @@ MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
 
 def write_real_page(data: dict[str, Any], out: Path) -> Path:
-    """Write OUT/real.html; returns its path."""
+    """Write OUT/real.html; returns its path.
+
+    Parameters
+    ----------
+    data : dict
+        Content of real.json.
+    out : Path
+        Directory of the results.
+    """
     verdicts = Table(
         "", ("figure", "value", "at most"),
         [

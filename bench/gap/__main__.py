@@ -24,7 +24,19 @@ from firmware_py.console import Progress
 def run_cases(
     cases: Iterable[BenchCase], plant: Path, out: Path, executor: Executor | None = None
 ) -> None:
-    """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor."""
+    """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor.
+
+    Parameters
+    ----------
+    cases : iterable of BenchCase
+        Drawn by `draw_cases`.
+    plant : Path
+        Identified without effects.
+    out : Path
+        Directory of the result files.
+    executor : Executor, optional
+        Anything with `.submit`; two processes by default.
+    """
     out.mkdir(parents=True, exist_ok=True)
     left = [c for c in cases if not (out / f"{c.key}.json").exists()]
     left.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample

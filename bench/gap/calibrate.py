@@ -48,7 +48,17 @@ SEEDS: Final = {"patterns": 9000, "null": 9001}
 
 
 def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save the residual of the nuisance fit on one rig: spectra by payload."""
+    """Save the residual of the nuisance fit on one rig: spectra by payload.
+
+    Parameters
+    ----------
+    case : BenchCase
+        Without a hidden effect.
+    plant_path : str
+        Plant with a noise floor.
+    path : str
+        File to write (.npz).
+    """
     rig = rig_of(case)
     try:
         trials = [run_case(rig, TrialCase(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
@@ -71,7 +81,17 @@ def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
 
 
 def null_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save the d′ of each effect on one rig, and the residual without any."""
+    """Save the d′ of each effect on one rig, and the residual without any.
+
+    Parameters
+    ----------
+    case : BenchCase
+        Without a hidden effect.
+    plant_path : str
+        Plant with a noise floor.
+    path : str
+        File to write (.json).
+    """
     try:
         trials = bench_trials(rig_of(case), case.seed)
     except InputError:

@@ -34,7 +34,17 @@ HANGING_RAD = 0.1
 
 
 def run_bench_case(case: BenchCase, plant_path: str, directory: str) -> str:
-    """Run a case unless its result stands; returns the path of the result."""
+    """Run a case unless its result stands; returns the path of the result.
+
+    Parameters
+    ----------
+    case : BenchCase
+        To run.
+    plant_path : str
+        Plant identified without effects.
+    directory : str
+        Of the result files.
+    """
     path = Path(directory) / f"{case.key}.json"
     if not path.exists():
         result = {"case": asdict(case), **_result(case, read_plant(plant_path))}
@@ -91,6 +101,17 @@ def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequen
     """Whether the whole catalogue tells a denied effect from its stand-ins.
 
     It does where it names the effect, and no stand-in is among the declared look-alikes.
+
+    Parameters
+    ----------
+    plant : Plant
+        Identified without effects.
+    trials : TrialSet
+        Of the case.
+    case : BenchCase
+        With the hidden effect.
+    stand_ins : sequence of str
+        Effects that were named without it.
     """
     if case.kind != "outside":
         return True
@@ -111,6 +132,17 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     """Change that is to be found.
 
     Where the plant has no such effect, the rig's own (2 ms of dead time) is added.
+
+    Parameters
+    ----------
+    plant : Plant
+        Identified without effects.
+    rig : RigParameters
+        Of the case.
+    effect : str
+        Hidden effect.
+    hidden : float
+        Its hidden strength.
     """
     return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
 
@@ -118,7 +150,17 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
 def sealed_errors(
     rig: RigParameters, case: BenchCase, plants: Sequence[Plant]
 ) -> list[float] | None:
-    """Errors on another motion, that of the first plant with nothing hidden; None if it folds."""
+    """Errors on another motion, that of the first plant with nothing hidden; None if it folds.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Of the case.
+    case : BenchCase
+        With the hidden effects.
+    plants : sequence of Plant
+        To simulate with; the first is the one as given.
+    """
     try:
         hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
     except InputError:
@@ -127,7 +169,15 @@ def sealed_errors(
 
 
 def sealed_error(plant: Plant, trial: Trial) -> float:
-    """Error on a trial: root mean square over signals, each in its own noise floor."""
+    """Error on a trial: root mean square over signals, each in its own noise floor.
+
+    Parameters
+    ----------
+    plant : Plant
+        With a noise floor.
+    trial : Trial
+        That nothing was fitted to.
+    """
     floor = required_noise_floor(plant)
     comparison = compare_with_trials(plant, [trial])[0]
     squares = [
@@ -159,6 +209,13 @@ def rig_of(case: BenchCase) -> RigParameters:
 
 def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
     """Trials of three payloads, each repeated once.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        With the hidden effects.
+    seed : int
+        Of trial variation and noise.
 
     Raises
     ------

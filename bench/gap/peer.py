@@ -55,7 +55,15 @@ RIDGE: Final = 0.1
 
 
 def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
-    """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
+    """Equations of each trial for the plant whose nuisance and trial variation are refitted.
+
+    Parameters
+    ----------
+    plant : Plant
+        With a noise floor.
+    trials : sequence of Trial
+        Of one joint and one motion.
+    """
     residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
     estimator = GaussNewton(residuals, required_noise_floor(plant))
     every = np.ones(len(residuals.fit_parameters), bool)
@@ -114,7 +122,15 @@ def simulated_signals(
 
 
 def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[float]) -> Any:
-    """Size of what survives STLSQ by effect, in noise floors; the greatest first."""
+    """Size of what survives STLSQ by effect, in noise floors; the greatest first.
+
+    Parameters
+    ----------
+    trials : sequence of dict
+        Equations of each trial.
+    payloads : sequence of float
+        Payload of each in kg.
+    """
     found: dict[str, float] = {}
     for name in trials[0]:
         rows = [t[name] for t in trials]
@@ -125,7 +141,15 @@ def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[floa
 
 
 def repetition_noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
-    """Root mean square of what differs between two repetitions, for one of them."""
+    """Root mean square of what differs between two repetitions, for one of them.
+
+    Parameters
+    ----------
+    rows : sequence of Equation
+        One equation in each trial.
+    payloads : sequence of float
+        Payload of each in kg.
+    """
     squares = [
         np.mean((a.missing - b.missing)[both] ** 2) / 2
         for i, a in enumerate(rows) for j, b in enumerate(rows[:i])
@@ -135,7 +159,15 @@ def repetition_noise(rows: Sequence[Equation], payloads: Sequence[float]) -> flo
 
 
 def sparse_terms(rows: Sequence[Equation], unit: float) -> dict[str, float]:
-    """Size of each term of one equation that survives, in units of `unit`."""
+    """Size of each term of one equation that survives, in units of `unit`.
+
+    Parameters
+    ----------
+    rows : sequence of Equation
+        One equation in each trial.
+    unit : float
+        Size of its noise.
+    """
     sindy = import_pysindy()
     effects = list(rows[0].columns)
     library = [np.column_stack([r.columns[e] for e in effects])[r.counts] for r in rows]
@@ -155,7 +187,13 @@ def sparse_terms(rows: Sequence[Equation], unit: float) -> dict[str, float]:
 
 
 def import_pysindy() -> Any:
-    """The package, which is not among the locked ones."""
+    """Import PySINDy, which is not among the locked packages.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
     try:
         return importlib.import_module("pysindy")
     except ImportError as error:
@@ -166,7 +204,17 @@ def import_pysindy() -> Any:
 
 
 def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
-    """Write the result of one case, in the form that `bench.gap.score_summary` reads."""
+    """Write the result of one case, in the form that `bench.gap.score_summary` reads.
+
+    Parameters
+    ----------
+    case : BenchCase
+        To run.
+    plant : Plant
+        With a noise floor.
+    path : Path
+        File to write.
+    """
     trials = bench_trials(rig_of(case).hide(case.hidden), case.seed)
     found = contributions(refitted_equations(plant, trials), [t.meta.payload_kg for t in trials])
     result = {

@@ -137,7 +137,15 @@ class GaussNewton:
         point.gradient = np.asarray(gradient - self.precision * point.values)
 
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
-        """Derivatives at the end of a step: those at its start, corrected along the step."""
+        """Derivatives at the end of a step: those at its start, corrected along the step.
+
+        Parameters
+        ----------
+        start : FitPoint
+            With derivatives.
+        end : FitPoint
+            Without; it gets them, and is returned.
+        """
         if end.exact or end is start:
             return end
         moved = end.values - start.values
@@ -215,7 +223,15 @@ class GaussNewton:
         return point
 
     def search(self, point: FitPoint, step: Array) -> FitPoint | None:
-        """First point along a step whose cost is lower; None where there is none."""
+        """First point along a step whose cost is lower; None where there is none.
+
+        Parameters
+        ----------
+        point : FitPoint
+            Where the step starts.
+        step : ndarray, shape (p,)
+            Change of all fit parameters.
+        """
         for fraction in self.settings.line_search_fractions:
             values = np.clip(point.values + fraction * step, self.low, self.high)
             tried = self.at(values)
@@ -224,5 +240,13 @@ class GaussNewton:
         return None
 
     def covariance(self, point: FitPoint, free: Array) -> Array:
-        """Covariance of the free fit parameters, shape (free, free)."""
+        """Covariance of the free fit parameters, shape (free, free).
+
+        Parameters
+        ----------
+        point : FitPoint
+            Where the fit ended.
+        free : ndarray of bool, shape (p,)
+            Fit parameters that were fitted.
+        """
         return NormalEquation.of(self.linearise(point).normal, np.flatnonzero(free)).inverse()

@@ -47,7 +47,15 @@ class ModelDiscrepancy:
     table: Array
 
     def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
-        """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown."""
+        """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown.
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
         shape = len(group.trials), len(group.signals), group.coefficients
         result = np.zeros((len(self.table), *shape))
         if group.key != self.key:

@@ -96,7 +96,17 @@ class NoiseFloor:
         trials: Sequence[Trial],
         settings: GapSettings = DEFAULT_SETTINGS,
     ) -> Array:
-        """Inverse Cholesky factors, shape (signals, K, trials, trials)."""
+        """Inverse Cholesky factors, shape (signals, K, trials, trials).
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        settings : GapSettings
+            Tuned numbers.
+        """
         own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
         alike = np.exp(-np.abs(payload[:, None] - payload) / settings.payload_reach_kg)
@@ -122,7 +132,15 @@ class NoiseFloor:
         return result
 
     def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
-        """Error to expect of the plant, shape (trials, signals, K); zero where none is known."""
+        """Error to expect of the plant, shape (trials, signals, K); zero where none is known.
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known = self.curves.get(group.key, {})
         if not known:
@@ -151,7 +169,15 @@ def _smoothed(power: Array, settings: GapSettings) -> Array:
 
 
 def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
-    """Frequencies of the coefficients of a group, shape (K,)."""
+    """Frequencies of the coefficients of a group, shape (K,).
+
+    Parameters
+    ----------
+    group : TrialGroup
+        Of one motion.
+    trials : sequence of Trial
+        All trials of the residuals.
+    """
     first = trials[group.trials[0]]
     return coefficient_frequencies_hz(group.coefficients, len(first), first.step_s)
 

@@ -104,12 +104,30 @@ def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
 
 
 def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoint:
-    """Fit of the free fit parameters against a floor, from the plant as given."""
+    """Fit of the free fit parameters against a floor, from the plant as given.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the trials.
+    floor : NoiseFloor
+        Of their signals.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that may change.
+    """
     estimator = GaussNewton(residuals, floor)
     return estimator.fit(estimator.start(), free)
 
 
 def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
-    """Floor that the plant file carries for a number of joints; None where it carries none."""
+    """Floor that the plant file carries for a number of joints; None where it carries none.
+
+    Parameters
+    ----------
+    plant : Plant
+        As read from its file.
+    dof : int
+        Number of joints.
+    """
     record = plant.provenance.noise_floor.get(str(dof))
     return floor_from_record(record) if record else None

@@ -55,7 +55,15 @@ class NormalEquation:
 
     @classmethod
     def of(cls, normal: Array, index: NDArray[np.intp] | None = None) -> NormalEquation:
-        """Equation of a matrix J'J, or of some of its rows and columns."""
+        """Equation of a matrix J'J, or of some of its rows and columns.
+
+        Parameters
+        ----------
+        normal : ndarray, shape (n, n)
+            Matrix J'J.
+        index : ndarray of int, shape (k,), optional
+            Rows and columns that are used.
+        """
         matrix = normal if index is None else normal[np.ix_(index, index)]
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
         return cls(matrix / np.outer(size, size), size)
@@ -65,7 +73,15 @@ class NormalEquation:
         return np.asarray(self.scaled + ridge * np.eye(len(self.size)))
 
     def solve(self, right: Array, ridge: float) -> Array:
-        """Solution x for the right-hand side J'r, shape (k,) or (k, columns)."""
+        """Solution x for the right-hand side J'r, shape (k,) or (k, columns).
+
+        Parameters
+        ----------
+        right : ndarray, shape (k,) or (k, columns)
+            Right-hand side J'r.
+        ridge : float
+            Added to the diagonal of the scaled matrix.
+        """
         size = self.size if right.ndim == 1 else self.size[:, None]
         return np.asarray(np.linalg.solve(self.regular(ridge), right / size) / size)
 

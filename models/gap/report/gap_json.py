@@ -213,5 +213,13 @@ def read_gap_document(path: Path) -> GapDocument:
 
 
 def write_gap_document(path: Path, document: GapDocument) -> None:
-    """Write `gap.json`."""
+    """Write `gap.json`.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    document : GapDocument
+        Of a diagnosis.
+    """
     write_document(path, document)

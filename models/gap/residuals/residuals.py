@@ -217,7 +217,15 @@ class Residuals:
         return rows
 
     def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
-        """Spectra (…, trials, signals, K) in which only the rows that count are not zero."""
+        """Spectra (…, trials, signals, K) in which only the rows that count are not zero.
+
+        Parameters
+        ----------
+        g : TrialGroup
+            Of one motion.
+        spectra : ndarray, shape (..., trials, signals, K)
+            Of whole trials.
+        """
         result = spectra.copy()
         for a, k in enumerate(g.trials):
             rows, trial = self._follows[k], self.trials[k]

@@ -36,7 +36,17 @@ def coefficient_count(samples: int, step_s: float, highest_hz: float) -> int:
 
 
 def coefficient_frequencies_hz(coefficients: int, samples: int, step_s: float) -> Array:
-    """Frequencies of the first coefficients of a trial of so many samples, shape (K,)."""
+    """Frequencies of the first coefficients of a trial of so many samples, shape (K,).
+
+    Parameters
+    ----------
+    coefficients : int
+        Number K of coefficients.
+    samples : int
+        Of the trial.
+    step_s : float
+        Time step.
+    """
     return np.arange(coefficients) / (2 * samples * step_s)
 
 
@@ -65,7 +75,15 @@ def cosine_transform(rows: Array, coefficients: int) -> Array:
 
 
 def inverse_cosine_transform(coefficients: Array, samples: int) -> Array:
-    """Rows (n, …) of coefficients (K, …)."""
+    """Rows (n, …) of coefficients (K, …).
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (K, ...)
+        Missing ones count as zero.
+    samples : int
+        Number of rows n.
+    """
     return np.asarray(idct(coefficients, type=2, norm="ortho", axis=0, n=samples))
 
 
