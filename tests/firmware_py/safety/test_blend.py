@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.motion import KINDS, Motion
@@ -140,6 +140,7 @@ def approached(supervisor, start):
     return np.array(goals)
 
 
+@settings(deadline=None)  # it simulates a whole motion; a busy machine must not fail it
 @given(
     st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)),
     st.sampled_from([k for k in KINDS if k != "decay"]),
