@@ -1,4 +1,4 @@
-"""The report of a whole run: one self-contained HTML page.
+"""HTML pages of a build directory, a fault campaign and a closed gap, without outside files.
 
 `build_inputs` reads a build directory; the modules in `study/` and `loop_figures` draw;
 `report_tables` compares figures with their targets; `fault_tables` shows a fault campaign, in the

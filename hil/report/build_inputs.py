@@ -14,11 +14,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -34,7 +33,6 @@ from models.plant.provenance import Evaluation
 from models.study.study_document import StudyDocument, read_study
 from models.trials.trial_files import read_trial
 
-Json = dict[str, Any]
 T = TypeVar("T")
 
 
@@ -228,28 +226,6 @@ def read_output(path: Path, kind: type[T]) -> T:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"cannot be read ({error})", "write it again") from None
-
-
-def read_json(path: Path) -> Json:
-    """Read a file that holds one JSON object.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If it is damaged.
-    """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not JSON ({error})", "write it again") from None
-    if not isinstance(document, dict):
-        raise InputError(path, "is not a JSON object", "write it again")
-    return document
 
 
 def _motions(directory: Path, studies: dict[int, StudyDocument]) -> dict[str, StudyDocument]:

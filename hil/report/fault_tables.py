@@ -54,8 +54,13 @@ def campaign_sentences(document: FaultsDocument) -> list[str]:
             "The legacy PRO has no watchdog. When its host stops, it moves to its last goal and "
             "holds it with torque on until somebody switches it off. Therefore its goals are "
             "limited to 1\u00a0rad/s, the servo's own velocity limit is set to the same value, "
-            f"and the following error bounds the distance: in {len(left)} such cases it moved at "
-            f"most {ANGLE_ERROR.text(drift_rad, 0)} after its last packet."
+            "and the following error bounds the distance"
+            + (
+                f": in {len(left)} such cases it moved at most {ANGLE_ERROR.text(drift_rad, 0)} "
+                "after its last packet."
+                if left
+                else "."
+            )
         )
     return sentences
 

@@ -155,7 +155,7 @@ def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
                         f"{scores.r2_di:.2f}".replace("-", "−"),
                         DEFORMATION.number(scores.rms_error_di, 3),
                         LENGTH.number(scores.mean_euclidean_distance_m[BENEFIT_DEGREE]),
-                        NO_VALUE if gain is None else FRACTION.text(gain),
+                        NO_VALUE if gain is None else FRACTION.text(gain).replace("-", "−"),
                     ]
                 )  # fmt: skip
     return Table(
@@ -246,7 +246,7 @@ def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
         f"{len(outputs) - len(differing)} of {len(outputs)} outputs are equal to the last bit, "
         "over fixed and varying steps of the study's motion."
     )
-    tables = [Table("Checks", ["", *checks], rows, "" if parity else equal)]
+    tables = [Table("Checks", ["", *checks], rows, "" if parity or not outputs else equal)]
     if parity:
         title = "Largest difference from the interpreted model"
         tables.append(Table(title, ["output", *checks], parity, equal))

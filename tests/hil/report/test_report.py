@@ -197,6 +197,18 @@ def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
     assert main(["report", "--build", str(copy / "none")]) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [("bundle_1dof/study.json", "models train"), ("sil_1dof/timing.json", "hil sil")],
+)
+def test_a_file_of_an_older_version_gets_one_sentence_with_the_command(copy, capsys, name, command):
+    document = json.loads((copy / name).read_text())
+    (copy / name).write_text(json.dumps(document | {"schema": 1}))
+    assert main(["report", "--build", str(copy)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "schema version 1" in err and f"python -m {command}" in err
+
+
 def row_of(table, words):
     (row,) = [r for r in table.cells if words in r[0].text]
     return row

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+
+from firmware_py.display_units import LENGTH
+from models.shared.gap_charts import (
+    draw_bars,
+    draw_heat_map,
+    draw_traces,
+    draw_waterfall,
+    heat_legend,
+)
+from models.shared.palette import AFTER, BEFORE, HEAT, MUTED
+from models.shared.svg_drawing import Drawing
+
+
+def texts(ax):
+    return [t.get_text() for t in ax.texts]
+
+
+def test_a_heat_map_writes_every_value_and_leaves_missing_cells_empty():
+    cells = {("tip x", "1/8"): 1.0, ("tip x", "2/8"): 12.3, ("angle 1", "1/8"): 3.21}
+    with Drawing() as (_, ax):
+        draw_heat_map(ax, ["tip x", "angle 1"], ["1/8", "2/8"], cells, most=12.3,
+                      faint={("tip x", "1/8")})  # fmt: skip
+        assert sorted(texts(ax)) == ["1.0", "12", "3.2"]
+        assert len(ax.collections) == 3
+        ink = {t.get_text(): t.get_color() for t in ax.texts}
+        assert ink["1.0"] == MUTED
+        assert [t.get_text() for t in ax.get_yticklabels()] == ["tip x", "angle 1"]
+        darkest = ax.collections[1].get_facecolor()[0][:3]
+        assert darkest == pytest.approx([int(HEAT[-1][k : k + 2], 16) / 255 for k in (1, 3, 5)])
+
+
+def test_the_legend_of_a_heat_map_names_its_range():
+    entries = heat_legend(27.0)
+    assert [e.label for e in entries] == ["1 (noise)", "3", "9", "27 noise floors"]
+    assert entries[-1].colour == HEAT[-1]
+
+
+def test_bars_and_waterfall_show_their_values_and_the_limit():
+    for draw in (draw_bars, draw_waterfall):
+        with Drawing() as (_, ax):
+            draw(ax, [("first", 4.0), ("last", 1.0)], 1.0, "RMS")
+            assert [float(t) for t in texts(ax)] == [4.0, 1.0]
+            (limit,) = ax.lines
+            assert list(limit.get_xdata()) == [1.0, 1.0]
+            assert ax.get_xlim()[1] > 4.0 and ax.get_xlabel() == "RMS"
+
+
+def test_traces_are_shown_in_their_unit_around_zero():
+    time_s = np.arange(1000) * 0.01 + 5.0
+    before = 2e-3 * np.sin(time_s)
+    with Drawing() as (drawing, ax):
+        draw_traces(ax, time_s, [before, 0.5 * before], LENGTH, "error", 1e-4)
+        first, second = ax.lines
+        assert (first.get_color(), second.get_color()) == (BEFORE, AFTER)
+        assert np.max(np.abs(first.get_ydata())) == pytest.approx(2.0, rel=1e-3)
+        assert first.get_xdata()[0] == 0.0
+        low, high = ax.get_ylim()
+        assert low == -high and ax.get_ylabel() == "error in mm"
+    assert drawing.panel("t", "a").svg.startswith("<svg")
+
+
+def test_drawings_with_the_same_content_have_ids_of_their_own():
+    panels = []
+    for title in ("one", "two"):
+        with Drawing() as (drawing, ax):
+            ax.plot([0, 1], [0, 1], "o")
+        panels.append(drawing.panel(title, "a line"))
+    ids = [set(p.svg.split('id="')[k].split('"')[0] for k in range(1, p.svg.count('id="') + 1))
+           for p in panels]  # fmt: skip
+    assert ids[0] and not ids[0] & ids[1]
+    assert "http" not in panels[0].svg
