@@ -24,14 +24,9 @@ from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
 
 __all__ = [
-    "BusConfig",
-    "LiveConfig",
-    "MotionConfig",
-    "RobotConfig",
-    "ServoConfig",
-    "check_config",
+    "BusConfig", "LiveConfig", "MotionConfig", "RobotConfig", "ServoConfig", "check_config",
     "read_config",
-]
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1

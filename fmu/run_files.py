@@ -13,7 +13,7 @@ from fmu.fmpy_run import FmuRun
 from models.shared.svg_drawing import FILE_STYLE
 
 
-def write_run(result: FmuRun, path: Path) -> None:
+def write_fmu_run(result: FmuRun, path: Path) -> None:
     """Write time, inputs and outputs as CSV in SI units, one row per step.
 
     Parameters

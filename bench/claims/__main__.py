@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"no claim is named {' '.join(args.only)}: see --list", file=sys.stderr)
         return BAD_INPUT
     measured = measure_claims(chosen, Progress("claims", len(chosen)).step)
-    print(as_text(measured))
+    print(claims_text(measured))
     args.out.mkdir(parents=True, exist_ok=True)
     figures = {m.claim.name: m.figure for m in measured if m.figure}
     write_document(args.out / "claims.json", AcceptedFigures(schema=1, figures=figures))
@@ -89,7 +89,7 @@ def _listed(claims: Sequence[Claim]) -> str:
     )
 
 
-def as_text(measured: Sequence[Measurement]) -> str:
+def claims_text(measured: Sequence[Measurement]) -> str:
     """Figures beside their targets, for people."""
     word = {True: "met", False: "MISSED", None: ""}
     return "\n".join(

@@ -21,7 +21,7 @@ from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
 from firmware_py.console import Progress
 
 
-def run_cases(
+def run_benchmark(
     cases: Iterable[BenchCase], plant: Path, out: Path, executor: Executor | None = None
 ) -> None:
     """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor.
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args()
     cases = draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed)
-    run_cases(cases, args.plant, args.out)
+    run_benchmark(cases, args.plant, args.out)
     figures = benchmark_figures(args.out)
     (args.out / "summary").mkdir(exist_ok=True)
     (args.out / "summary" / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")

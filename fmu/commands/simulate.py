@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         )
     from fmu.fmpy_instance import FmuArchive
     from fmu.fmpy_run import simulate_fmu
-    from fmu.run_files import draw_run, write_run
+    from fmu.run_files import draw_run, write_fmu_run
     from models.trials.trial_files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
             archive, trial or motion, args.payload, args.step, _assignments(args.set)
         )
     args.out.mkdir(parents=True, exist_ok=True)
-    write_run(result, args.out / "result.csv")
+    write_fmu_run(result, args.out / "result.csv")
     draw_run(result, args.out / "result.svg")
     rms = result.rms_against_trial()
     data = {"rows": len(result.time_s), "out": str(args.out), "rms": rms, "units": result.units}

@@ -30,11 +30,11 @@ def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     plant = read_plant(args.plant)
     result = evaluate_plant(plant, read_trials(args.trials, plant.signals))
-    emit(args, msgspec.to_builtins(result), as_text(result))
+    emit(args, msgspec.to_builtins(result), evaluation_text(result))
     return DONE
 
 
-def as_text(result: Evaluation) -> str:
+def evaluation_text(result: Evaluation) -> str:
     """Tables for people: signals in SI units, end effector in mm."""
     lines = [f"{'signal':14s}{'rms':>12s}{'mean |error|':>14s}  unit"]
     lines += [

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.console import DONE, Progress, emit
-from models.commands.evaluate import as_text
+from models.commands.evaluate import evaluation_text
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
     )
     text = "\n".join(
-        [*rows, "", f"errors on {what}", "", as_text(found.held_out), "",
+        [*rows, "", f"errors on {what}", "", evaluation_text(found.held_out), "",
          f"{args.out}; look at {picture}"]
     )  # fmt: skip
     data = {

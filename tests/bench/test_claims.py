@@ -128,7 +128,7 @@ def test_claims_of_one_command_share_its_run_and_a_missing_value_is_a_miss(tmp_p
     assert [m.met for m in measured.values()] == [None, False, False, None, False, None]
     assert measured["e"].figure.value == 4.0 and measured["t"].figure.value == 1.0
     assert "KeyError" in measured["d"].problem
-    text = command.as_text(list(measured.values()))
+    text = command.claims_text(list(measured.values()))
     assert text.count("MISSED") == 3 and "no value" in text
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.gap.__main__ import run_cases
+from bench.gap.__main__ import run_benchmark
 from bench.gap.cases import draw_cases
 from bench.gap.score_summary import benchmark_figures
 from firmware_py.motion import Motion
@@ -31,7 +31,7 @@ def results(tmp_path_factory):
     plant = with_noise_floor(identify(read_plant(), trials).plant, trials.trials)
     plant.write(directory / "plant.json")
     drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    run_cases(drawn[:SINGLES] + drawn[-NULLS:], directory / "plant.json", directory / "out")
+    run_benchmark(drawn[:SINGLES] + drawn[-NULLS:], directory / "plant.json", directory / "out")
     return directory / "out"
 
 
@@ -49,7 +49,7 @@ def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
     assert len(files) == SINGLES + NULLS
     before = {f: f.stat().st_mtime_ns for f in files}
     drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    run_cases(drawn[:SINGLES], Path("no such plant"), results)
+    run_benchmark(drawn[:SINGLES], Path("no such plant"), results)
     assert {f: f.stat().st_mtime_ns for f in files} == before
     kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
     assert sorted(kinds) == ["null", "single", "single"]
