@@ -72,11 +72,11 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
             [set(r["named"]) == set(r["case"]["hidden"]) for r in of("pair")]
         ),
         "pairs_in_class": fraction_with_interval([_pair_in_class(r) for r in of("pair")]),
-        "outside_reported": fraction_with_interval(
+        "outside_said": fraction_with_interval(
             [_reported(r) for r in of("outside") if r["separable"]]
         ),
-        "outside_reported_all": fraction_with_interval([_reported(r) for r in of("outside")]),
-        "inside_reported": fraction_with_interval([_reported(r) for r in detected]),
+        "outside_said_all": fraction_with_interval([_reported(r) for r in of("outside")]),
+        "inside_said": fraction_with_interval([_reported(r) for r in detected]),
         "fraction_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
         "coverage": fraction_with_interval([c for r in detected if (c := _covered(r)) is not None]),
