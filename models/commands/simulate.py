@@ -73,13 +73,15 @@ def run(args: argparse.Namespace) -> int:
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
     from models.rig.trial_overview import draw_overview
-    from models.rig.trial_runner import run_cases  # loads MuJoCo: only once the options are right
+    from models.rig.trial_runner import (
+        run_trial_cases,  # loads MuJoCo: only once the options are right
+    )
 
     conditions = RigConditions(seed=args.seed, hidden=hidden, rig_sha256=parameters.sha256())
     refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
-    paths = run_cases(cases, parameters, args.out, args.workers, progress.step)
+    paths = run_trial_cases(cases, parameters, args.out, args.workers, progress.step)
     overview = draw_overview(args.out)
     emit(
         args,

@@ -17,7 +17,7 @@ from models.trials.trial_files import write_trial
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def run_cases(
+def run_trial_cases(
     cases: Sequence[TrialCase],
     parameters: RigParameters,
     directory: Path,
