@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 from firmware_py import display_units
 from firmware_py.signals import TIME
 from fmu.fmpy_run import FmuRun
+from models.shared.palette import SERIES
 from models.shared.svg_drawing import FILE_STYLE
 
 
@@ -31,7 +32,7 @@ def write_fmu_run(result: FmuRun, path: Path) -> None:
 
 
 def draw_run(result: FmuRun, path: Path) -> None:
-    """Plot a run, one panel per quantity; the values of the trial, if any, are dashed.
+    """Plot a run, one panel per quantity; values of a trial are dashed, predicted ones dotted.
 
     Parameters
     ----------
@@ -49,15 +50,20 @@ def draw_run(result: FmuRun, path: Path) -> None:
             layout="constrained",
         )  # fmt: skip
         for axis, ((quantity, unit), columns) in zip(axes[:, 0], panels.items(), strict=True):
-            shown = display_units.value_unit(unit)
+            shown = display_units.DEFORMATION if "di" in columns else display_units.value_unit(unit)
+            variables = list(dict.fromkeys(name.removeprefix("predicted_") for name in columns))
             for name in columns:
-                (line,) = axis.plot(
-                    result.time_s, shown.shown(result.columns[name]), lw=1.0, label=name
-                )
-                if name in result.measured and not name.startswith("predicted_"):  # drawn once
+                predicted = name not in variables
+                place = variables.index(name.removeprefix("predicted_"))
+                colour, style = SERIES[place % len(SERIES)], ":" if predicted else "-"
+                axis.plot(
+                    result.time_s, shown.shown(result.columns[name]), style, lw=1.0,
+                    color=colour, label=name,
+                )  # fmt: skip
+                if name in result.measured and not predicted:  # drawn once
                     axis.plot(
                         result.time_s, shown.shown(result.measured[name]), "--", lw=1.0,
-                        color=line.get_color(), alpha=0.5, label=f"{name}, trial",
+                        color=colour, alpha=0.5, label=f"{name}, trial",
                     )  # fmt: skip
             axis.set_ylabel(shown.label(quantity))
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -69,6 +75,8 @@ def draw_run(result: FmuRun, path: Path) -> None:
 
 def _quantity(name: str) -> str:
     """Quantity of a variable: "tip_x_m" and "predicted_tip_x_m" are both the tip."""
+    if name == "di":
+        return "DI"
     for quantity in ("half_width", "tip", "angle", "goal", "current", "payload", "in_range"):
         if quantity in name:
             return {"goal": "angle", "half_width": "half width"}.get(quantity, quantity)
