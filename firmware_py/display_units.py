@@ -16,7 +16,7 @@ from firmware_py.signals import unit_of
 
 
 class DisplayUnit(NamedTuple):
-    """A unit in which a value is shown: shown = factor * value.
+    r"""A unit in which a value is shown: shown = factor * value.
 
     Attributes
     ----------
@@ -26,6 +26,13 @@ class DisplayUnit(NamedTuple):
         From the SI unit (or from nanoseconds or bytes, where a constant says so).
     decimals : int
         Decimals in tables and sentences.
+
+    Examples
+    --------
+    >>> LENGTH.label("tip x"), LENGTH.number(0.0123)
+    ('tip x in mm', '12.3')
+    >>> error_unit("rad").significant(0.004)
+    '4\xa0mrad'
     """
 
     name: str

@@ -111,7 +111,13 @@ def _real_time_loop(inputs: BuildInputs, dof: int) -> LoopRun | None:
 
 
 def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
-    """Mean distance at the chosen degree over payloads; by phase if there are several."""
+    """Mean distance at the chosen degree over payloads; by phase if there are several.
+
+    Parameters
+    ----------
+    studies : mapping of str to StudyDocument
+        By what they were trained on.
+    """
     rows = []
     for name, study in studies.items():
         degree = str(study.chosen_degree)
@@ -143,7 +149,13 @@ def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
 
 
 def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
-    """Accuracy of the three estimators of DI on every test."""
+    """Accuracy of the three estimators of DI on every test.
+
+    Parameters
+    ----------
+    studies : mapping of int to StudyDocument
+        By number of joints.
+    """
     rows = []
     for dof, study in studies.items():
         for test, by_source in study.estimators.items():
@@ -169,7 +181,13 @@ def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """Errors of the identified plant by signal, with rigid kinematics for comparison."""
+    """Errors of the identified plant by signal, with rigid kinematics for comparison.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the trials that the plant was compared with.
+    """
     parts = {
         f"{title}, {dof}DOF": part
         for title, evaluation in evaluations.items()
@@ -223,7 +241,13 @@ def parameter_table(plant: Plant) -> Table | None:
 
 
 def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
-    """Checks of every FMU, and the parity of every output."""
+    """Checks of every FMU, and the parity of every output.
+
+    Parameters
+    ----------
+    checks : mapping of str to FmuCheckOutput
+        By name of the FMU.
+    """
     kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
     rows: list[list[Cell]] = []
     for kind in kinds:

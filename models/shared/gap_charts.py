@@ -24,7 +24,15 @@ BEFORE_AND_AFTER: Final = (LegendEntry(BEFORE, "before"), LegendEntry(AFTER, "af
 
 
 def heat_map_height_in(rows: int, *, curve: bool = False) -> float:
-    """Height of a heat map in inches."""
+    """Height of a heat map in inches.
+
+    Parameters
+    ----------
+    rows : int
+        Number of rows.
+    curve : bool
+        Whether a curve is drawn above the columns.
+    """
     return 0.6 + 0.26 * rows + (0.3 if curve else 0.0)
 
 
@@ -82,7 +90,13 @@ def draw_heat_map(
 
 
 def heat_legend(most: float) -> list[LegendEntry]:
-    """Legend of the colours of `draw_heat_map`: noise, the largest value and two between."""
+    """Legend of the colours of `draw_heat_map`: noise, the largest value and two between.
+
+    Parameters
+    ----------
+    most : float
+        Largest value of the scale.
+    """
     colours = heat_colours()
     values = np.geomspace(1.0, max(most, 1.5), 4)
     labels = ["1 (noise)", *(f"{v:.2g}" for v in values[1:-1]), f"{values[-1]:.2g} noise floors"]

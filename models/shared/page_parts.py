@@ -181,6 +181,12 @@ class Section:
 
 
 def missing_inputs(command: str) -> Paragraph:
-    """Line in place of a part whose inputs are missing, with the command that writes them."""
+    """Line in place of a part whose inputs are missing, with the command that writes them.
+
+    Parameters
+    ----------
+    command : str
+        Command that writes the inputs.
+    """
     text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
     return Paragraph(text.format(command), "missing")

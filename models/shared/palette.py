@@ -61,7 +61,13 @@ def css_variables() -> str:
 
 
 def ordered_colours(count: int) -> list[str]:
-    """Colours of an ordered quantity, amber to navy, all dark enough on paper."""
+    """Colours of an ordered quantity, amber to navy, all dark enough on paper.
+
+    Parameters
+    ----------
+    count : int
+        Number of colours.
+    """
     import matplotlib
     from matplotlib.colors import to_hex
 

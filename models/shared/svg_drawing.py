@@ -73,6 +73,13 @@ def log_axis(ax: Any, values: Iterable[float]) -> None:
     """Logarithmic y axis around `values`, labelled at 1, 2 and 5 in plain figures.
 
     Give the values of every panel of a figure, and its panels share one scale.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where the axis is.
+    values : iterable of float
+        All values to show; those that are not positive are ignored.
     """
     positive = [v for v in values if v > 0]
     ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))

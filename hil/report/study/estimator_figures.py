@@ -34,7 +34,13 @@ def test_words(name: str) -> str:
 
 
 def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
-    """DI of the heaviest payload over time by every source, on every test."""
+    """DI of the heaviest payload over time by every source, on every test.
+
+    Parameters
+    ----------
+    studies : mapping of int to StudyDocument
+        By number of joints.
+    """
     panels = []
     for dof, study in studies.items():
         for name, curves in study.series.estimates.items():
@@ -64,7 +70,13 @@ def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
 
 
 def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Mean distance of every predictor of the tip, by payload, on every test."""
+    """Mean distance of every predictor of the tip, by payload, on every test.
+
+    Parameters
+    ----------
+    studies : mapping of int to StudyDocument
+        By number of joints.
+    """
     panels = []
     everything = [
         v
