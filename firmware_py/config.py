@@ -290,7 +290,10 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     if config.dof == 0:
         raise InputError(path, "servos has no entry", "give one per joint, 1 or 2")
     _check_ranges(config, path)
-    _check_bus(config, path)
+    if config.bus.baud not in BAUD_RATES:
+        offered = ", ".join(map(str, BAUD_RATES))
+        raise InputError(path, f"bus.baud is {config.bus.baud}", f"choose from {offered}")
+    bus_plan.require_any(config.bus_plans(), config.transmission_budget_s, path)
     if config.dof > _MAX_DOF:
         raise InputError(path, f"servos has {config.dof} entries", "give one per joint, 1 or 2")
     ids = [servo.id for servo in config.servos]
@@ -336,12 +339,3 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
             raise InputError(
                 path, f"limits.tip_min_m and tip_max_m are empty along {axis}", "give min < max"
             )
-
-
-def _check_bus(config: RobotConfig, path: Path | str) -> None:
-    bus = config.bus
-    if bus.baud not in BAUD_RATES:
-        raise InputError(
-            path, f"bus.baud is {bus.baud}", "choose from " + ", ".join(map(str, BAUD_RATES))
-        )
-    bus_plan.require_any(config.bus_plans(), config.transmission_budget_s, path)
