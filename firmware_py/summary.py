@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
 
-__all__ = ["Ended", "RunDocument", "RunSummary", "read_run", "write_run"]
+__all__ = ["Ended", "RunDocument", "RunSummary", "read_run_summary", "write_run_summary"]
 
 
 class Ended(Enum):
@@ -116,7 +116,7 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bus_plan: str
 
 
-def read_run(path: Path) -> RunDocument:
+def read_run_summary(path: Path) -> RunDocument:
     """Read the summary of a run.
 
     Parameters
@@ -132,7 +132,7 @@ def read_run(path: Path) -> RunDocument:
     return read_document(path, RunDocument)
 
 
-def write_run(path: Path, document: RunDocument) -> None:
+def write_run_summary(path: Path, document: RunDocument) -> None:
     """Write the summary of a run.
 
     Parameters

@@ -32,7 +32,7 @@ from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.service import SystemdService
 from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
-from firmware_py.summary import Ended, RunDocument, RunSummary, write_run
+from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
 
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 def _write_summary(path: Path, document: RunDocument) -> None:
     """Write the summary beside the log; a full disk must not hide how the run ended."""
     try:
-        write_run(path, document)
+        write_run_summary(path, document)
     except OSError as error:
         print(f"dropstitch: {path}: cannot be written ({error.strerror})", file=sys.stderr)
 

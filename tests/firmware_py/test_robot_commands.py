@@ -15,7 +15,7 @@ from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.log.recording import read_recording
-from firmware_py.summary import read_run
+from firmware_py.summary import read_run_summary
 
 CONFIG = """
 bundle = "{bundle}"
@@ -83,7 +83,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     log = read_recording(result["log"])
     assert len(log.columns["tick"]) == result["ticks"] - result["telemetry_drops"]
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
-    summary = read_run((tmp_path / result["log"]).with_suffix(".timing.json"))
+    summary = read_run_summary((tmp_path / result["log"]).with_suffix(".timing.json"))
     assert msgspec.to_builtins(summary) == result
 
     code, output = call(capsys, "replay", result["log"], "--json")
