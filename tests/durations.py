@@ -1,9 +1,9 @@
 """Slow tests: their list (tests/slow.txt), its marker, and its measurement.
 
-A test is slow if it or one of its own fixtures needs more than `SLOW_S` of processor time, child
-processes included. Fixtures of a whole session count for all tests that use them. `make test-fast`
-leaves slow tests out; `make test-durations` measures all tests in one process and writes the list.
-A line names a function, whatever its parameters. Tests that are not listed count as quick.
+A test is slow if it needs more than `SLOW_S` of processor time, child processes included, or asks
+for a fixture that needs more than `SLOW_FIXTURE_S`. `make test-fast` leaves slow tests out;
+`make test-durations` measures all tests in one process and writes the list. A line is the name of a
+test function in whatever file, or `fixture:NAME`. Tests that are not listed count as quick.
 """
 
 from __future__ import annotations
@@ -28,53 +28,49 @@ def processor_s():
 
 
 def listed():
-    """Names of slow tests, "FILE::FUNCTION"."""
+    """Lines of the list."""
     return set(LIST.read_text(encoding="utf-8").split()) if LIST.exists() else set()
 
 
-def name_of(nodeid):
-    """Name of a test without its parameters."""
-    return nodeid.split("[")[0]
+def name_of(item):
+    """Name of a test function, without parameters."""
+    return getattr(item, "originalname", None) or item.name.split("[")[0]
 
 
 class Recorder:
     """Processor time of every test and fixture, without the fixtures that it asks for."""
 
     def __init__(self):
-        self.tests, self.fixtures, self.users, self.inner = Counter(), Counter(), {}, [0.0]
+        self.tests, self.fixtures, self.inner = Counter(), Counter(), [0.0]
 
     @pytest.hookimpl(hookwrapper=True)
-    def pytest_fixture_setup(self, fixturedef, request):
+    def pytest_fixture_setup(self, fixturedef):
         start_s = processor_s()
         self.inner.append(0.0)
         yield
         taken_s = processor_s() - start_s
-        key = f"{fixturedef.baseid}::{fixturedef.argname}"
-        self.fixtures[key] = max(self.fixtures[key], taken_s - self.inner.pop())
+        name = fixturedef.argname
+        self.fixtures[name] = max(self.fixtures[name], taken_s - self.inner.pop())
         self.inner[-1] += taken_s
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_call(self, item):
         start_s = processor_s()
         yield
-        name = name_of(item.nodeid)
+        name = name_of(item)
         self.tests[name] = max(self.tests[name], processor_s() - start_s)
-        closure = item._fixtureinfo.name2fixturedefs.values()
-        self.users.setdefault(name, set()).update(
-            f"{d.baseid}::{d.argname}" for definitions in closure for d in definitions[-1:]
-        )
 
-    def pytest_sessionfinish(self, session, exitstatus):
+    def pytest_sessionfinish(self, exitstatus):
         if exitstatus == 0:
-            LIST.write_text("\n".join(slow_tests(self.tests, self.fixtures, self.users)) + "\n")
+            LIST.write_text("\n".join(slow_names(self.tests, self.fixtures)) + "\n")
 
 
-def slow_tests(tests, fixtures, users):
-    """Names of slow tests, sorted."""
+def slow_names(tests, fixtures):
+    """Lines of the list, from processor times by name."""
     return sorted(
-        name for name, taken_s in tests.items()
-        if taken_s > SLOW_S or any(fixtures[f] > SLOW_FIXTURE_S for f in users[name])
-    )  # fmt: skip
+        [name for name, taken_s in tests.items() if taken_s > SLOW_S]
+        + [f"fixture:{name}" for name, taken_s in fixtures.items() if taken_s > SLOW_FIXTURE_S]
+    )
 
 
 def pytest_addoption(parser):
@@ -89,5 +85,6 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(items):
     slow = listed()
     for item in items:
-        if name_of(item.nodeid) in slow:
+        names = {name_of(item), *(f"fixture:{name}" for name in getattr(item, "fixturenames", ()))}
+        if names & slow:
             item.add_marker("slow")
