@@ -1,1 +1,1 @@
-"""Ratios against peers and limits, measured side by side in one run."""
+"""Benchmarks against peers and limits, and the claims of the documentation."""

@@ -1,7 +1,7 @@
-"""One prediction: our graph against skl2onnx's own conversion and against scikit-learn.
+"""Time of one prediction: graphs of this project, skl2onnx's conversion, scikit-learn.
 
-Every case times its contenders in turn, a few calls each, round after round, so that a change of
-the machine's speed hits all alike. Batch 1, float64, the same fitted pipeline for all:
+Every case times its contenders in turn, a few calls each, in several rounds, so that a change of
+the machine's speed affects all of them. Batch 1, float64, the same fitted pipeline for all:
 
 bare        power form, IO binding (`models.learning.onnx_power` without guard and interval)
 deployed    the bundle's graph: guard, prediction, in_range, 95 % interval; IO binding
@@ -43,7 +43,7 @@ ROWS = 2560
 
 
 class Limit(NamedTuple):
-    """A ratio that has to be reached: how often `fast` fits into `slow`."""
+    """Least ratio of the median of `slow` to that of `fast`."""
 
     name: str
     slow: str
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def measure(inputs: int, degree: int, calls: int) -> dict[str, Any]:
-    """Time one case; returns quantiles in µs by contender and how far their answers differ."""
+    """Time one case; returns quantiles in µs by contender and the largest difference of results."""
     rng = np.random.default_rng(degree)
     size = np.array([0.52, 3.0, 0.004] if inputs == 3 else [0.52, 0.52, 3.0, 3.0, 0.004])
     features = rng.uniform(-1, 1, (ROWS, inputs)) * size
@@ -148,7 +148,7 @@ def _contenders(
 
 
 def _time(call: Callable[[Any], Any], points: Any, count: int) -> list[int]:
-    for k in range(WARM_UP):  # the contender before has emptied the caches
+    for k in range(WARM_UP):  # the previous contender has replaced the caches' content
         call(points[k])
     samples_ns = []
     for k in range(count):

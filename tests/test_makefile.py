@@ -51,3 +51,22 @@ def test_every_choice_has_a_directory_of_its_own(commands):
 
 def test_the_demo_hides_nothing():
     assert not any("--hide" in c for c in planned("demo"))
+
+
+def test_the_help_names_every_target():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    declared = re.search(r"^\.PHONY: (.*)$", makefile, re.MULTILINE)[1].split()
+    told = subprocess.run(
+        ["make", "--directory", ROOT, "help"], capture_output=True, text=True, check=True
+    ).stdout
+    left = {"help", "setup", "lint", "pytest"}
+    assert [t for t in declared if t not in left and not re.search(rf"\b{t}\b", told)] == []
+
+
+def test_fast_tests_run_beside_lint_and_leave_the_slow_ones_out():
+    done = subprocess.run(
+        ["make", "--dry-run", "--always-make", "--directory", ROOT, "test-fast"],
+        capture_output=True, text=True, check=True,
+        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
+    )  # fmt: skip
+    assert '-m "not slow"' in done.stdout and "lint-imports" in done.stdout
