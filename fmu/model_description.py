@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from typing import Literal
 from xml.etree import ElementTree as ET
 
 from markupsafe import Markup
 
+from firmware_py import __version__
 from firmware_py.display_units import VALUE_UNITS, symbol_of
 from firmware_py.signals import PERIOD_S
 from fmu.interface import FmiVariable, Interface, finite_bounds
@@ -51,9 +51,9 @@ def model_description_xml(
             "modelName": interface.name,
             {2: "guid", 3: "instantiationToken"}[fmi]: token,
             "description": description,
-            "version": _version(),
+            "version": __version__,
             "license": "Apache-2.0",
-            "generationTool": f"dropstitch {_version()}",
+            "generationTool": f"dropstitch {__version__}",
             "generationDateAndTime": generated,
             "variableNamingConvention": "structured",
         },
@@ -75,10 +75,6 @@ def model_description_xml(
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
-
-
-def _version() -> str:
-    return importlib.metadata.version("dropstitch")
 
 
 def _co_simulation(interface: Interface, fmi: FmiVersion) -> ET.Element:
