@@ -8,9 +8,8 @@ import re
 import tokenize
 from pathlib import Path
 
-import pytest
+from tests.house.each_file import ROOT, each_file
 
-ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("firmware_py", "models", "fmu", "hil", "bench", "tests")
 MARKDOWN = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 PYTHON = [
@@ -34,10 +33,6 @@ FILE = re.compile(
 DOTTED = re.compile(r"`((?:firmware_py|models|fmu|hil|bench)(?:\.\w+)+)(?:\(\))?`")
 COMMAND = re.compile(r"python -m ((?:firmware_py|models|fmu|hil|bench|tests)[\w.]*\w)")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-
-
-def place(path: Path) -> str:
-    return str(path.relative_to(ROOT))
 
 
 def prose(path: Path) -> str:
@@ -86,13 +81,13 @@ def exists(dotted: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("path", [*MARKDOWN, *PYTHON, *DATA], ids=place)
+@each_file([*MARKDOWN, *PYTHON, *DATA])
 def test_nothing_cites_a_document_outside_the_repository(path):
     text = path.read_text(encoding="utf-8")
     assert not re.findall(rf"\b(?:{'|'.join(OUTSIDE)})\b", text)
 
 
-@pytest.mark.parametrize("path", [*MARKDOWN, *PYTHON, *DATA], ids=place)
+@each_file([*MARKDOWN, *PYTHON, *DATA])
 def test_cited_sections_and_files_are_there(path):
     text = prose(path)
     for document, section in SECTION.findall(text):
@@ -105,7 +100,7 @@ def test_cited_sections_and_files_are_there(path):
             assert (ROOT / name).exists(), name
 
 
-@pytest.mark.parametrize("path", [*MARKDOWN, *PYTHON], ids=place)
+@each_file([*MARKDOWN, *PYTHON])
 def test_named_modules_and_commands_are_there(path):
     text = prose(path)
     assert not [name for name in DOTTED.findall(text) if not exists(name)]
@@ -114,7 +109,7 @@ def test_named_modules_and_commands_are_there(path):
         assert ROOT.joinpath(*parts, "__main__.py").is_file() or module_file(parts), name
 
 
-@pytest.mark.parametrize("path", MARKDOWN, ids=place)
+@each_file(MARKDOWN)
 def test_links_lead_somewhere(path):
     for link in LINK.findall(path.read_text(encoding="utf-8")):
         target, _, fragment = link.partition("#")

@@ -8,9 +8,8 @@ import re
 from collections import Counter
 from pathlib import Path
 
-import pytest
+from tests.house.each_file import ROOT, each_file, place
 
-ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 SOURCE = [p for room in (*ROOMS, "bench") for p in sorted((ROOT / room).rglob("*.py"))]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
@@ -43,10 +42,6 @@ VERBS = {
     "refit", "release", "replay", "run", "say", "see", "send", "show", "simulate", "take",
     "tell", "test", "train", "turn", "use", "validate", "write",
 }  # fmt: skip
-
-
-def place(path: Path) -> str:
-    return str(path.relative_to(ROOT))
 
 
 @functools.cache
@@ -104,7 +99,7 @@ def test_every_class_and_public_function_has_a_name_of_its_own():
     assert not repeated([n for n in public if n[0] not in REPEATED_FUNCTIONS])
 
 
-@pytest.mark.parametrize("path", SOURCE, ids=place)
+@each_file(SOURCE)
 def test_a_module_says_in_a_noun_phrase_what_it_holds(path):
     if not path.read_text(encoding="utf-8").strip():
         return  # an empty __init__.py
@@ -134,14 +129,14 @@ def words(name: str) -> set[str]:
     return {w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)}
 
 
-@pytest.mark.parametrize("path", SOURCE, ids=place)
+@each_file(SOURCE)
 def test_names_use_the_words_of_the_glossary(path):
     names = identifiers(tree_of(path)) | {path.stem}
     wrong = {n: REPLACED[w] for n in names for w in words(n) & REPLACED.keys()}
     assert not wrong
 
 
-@pytest.mark.parametrize("path", [p for p in SOURCE if p.parts[-2] != "bench"], ids=place)
+@each_file([p for p in SOURCE if p.parts[-2] != "bench"])
 def test_production_code_raises_errors_in_place_of_asserting(path):
     asserts = [n.lineno for n in ast.walk(tree_of(path)) if isinstance(n, ast.Assert)]
     assert not asserts
@@ -152,10 +147,7 @@ PROSE = re.compile(
 )
 
 
-@pytest.mark.parametrize(
-    "path", [*SOURCE, *TESTS, *CODE, *sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"],
-    ids=place,
-)  # fmt: skip
+@each_file([*SOURCE, *TESTS, *CODE, *sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"])
 def test_texts_use_the_words_of_the_glossary(path):
     text = path.read_text(encoding="utf-8")
     assert path.name == Path(__file__).name or not PROSE.findall(text)

@@ -1,0 +1,40 @@
+"""Decorator that runs a test over many files: one test per room, so that the report stays short."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def place(path: Path) -> str:
+    """Path from the root of the repository."""
+    return str(path.relative_to(ROOT))
+
+
+def each_file(paths: Iterable[Path]) -> Callable[[Callable[[Path], None]], Callable[[str], None]]:
+    """Make of a test of one file a test of every room's files; a failure names each file."""
+    rooms: dict[str, list[Path]] = defaultdict(list)
+    for path in paths:
+        parts = path.relative_to(ROOT).parts
+        rooms[parts[0] if len(parts) > 1 else "root"].append(path)
+
+    def over_rooms(test: Callable[[Path], None]) -> Callable[[str], None]:
+        @pytest.mark.parametrize("room", sorted(rooms))
+        def test_room(room: str) -> None:
+            failures = []
+            for path in rooms[room]:
+                try:
+                    test(path)
+                except AssertionError as error:
+                    failures.append(f"{place(path)}: {error}")
+            assert not failures, "\n".join(failures)
+
+        test_room.__name__, test_room.__doc__ = test.__name__, test.__doc__
+        return test_room
+
+    return over_rooms
