@@ -94,7 +94,7 @@ def _margins(title: str, measured: Sequence[Measurement]) -> list[Figure]:
         )  # fmt: skip
         ax.axvline(1.0, color=INK, linestyle="--", linewidth=1)
         ax.set_yticks(places, [_shortened(m.claim.what.replace("`", "")) for m, _ in bars])
-        ax.set(xlim=(0, _SHOWN), ylim=(len(bars) - 0.4, -0.6), xlabel="part of the target taken up")
+        ax.set(xlim=(0, _SHOWN), ylim=(len(bars) - 0.4, -0.6), xlabel="value / target")
         ax.grid(False, axis="y")
     alt = f"{title}: part of each target that is taken up; 1 is the target."
     return [Figure("Margins", "Right of the dashed line the target is missed.",
