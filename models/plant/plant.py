@@ -18,7 +18,7 @@ from typing import Final, Literal
 import msgspec
 
 from firmware_py.errors import InputError
-from models.plant.components.drives import DRIVES
+from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.components.link import Link
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.components.rigid_loads import Mass, Pendulum

@@ -4,7 +4,7 @@ People write TOML; `identify` and `gap` write JSON of the same form::
 
     schema = 1
     name = "drop-stitch link"
-    drive = { kind = "cascade" }        # models.plant.components.drives.DRIVES
+    drive = { kind = "cascade" }        # models.plant.components.drives.drive_registry
     load = { kind = "link" }            # models.plant.plant.LOADS
     effects = [{ name = "coulomb_friction" }, …]
     [signals.angle_1_rad]               # only for a plant that is not the link

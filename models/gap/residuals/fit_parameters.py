@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.components.drives import DRIVES
+from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.effects import EFFECTS, applicable
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, Plant

@@ -19,7 +19,7 @@ from typing import Final
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
-from models.plant.components.drives import Drive
+from models.plant.components.drives.drive_protocol import Drive
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.driven_link import apply_measured_motion, declare_measured_motion
 from models.plant.composition.step_functions import (

@@ -7,7 +7,8 @@ from typing import Final
 
 import casadi as ca
 
-from models.plant.components.drives import SI_UNIT_OF, Drive, declare_presliding
+from models.plant.components.drives.drive_protocol import SI_UNIT_OF, Drive
+from models.plant.components.drives.presliding import declare_presliding
 from models.plant.components.lagrange import solve_symmetric
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium

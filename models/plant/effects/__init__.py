@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Final, Literal
 import msgspec
 
 from firmware_py.errors import InputError
-from models.plant.components.drives import Drive
+from models.plant.components.drives.drive_protocol import Drive
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.effects.order import in_order
 from models.plant.parameter import Parameter

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.plant.components.drives import DRIVES
+from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.effects import EFFECTS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.simulation_fit import Objective, Solution, fit_objective

@@ -1,0 +1,1 @@
+"""Drives: one file each, their interface and their registry."""

@@ -1,0 +1,101 @@
+"""Drive with a position loop and a velocity loop: the cascade of a Dynamixel PRO."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+
+from models.plant.components.drives.drive_protocol import declare_goal, friction_speed_parameter
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+
+class Cascade:
+    """P position → PI velocity → current, as the Dynamixel PRO runs it.
+
+    docs/sources.md, "The servo".
+
+    With e = k_p (goal − q) − q̇::
+
+        i = k_v (e + I / T_i),   İ = e,   τ = k_t i
+
+    the current clipped to its limit, and I held back while it is (back-calculation).
+    """
+
+    kind: ClassVar[str] = "cascade"
+    features: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    has_presliding: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Gains, torque constant, inertia and limit of each joint."""
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
+                          high=60.0, role="nuisance", description="position loop: rate per error",
+                          source='docs/sources.md, "The servo"'),
+                Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
+                          high=60.0, role="nuisance", description="current per rate error",
+                          source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
+                Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
+                          high=5.0, role="nuisance", description="integral time of the rate error",
+                          source="assumed: slower than the position loop"),
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=6.83, low=2.0,
+                          high=15.0, description="torque at the output per ampere",
+                          source='docs/sources.md, "The servo"'),
+                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.84, low=0.4,
+                          high=2.0, role="nuisance", description="rotor inertia at the output",
+                          source='docs/sources.md, "The servo": recalled'),
+                Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
+                          description="rated current limit", source='docs/sources.md, "The servo"'),
+                friction_speed_parameter(scope, j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Add goals as inputs and the integral of the velocity error as a state."""
+        for j in scope.joints:
+            declare_goal(scope, j)
+            scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set current and torque by both loops."""
+        for j in scope.joints:
+            integral = scope.states[f"velocity_integral_{j}_rad"]
+            gain = scope.p("velocity_gain_{j}_a_s_rad", j)
+            held = scope.holding_torque[j] / self.torque_constant(scope, j)
+            integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
+            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
+            error = (
+                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.measured_angle(j))
+                - scope.rate[j]
+            )
+            wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
+            current = ca.fmin(ca.fmax(wanted, -limit), limit)
+            integral.rate = error - (wanted - current) / gain
+            scope.current[j] = current
+            scope.motor_torque[j] = self.torque_constant(scope, j) * current
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """Rotor inertia times gear ratio squared."""
+        return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step; the staircase of the goal makes the current a saw-tooth.
+
+        Each step the goal jumps by q̇h and the current by k_v k_p q̇h, which then decays with the
+        velocity loop, τ = J / (k_t k_v). The current at the end of the step differs from its mean
+        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ). The difference is negative and
+        proportional to the rate, like negative viscous friction.
+        """
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        decay_s = self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)
+        left = ca.exp(-step_s / decay_s)
+        jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
+        return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)

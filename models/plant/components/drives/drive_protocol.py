@@ -1,0 +1,101 @@
+"""Interface of a drive: torque on a joint and motor current from a goal or a command.
+
+Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
+of drive, each with parameters of its own.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final, Protocol
+
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
+
+
+class Drive(Protocol):
+    """Interface of a drive.
+
+    Attributes
+    ----------
+    kind : str
+        Name in a plant document.
+    features : tuple of str
+        Features that effects may need (`models.plant.effects.Need`).
+    has_presliding : bool
+        Whether dry friction has bristles and depends on the drive's torque on the gear.
+    """
+
+    kind: ClassVar[str]
+    features: ClassVar[tuple[str, ...]]
+    has_presliding: ClassVar[bool]
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters for the joints of `scope`."""
+        ...
+
+    def declare(self, scope: Scope) -> None:
+        """Add inputs and states; set `goal` and `start`."""
+        ...
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set `current` and `motor_torque` by the control law."""
+        ...
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """Inertia of the drive seen from the joint."""
+        ...
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Torque at the joint per ampere."""
+        ...
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Current at the end of a step whose mean current is `scope.current`.
+
+        Parameters
+        ----------
+        scope : Scope
+            With `current` set.
+        joint : int
+            Number of the joint.
+        step_s : SX
+            Length of the step.
+        """
+        ...
+
+
+def declare_goal(scope: Scope, joint: int) -> None:
+    """Add the goal of a joint as an input; set `goal` and `start`."""
+    angle = scope.suffix["angle"]
+    goal = scope.input(
+        Variable(
+            f"goal_{joint}_{angle}", SI_UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
+        )
+    )
+    scope.goal[joint] = goal
+    scope.start[joint] = goal - scope.encoder_error[joint]
+
+
+def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
+    """Return the offset of the first position, for a joint without a stiff position loop."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
+        value=0.0, low=-10.0, high=10.0,
+        description="first position, from the first goal or from zero; of a trial, as measured",
+        source="at the goal",
+    )  # fmt: skip
+
+
+def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
+    """Return the speed that regularises the dry friction of a drive."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
+        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
+        description="speed below which dry friction is linear in the rate",
+        source="numerical: 3 % of the study's peak rate",
+    )  # fmt: skip

@@ -1,0 +1,67 @@
+"""Drive with a force in proportion to a commanded voltage."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+
+from models.plant.components.drives.drive_protocol import (
+    SI_UNIT_OF,
+    friction_speed_parameter,
+    start_offset_parameter,
+)
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+
+class Force:
+    """Force in proportion to a commanded voltage: F = k u.
+
+    Source: EMPS (docs/sources.md, "Real recordings").
+    """
+
+    kind: ClassVar[str] = "force"
+    features: ClassVar[tuple[str, ...]] = ()
+    has_presliding: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Force (or torque) per volt of each joint."""
+        torque = scope.suffix["torque"]
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
+                          value=35.1507, low=0.01, high=1e3,
+                          description="force per volt of command",
+                          source="EMPS, README of the data"),
+                start_offset_parameter(scope, j),
+                friction_speed_parameter(scope, j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Add the command voltage as an input."""
+        for j in scope.joints:
+            scope.goal[j] = scope.input(
+                Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
+            )
+            scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set the force in proportion to the command; no current is measured."""
+        for j in scope.joints:
+            scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """None: the moving mass is the load's."""
+        return ca.SX(0)
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Force per volt; the command takes the place of the current."""
+        return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Mean current of the step: without a velocity loop there is no saw-tooth."""
+        return scope.current[joint]
