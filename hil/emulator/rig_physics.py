@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
-from models.rig.rig import Rig
+from models.rig.rig import build_rig
 from models.rig.rig_parameters import read_parameters
 from models.rig.sensors import read_current
 from models.rig.study_protocol import draw_variation
@@ -53,7 +53,7 @@ class RigPhysics:
         self._rng = case.rng()
         variation = draw_variation(read_parameters().hide(rig.hidden), case, self._rng)
         self.dof, self._parameters = dof, variation.parameters
-        self._rig = Rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
+        self._rig = build_rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
         self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)
         self.current_a = np.zeros(dof)
         self._until_s = self._parameters["world.settle_s"]
@@ -75,7 +75,7 @@ class RigPhysics:
         rig, due_s = self._rig, self._until_s + 1e-9
         while rig.time_s + rig.step_s <= due_s:
             self.angle_rad[:] = [s.encoder_rad for s in rig.servos]
-            self._true_current_a[:] = [s.current_a for s in rig.servos]
+            self._true_current_a[:] = [s.sampled_current_a for s in rig.servos]
             rig.step()  # leaves the markers of its start behind
         self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
         if rig.folded:

@@ -6,13 +6,14 @@ import hashlib
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from firmware_py.errors import InputError
+from models.rig.rig_structure import DEFAULT_STRUCTURE, RigStructure
 from models.shared.catalogue import CATALOGUE
 
 __all__ = ["RIG_TOML", "RigParameters", "read_parameters"]
@@ -55,10 +56,13 @@ class RigParameters(Mapping[str, float]):
         By `group.name`.
     path : Path
         File that they were read from.
+    structure : RigStructure
+        Choices of formulation that the values belong to.
     """
 
     entries: dict[str, Entry]
     path: Path
+    structure: RigStructure = DEFAULT_STRUCTURE
 
     def __getitem__(self, name: str) -> float:
         return self.entries[name].value
@@ -74,11 +78,11 @@ class RigParameters(Mapping[str, float]):
         entries = dict(self.entries)
         for name, value in values.items():
             entries[name] = msgspec.structs.replace(entries[name], value=value)
-        return RigParameters(entries, self.path)
+        return replace(self, entries=entries)
 
     def sha256(self) -> str:
-        """Hash of all values, for provenance."""
-        return hashlib.sha256(msgspec.json.encode(dict(self))).hexdigest()
+        """Hash of structure and all values, for provenance."""
+        return hashlib.sha256(msgspec.json.encode([self.structure, dict(self)])).hexdigest()
 
     def effects(self) -> dict[str, str]:
         """Effects that this rig can hide, each with its parameter's name."""

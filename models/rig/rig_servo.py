@@ -71,6 +71,11 @@ class RigServo:
         """Angle that encoder and firmware see, before quantisation."""
         return self.rotor_rad + self._encoder_offset
 
+    @property
+    def sampled_current_a(self) -> float:
+        """Motor current as the servo samples it for its register, before its sensor's errors."""
+        return self.current_a
+
     def send(self, goal_rad: float, time_s: float) -> None:
         """Send a goal; it takes effect after the dead time.
 

@@ -10,7 +10,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.motion import GLIDE_S
 from firmware_py.signals import PERIOD_S, trial_signals
-from models.rig.rig import Rig
+from models.rig.rig import Rig, build_rig
 from models.rig.rig_parameters import RigParameters
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.rig.trial_case import TrialCase
@@ -96,7 +96,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     rng = case.rng()
     variation = draw_variation(parameters, case, rng)
     p = variation.parameters
-    rig = Rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
+    rig = build_rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
     substeps = round(PERIOD_S / rig.step_s)
     if abs(substeps * rig.step_s - PERIOD_S) > 1e-9:
         raise InputError(
@@ -119,7 +119,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
             rig.start_leak()
         if first <= tick < last:
             encoder_rad[tick - first] = [s.encoder_rad for s in rig.servos]
-            current_a[tick - first] = [s.current_a for s in rig.servos]
+            current_a[tick - first] = [s.sampled_current_a for s in rig.servos]
         rig.send(goal)
         for _ in range(substeps):
             rig.step()

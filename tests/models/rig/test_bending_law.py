@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.rig.bending_law import SPAN_HINGES, BendLaw
+from models.rig.hinged.bending_law import SPAN_HINGES, BendLaw
 from models.rig.rig_parameters import read_parameters
 
 HINGES = SPAN_HINGES + 1

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.rig.rig import Rig
+from models.rig.hinged.mujoco_rig import MujocoRig
 from models.shared.kinematics import rigid_tip_m
 
 MEMORYLESS = {"memory.hysteresis_share": 0.0, "memory.relaxing_share": 0.0}
@@ -40,13 +40,13 @@ def kinetic_j(rig):
 
 
 def test_markers_at_rest_stand_where_the_contract_puts_them(parameters, rigid_markers):
-    rig = Rig(parameters, 2, 0.0)
+    rig = MujocoRig(parameters, 2, 0.0)
     np.testing.assert_allclose(rig.markers_m, rigid_markers(np.zeros((1, 2)))[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("joint, axis", [(0, 0), (1, 1)])
 def test_positive_angle_leans_towards_plus_x_and_plus_y(parameters, joint, axis):
-    rig = Rig(parameters, 2, 0.5)
+    rig = MujocoRig(parameters, 2, 0.5)
     goal = np.zeros(2)
     goal[joint] = 0.2
     run(rig, 2.0, goal)
@@ -61,7 +61,7 @@ def test_energy_never_grows_unforced(parameters):
     """No current, no gravity, a kick: whatever is stored comes from it, and it all dies down."""
     dead = parameters.changed(**{"servo.current_limit_a": 0.0, "world.gravity_m_s2": 0.0,
                                  "stiffness.prebend_rad": 0.0})  # fmt: skip
-    rig = Rig(dead, 2, 1.0)
+    rig = MujocoRig(dead, 2, 1.0)
     rng = np.random.default_rng(1)
     rig.data.qvel[:] = 0.3 * rng.standard_normal(rig.link.model.nv)
     rig.data.qvel[rig.link.joints] = 0.0
@@ -78,7 +78,7 @@ def test_energy_never_grows_unforced(parameters):
 
 
 def test_a_symmetric_link_moves_symmetrically(parameters):
-    left, right = (Rig(parameters.changed(**EVEN), 1, 1.5) for _ in range(2))
+    left, right = (MujocoRig(parameters.changed(**EVEN), 1, 1.5) for _ in range(2))
     for k in range(120):
         goal = 0.4 * np.sin(0.05 * k)
         left.send(np.array([-goal]))
@@ -96,7 +96,7 @@ def test_a_symmetric_link_moves_symmetrically(parameters):
 def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
     """Gravity along x, weak enough to stay linear: Timoshenko's beam on a root spring."""
     gravity, payload = 0.2, 0.5
-    rig = Rig(
+    rig = MujocoRig(
         parameters.changed(
             **MEMORYLESS, **EVEN,
             **{"world.gravity_m_s2": gravity, "stiffness.root_nm_rad": root_nm_rad,
@@ -118,7 +118,7 @@ def test_sag_of_a_cantilever_follows_beam_theory(parameters, root_nm_rad):
 
 def first_mode_hz(parameters, payload_kg):
     """From the turning points of the tip after a small jump of the base."""
-    rig = Rig(parameters, 1, payload_kg)
+    rig = MujocoRig(parameters, 1, payload_kg)
     run(rig, 1.0)
     rig.send(np.array([np.radians(4.0)]))
     x = []
@@ -138,8 +138,8 @@ def test_first_mode_lies_between_1_and_5_hz_and_falls_with_payload(parameters):
 
 def test_gravity_is_a_direction(parameters):
     even = parameters.changed(**EVEN)
-    hanging = Rig(even, 1, 1.0, gravity=(0.0, 0.0, 1.0))
-    upright = Rig(even, 1, 1.0)
+    hanging = MujocoRig(even, 1, 1.0, gravity=(0.0, 0.0, 1.0))
+    upright = MujocoRig(even, 1, 1.0)
     for rig in (hanging, upright):
         run(rig, 2.0, [0.3])
     # Upright the load bends the link outwards, hanging it straightens it.
@@ -150,7 +150,7 @@ def test_gravity_is_a_direction(parameters):
 
 def test_drag_slows_by_its_torque(parameters):
     """One radian per second about joint 1: the torque about the axis is the one asked for."""
-    rig = Rig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
+    rig = MujocoRig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
     # Move the pieces as a rigid rotation would, then let the drag look at them.
     centres = rig.data.xipos[rig.link.bodies].copy()
     rig.data.xipos[rig.link.bodies, 0] += centres[:, 2] * rig.step_s

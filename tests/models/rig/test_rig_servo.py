@@ -5,8 +5,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.rig.bending_law import BendLaw
-from models.rig.rig import Rig
+from models.rig.hinged.bending_law import BendLaw
+from models.rig.hinged.mujoco_rig import MujocoRig
 from models.rig.rig_servo import RigServo
 
 STEP_S = 1e-3
@@ -24,7 +24,7 @@ def settle(servo, joint_rad=0.0, seconds=2.0, goal=None):
 
 def linear_loop(parameters, payload_kg):
     """Loop of the position servo around the linearised robot, upright, broken at the current."""
-    rig = Rig(parameters, 1, payload_kg)
+    rig = MujocoRig(parameters, 1, payload_kg)
     model, data, link = rig.link.model, rig.data, rig.link
     count, joint = model.nv, int(link.joints[0])
     mass = np.zeros((count, count))

@@ -2,7 +2,7 @@
 
 Hinge pairs: one at the root patch and one in the middle of each eighth of the span; a shear pair
 (two slides) goes with every hinge pair of the span. MuJoCo carries inertia, gravity, the linear
-shear springs and the Kelvin-Voigt damping; the bending torque is `models.rig.bending_law`'s.
+shear springs and the Kelvin-Voigt damping; the bending torque is `models.rig.hinged.bending_law`'s.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from models.rig.bending_law import SPAN_HINGES
+from models.rig.hinged.bending_law import SPAN_HINGES
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 

@@ -1,0 +1,135 @@
+"""Rig on MuJoCo: servos, link of hinges and bending law, stepped together."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from models.rig.hinged.bending_law import BendLaw
+from models.rig.hinged.mujoco_link import Load, build_mujoco_link
+from models.rig.rig_parameters import RigParameters
+from models.rig.rig_servo import RigServo
+from models.rig.trial_case import DOWN
+from models.shared.kinematics import Array
+
+__all__ = ["MujocoRig"]
+
+FOLDED_RAD: Final = 0.8
+"""Bend of a hinge beyond which the link has folded and the trial is refused."""
+
+
+class MujocoRig:
+    """`models.rig.rig.Rig` on MuJoCo.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        With hidden effects and the variation of the trial included.
+    dof : int
+        Number of driven joints.
+    payload_kg : float
+        Declared payload.
+    eccentricity_m : tuple of float
+        Offset of the payload's centre from the axis, towards +x and +y.
+    gravity : sequence of float, shape (3,)
+        Direction of gravity in the world frame; its length does not matter.
+
+    Attributes
+    ----------
+    servos : list of RigServo
+        One per driven joint.
+    bending_law : BendLaw
+        Bending torque of the link.
+    data : mujoco.MjData
+        State of the model.
+    time_s : float
+        Since the start.
+    """
+
+    def __init__(
+        self,
+        parameters: RigParameters,
+        dof: int,
+        payload_kg: float,
+        eccentricity_m: tuple[float, float] = (0.0, 0.0),
+        gravity: tuple[float, float, float] = DOWN,
+    ) -> None:
+        p = parameters
+        self.step_s = p["world.step_s"]
+        self.bending_law = BendLaw(p, self.step_s)
+        load = Load(
+            payload_kg,
+            eccentricity_m[0] + p["link.payload_offset_share"] * p["link.length_m"],
+            eccentricity_m[1],
+        )
+        down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
+        self.link = build_mujoco_link(p, dof, load, down, self.bending_law.stiffness_nm_rad)
+        self.data = mujoco.MjData(self.link.model)
+        mujoco.mj_forward(self.link.model, self.data)
+        self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
+        self._load_nm = p["servo.load_offset_nm"]
+        self._drag = p["world.drag_nm"] * self._drag_coefficients()
+        self._dragged = bool(self._drag.any())
+        self._centres = self.data.xipos[self.link.bodies]
+        self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
+        self._steps = 0
+        self._leak_from_s = np.inf
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start."""
+        return self._steps * self.step_s
+
+    @property
+    def markers_m(self) -> Array:
+        """True markers in the world frame, shape (16, 3), at the start of the last step.
+
+        MuJoCo updates what is fixed to the bodies before it moves them. This is a view that the
+        next step changes.
+        """
+        return np.asarray(self.data.site_xpos)
+
+    @property
+    def folded(self) -> bool:
+        """Whether the link has folded, or its state is no longer finite."""
+        return not np.max(np.abs(self.data.qpos[self.link.hinges])) < FOLDED_RAD
+
+    def start_leak(self) -> None:
+        """Start the leak of pressure; there is none before the recorded run."""
+        self._leak_from_s = self.time_s
+
+    def send(self, goal_rad: Array) -> None:
+        """Send goals in rad, shape (dof,), to the servos."""
+        for servo, goal in zip(self.servos, goal_rad, strict=True):
+            servo.send(float(goal), self.time_s)
+
+    def step(self) -> None:
+        """Advance by one integration step."""
+        data, link, time_s = self.data, self.link, self.time_s
+        qpos, qvel, applied_nm = data.qpos, data.qvel, data.qfrc_applied
+        for servo, joint in self._drives:
+            torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
+            applied_nm[joint] = torque + self._load_nm
+        leaking_s = max(time_s - self._leak_from_s, 0.0)
+        applied_nm[link.hinges] = self.bending_law.torque_nm(qpos.take(link.hinges), leaking_s)
+        if self._dragged:
+            self._apply_drag()
+        mujoco.mj_step(link.model, data)
+        self._steps += 1
+
+    def _apply_drag(self) -> None:
+        """Quadratic drag on the centre of every piece of the link."""
+        centres = self.data.xipos.take(self.link.bodies, axis=0)
+        velocity = (centres - self._centres) / self.step_s
+        square = velocity * velocity
+        speed = np.sqrt(square[:, 0] + square[:, 1] + square[:, 2])
+        self.data.xfrc_applied[self.link.bodies, :3] = -(self._drag * speed)[:, None] * velocity
+        self._centres = centres
+
+    def _drag_coefficients(self) -> Array:
+        """Force per speed squared of each piece, so that 1 rad/s about joint 1 gives 1 N·m."""
+        height = self.data.xipos[self.link.bodies, 2]
+        area = self.link.model.body_mass[self.link.bodies]  # uniform: as long as heavy
+        return np.asarray(area / np.sum(area * height**3))
