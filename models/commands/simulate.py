@@ -1,4 +1,4 @@
-"""Simulation of trials on the rig: a MuJoCo model of the robot, with the study's protocol.
+"""Simulation of trials on a rig, a model of the robot, with the study's protocol.
 
 Every trial settles, runs the motion once as a warm-up (discarded), settles again, rests for 60
 rows and then runs the motion that is recorded. The paper gives no phase between the joints of
@@ -21,7 +21,8 @@ from models.rig.conditions_record import (
     record_conditions,
     refuse_other_conditions,
 )
-from models.rig.rig_parameters import RIG_TOML, RigParameters, read_parameters
+from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.rig_structure import named_structures
 from models.rig.trial_case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, TrialCase
 from models.shared.catalogue import CATALOGUE, parse_strengths
 
@@ -61,14 +62,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--gravity", type=float, nargs=3, default=list(DOWN), metavar=("X", "Y", "Z"),
         help="direction of gravity in the world frame (0 0 -1)",
     )  # fmt: skip
-    add("--rig", type=Path, default=RIG_TOML, metavar="TOML", help="parameters of another rig")
+    add(
+        "--rig", default="default", metavar="NAME|TOML",
+        help="structure of the rig, or a file (default); " + _structures_help(),
+    )  # fmt: skip
     cores = os.cpu_count() or 1
     add("--workers", type=int, default=cores, metavar="N", help="processes (all cores)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run, write and draw the trials."""
-    parameters = read_parameters(args.rig)
+    parameters = read_rig(args.rig)
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
@@ -77,7 +81,13 @@ def run(args: argparse.Namespace) -> int:
         run_trial_cases,  # loads MuJoCo: only once the options are right
     )
 
-    conditions = RigConditions(seed=args.seed, hidden=hidden, rig_sha256=parameters.sha256())
+    conditions = RigConditions(
+        seed=args.seed,
+        hidden=hidden,
+        rig_sha256=parameters.sha256(),
+        rig=args.rig,
+        structure=parameters.structure,
+    )
     refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
@@ -134,6 +144,12 @@ def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
     if args.out.exists() and not args.out.is_dir():
         raise InputError(f"--out {args.out}", "is a file", "name a directory")
+
+
+def _structures_help() -> str:
+    return "; ".join(
+        f"{name}: {named.summary} [{named.purpose}]" for name, named in named_structures().items()
+    )
 
 
 def _effects_help() -> str:

@@ -14,6 +14,7 @@ import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.errors import InputError
+from models.rig.rig_structure import DEFAULT_STRUCTURE, RigStructure
 from models.rig.trial_case import TrialCase
 
 CONDITIONS_FILE: Final = "rig_conditions.json"
@@ -31,12 +32,18 @@ class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     hidden : dict of str to float
         Strength of each hidden effect, in the unit that the catalogue gives.
     rig_sha256 : str
-        Hash of the rig's parameters, hidden effects included.
+        Hash of the rig's structure and parameters, hidden effects included.
+    rig : str
+        Name of the rig's structure, or its file.
+    structure : RigStructure
+        Choices of formulation.
     """
 
     seed: int
     hidden: dict[str, float]
     rig_sha256: str
+    rig: str = "default"
+    structure: RigStructure = DEFAULT_STRUCTURE
 
 
 class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -8,15 +8,21 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
 from firmware_py.errors import InputError
-from models.rig.rig_structure import DEFAULT_STRUCTURE, RigStructure
+from models.rig.rig_structure import (
+    DEFAULT_STRUCTURE,
+    STRUCTURES,
+    RigStructure,
+    named_structures,
+    structure_of,
+)
 from models.shared.catalogue import CATALOGUE
 
-__all__ = ["RIG_TOML", "RigParameters", "read_parameters"]
+__all__ = ["RIG_TOML", "RigParameters", "read_parameters", "read_rig"]
 
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
 
@@ -122,19 +128,42 @@ class RigParameters(Mapping[str, float]):
         return self.changed(**values)
 
 
+def read_rig(rig: str) -> RigParameters:
+    """Read a rig by the name of its structure, or from a file.
+
+    Parameters
+    ----------
+    rig : str
+        Name of `models.rig.rig_structure.named_structures`, or path of a TOML file.
+
+    Raises
+    ------
+    InputError
+        See `read_parameters`.
+
+    Examples
+    --------
+    >>> read_rig("default").structure.goal
+    'held'
+    """
+    named = STRUCTURES / f"{rig}.toml"
+    return read_parameters(named if named.is_file() else Path(rig))
+
+
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     """Read the parameters of a rig.
 
     Parameters
     ----------
     path : Path
-        TOML file; by default the rig of the project.
+        TOML file; by default the rig of the project. What it leaves out is as there. A file with a
+        table `structure` has choices and changes values only: an effect keeps its place.
 
     Raises
     ------
     InputError
-        If the file is missing or not TOML, a parameter is missing, unknown or malformed, or an
-        effect is not in the catalogue or has another unit there.
+        If the file is missing or not TOML, a parameter is unknown or malformed, or an effect is
+        not in the catalogue or has another unit there.
 
     Examples
     --------
@@ -144,40 +173,57 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     >>> rig.hide({"unmodelled_payload": 0.3})["link.extra_tip_mass_kg"]
     0.3
     """
-    entries = _read_entries(path)
+    document = _read_document(path)
+    structure = DEFAULT_STRUCTURE
+    entries = _entries(document, path)
     if path != RIG_TOML:
-        expected = _read_entries(RIG_TOML)
-        for name in expected.keys() ^ entries.keys():
-            what = "is missing" if name in expected else "is unknown"
-            raise InputError(path, f"parameter {name} {what}", f"start from a copy of {RIG_TOML}")
-        for name, entry in entries.items():
-            if entry.unit != expected[name].unit:
-                raise InputError(
-                    path, f"{name} is in {entry.unit!r}", f"give it in {expected[name].unit}"
-                )
+        own = _entries(_read_document(RIG_TOML), RIG_TOML)
+        _check_names(entries, own, path)
+        if "structure" in document:
+            structure = structure_of(document, path).structure
+            entries = {name: _revalued(own[name], entry) for name, entry in entries.items()}
+        entries = own | entries
     for name, entry in entries.items():
+        if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
+            raise InputError(path, f"{name} is {entry.value}", "keep it within its bounds")
         if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
             raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
-    return RigParameters(entries, path)
+    return RigParameters(entries, path, structure)
 
 
-def _read_entries(path: Path) -> dict[str, Entry]:
+def _revalued(own: Entry, entry: Entry) -> Entry:
+    return msgspec.structs.replace(own, value=entry.value, source=entry.source)
+
+
+def _check_names(entries: dict[str, Entry], own: dict[str, Entry], path: Path) -> None:
+    for name, entry in entries.items():
+        if name not in own:
+            raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
+        if entry.unit != own[name].unit:
+            raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {own[name].unit}")
+
+
+def _read_document(path: Path) -> dict[str, Any]:
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:
-        raise InputError(path, "cannot be read", "name the TOML file of a rig") from None
+        names = ", ".join(named_structures())
+        remedy = f"name a structure ({names}) or the TOML file of a rig"
+        raise InputError(path, "cannot be read", remedy) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+
+
+def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
     entries = {}
-    for group, tables in document.items():
-        for key, table in tables.items() if isinstance(tables, dict) else ():
+    groups = {g: t for g, t in document.items() if isinstance(t, dict) and g != "structure"}
+    for group, tables in groups.items():
+        for key, table in tables.items():
             name = f"{group}.{key}"
             try:
                 entry = msgspec.convert(table, Entry)
             except msgspec.ValidationError as error:
                 raise InputError(path, f"{name}: {error}", "give value, unit and source") from None
-            if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
-                raise InputError(path, f"{name} is {entry.value}", "keep it within its bounds")
             if entry.effect and entry.effect not in CATALOGUE:
                 raise InputError(
                     path, f"{name}: {entry.effect!r} is no effect", "see models/shared/catalogue.py"

@@ -1,13 +1,12 @@
 """Servo of the rig: rotor, gear, friction and the control cascade of its firmware.
 
 The rotor (its inertia seen from the output) drives the joint through a gear with backlash and
-compliance; the encoder sits on the rotor. Friction is a LuGre bristle (Canudas de Wit et
-al., 1995 [recalled]) whose level grows with the torque that the gear transmits:
+compliance; the encoder sits on the rotor. The level of friction grows with the torque that the gear
+transmits:
 
-    dz/dt = w - sigma_0 |w| z / g(w),   F = sigma_0 z + sigma_1 dz/dt + B w,
-    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2),
+    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2).
 
-with z integrated implicitly, so that |sigma_0 z| never exceeds g.
+The forms of friction and set-point are those of `models.rig.forms`.
 """
 
 from __future__ import annotations
@@ -15,6 +14,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from models.rig.forms.current_sampling import CurrentRegister
+from models.rig.forms.friction_forms import friction_form
+from models.rig.forms.goal_forms import goal_form
 from models.rig.rig_parameters import RigParameters
 
 
@@ -51,19 +53,20 @@ class RigServo:
         self._torque_constant = constant * (1.0 - p["servo.torque_constant_loss"])
         self._limit_a = p["servo.current_limit_a"] - p["servo.current_limit_reduction_a"]
         self._coulomb = p["servo.coulomb_friction_nm"]
-        self._viscous = p["servo.viscous_friction_nm_s_rad"]
         self._stribeck = p["servo.stribeck_friction_nm"]
         self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
         self._load_friction = p["servo.load_friction_share"]
-        self._bristle = p["servo.bristle_stiffness_nm_rad"]
-        self._bristle_damping = p["servo.bristle_damping_nm_s_rad"]
-        self._half_play = 0.5 * p["servo.backlash_rad"]
+        self._friction = friction_form(p, step_s)
+        in_gear = p.structure.play == "gear"
+        self._half_play = 0.5 * p["servo.backlash_rad"] if in_gear else 0.0
         self._gear_stiffness = 1.0 / p["servo.gear_compliance_rad_nm"]
         self._gear_damping = p["servo.gear_damping_nm_s_rad"]
         self._delay_s = p["servo.dead_time_s"]
         self._encoder_offset = p["sensor.encoder_offset_rad"]
         self._pending: deque[tuple[float, float]] = deque()
-        self._goal = self._integral_a = self._bristle_rad = 0.0
+        self._goal = goal_form(p, step_s)
+        self._register = CurrentRegister(p, step_s)
+        self._integral_a = 0.0
         self.rotor_rad = self.rotor_rad_s = self.current_a = self.gear_nm = 0.0
 
     @property
@@ -74,7 +77,7 @@ class RigServo:
     @property
     def sampled_current_a(self) -> float:
         """Motor current as the servo samples it for its register, before its sensor's errors."""
-        return self.current_a
+        return self._register.value_a
 
     def send(self, goal_rad: float, time_s: float) -> None:
         """Send a goal; it takes effect after the dead time.
@@ -104,22 +107,25 @@ class RigServo:
             Torque on the joint in N·m.
         """
         while self._pending and self._pending[0][0] <= time_s + 1e-9:
-            self._goal = self._pending.popleft()[1]
+            self._goal.take(self._pending.popleft()[1])
         self._update_current()
         self.gear_nm = self._gear(self.rotor_rad - joint_rad, self.rotor_rad_s - joint_rad_s)
-        torque = self._torque_constant * self.current_a - self._friction() - self.gear_nm
+        drive = self._torque_constant * self.current_a - self.gear_nm
+        friction = self._friction.torque_nm(self.rotor_rad_s, self._friction_level(), drive)
+        torque = self._torque_constant * self.current_a - friction - self.gear_nm
         self.rotor_rad_s += self._step_s * torque / self._inertia
         self.rotor_rad += self._step_s * self.rotor_rad_s
         return self.gear_nm
 
     def _update_current(self) -> None:
-        speed = self._position_gain * (self._goal - self.encoder_rad)
+        speed = self._position_gain * (self._goal.advance() - self.encoder_rad)
         speed = min(max(speed, -self._speed_limit), self._speed_limit)
         error = speed - self.rotor_rad_s
         wanted = self._velocity_gain * error + self._integral_a
         self.current_a = min(max(wanted, -self._limit_a), self._limit_a)
         if self.current_a == wanted:  # anti-windup
             self._integral_a += self._step_s * self._integral_gain * error
+        self._register.hold(self.current_a)
 
     def _gear(self, twist: float, rate: float) -> float:
         beyond = twist - min(max(twist, -self._half_play), self._half_play)
@@ -128,17 +134,8 @@ class RigServo:
         torque = self._gear_stiffness * beyond + self._gear_damping * rate
         return torque if torque * beyond > 0.0 else 0.0  # teeth push only
 
-    def _friction(self) -> float:
-        rate = self.rotor_rad_s
+    def _friction_level(self) -> float:
         level = self._coulomb + self._load_friction * abs(self.gear_nm)
         if self._stribeck:
-            level += self._stribeck * math.exp(-((rate / self._stribeck_speed) ** 2))
-        before = self._bristle_rad
-        shed = self._step_s * abs(rate) * self._bristle / max(level, 1e-9)
-        self._bristle_rad = (before + self._step_s * rate) / (1.0 + shed)
-        bristle_rate = (self._bristle_rad - before) / self._step_s
-        return (
-            self._bristle * self._bristle_rad
-            + self._bristle_damping * bristle_rate
-            + self._viscous * rate
-        )
+            level += self._stribeck * math.exp(-((self.rotor_rad_s / self._stribeck_speed) ** 2))
+        return level

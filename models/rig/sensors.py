@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from models.rig.forms.mocap_filter import filtered_frames
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
@@ -96,6 +97,7 @@ def read_markers(
     jitter_s = p["sensor.mocap_jitter_s"] * rng.standard_normal(count)
     frames_m = log.at(frames_s - p["sensor.mocap_delay_s"] + jitter_s)
     frames_m = frames_m + p["sensor.marker_noise_m"] * rng.standard_normal(frames_m.shape)
+    frames_m = filtered_frames(p, frames_m)
     resampled = MarkerLog(float(frames_s[0]), interval_s, frames_m).at(time_s)
     cos, sin = np.cos(p["sensor.frame_tilt_rad"]), np.sin(p["sensor.frame_tilt_rad"])
     tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])

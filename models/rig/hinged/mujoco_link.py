@@ -1,8 +1,9 @@
 """MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, 16 markers.
 
-Hinge pairs: one at the root patch and one in the middle of each eighth of the span; a shear pair
-(two slides) goes with every hinge pair of the span. MuJoCo carries inertia, gravity, the linear
-shear springs and the Kelvin-Voigt damping; the bending torque is `models.rig.hinged.bending_law`'s.
+Hinge pairs: one at the root patch and one in the middle of each of the equal pieces of the span,
+eight by default; a shear pair (two slides) goes with every hinge pair of the span. MuJoCo carries
+inertia, gravity, the linear shear springs and the Kelvin-Voigt damping; the bending torque is that
+of `models.rig.hinged.bending_law`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from models.rig.hinged.bending_law import SPAN_HINGES
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
@@ -43,9 +43,9 @@ class MujocoLink:
         Hinges and slides only, so that positions and rates have the same addresses.
     joints : ndarray, shape (dof,)
         Addresses of the driven joints.
-    hinges : ndarray, shape (9, 2)
+    hinges : ndarray, shape (n, 2)
         Addresses of the link's hinges, root first; columns bend towards +x and +y.
-    bodies : ndarray, shape (9,)
+    bodies : ndarray, shape (n,)
         Bodies of the link, from the root.
     """
 
@@ -70,7 +70,7 @@ def build_mujoco_link(
         Payload at the tip.
     gravity_m_s2 : ndarray, shape (3,)
         In the world frame.
-    stiffness_nm_rad : ndarray, shape (9,)
+    stiffness_nm_rad : ndarray, shape (n,)
         Of the hinge pairs in N·m/rad; the damping is proportional to it.
     """
     p = parameters
@@ -89,26 +89,27 @@ def build_mujoco_link(
         _joint(plate, "joint_y", "y")
     _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
     _add_link(plate, p, stiffness_nm_rad, load)
-    model = spec.compile()
+    model, pairs = spec.compile(), p.structure.hinges + 1
     return MujocoLink(
         model=model,
         joints=np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]]),
         hinges=np.array(
-            [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in "xy"] for k in range(SPAN_HINGES + 1)]
+            [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in "xy"] for k in range(pairs)]
         ),
-        bodies=np.array([model.body(f"link{k}").id for k in range(SPAN_HINGES + 1)]),
+        bodies=np.array([model.body(f"link{k}").id for k in range(pairs)]),
     )
 
 
 def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load) -> None:
     width, damping_s = p["link.width_m"], p["stiffness.damping_s"]
-    piece = p["link.length_m"] / SPAN_HINGES
+    hinges = p.structure.hinges
+    piece = p["link.length_m"] / hinges
     density = p["link.mass_kg"] / p["link.length_m"]
     shear = (p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2) / piece
     body, offset = plate, p["link.base_offset_m"]
-    for k in range(SPAN_HINGES + 1):
-        # The root's piece and the last one are half as long: hinges sit in the middle of eighths.
-        long = piece if 0 < k < SPAN_HINGES else 0.5 * piece
+    for k in range(hinges + 1):
+        # The root's piece and the last one are half as long: hinges sit in the middle of pieces.
+        long = piece if 0 < k < hinges else 0.5 * piece
         mass = density * long
         across = mass * (width**2 + long**2) / 12.0
         body = _body(
@@ -123,8 +124,10 @@ def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load)
         for axis in "xy":
             joint = _joint(body, f"hinge{k}_{axis}", axis)
             joint.damping[0] = damping_s * stiffness_nm_rad[k]
-        if k > 0 and k % (SPAN_HINGES // MARKER_ROWS) == 0:
-            _add_markers(body, k, 0.5 * piece, 0.5 * width)
+        for row in range(1, MARKER_ROWS + 1):
+            above_hinge = row * hinges / MARKER_ROWS - (k - 0.5)  # in pieces
+            if k > 0 and (0.0 <= above_hinge < 1.0):
+                _add_markers(body, row, above_hinge * piece, 0.5 * width)
         offset = long
     tip = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
     _body(body, "tip", offset, tip, [tip * width**2 / 12.0] * 3)
@@ -149,11 +152,11 @@ def _joint(body: Any, name: str, axis: str) -> Any:
     return body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=AXES[axis])
 
 
-def _add_markers(body: Any, section: int, z_m: float, half_m: float) -> None:
+def _add_markers(body: Any, row: int, z_m: float, half_m: float) -> None:
     """Four corners of a row, in the order of the trial contract."""
     for sign_y in (1, -1):
         for sign_x in (1, -1):
             body.add_site(
-                name=f"m{section}{sign_x:+d}{sign_y:+d}",
+                name=f"m{row}{sign_x:+d}{sign_y:+d}",
                 pos=[sign_x * half_m, sign_y * half_m, z_m],
             )

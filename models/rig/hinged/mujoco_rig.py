@@ -7,6 +7,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from models.rig.forms.marker_play import MarkerPlay
 from models.rig.hinged.bending_law import BendLaw
 from models.rig.hinged.mujoco_link import Load, build_mujoco_link
 from models.rig.rig_parameters import RigParameters
@@ -69,6 +70,7 @@ class MujocoRig:
         self.data = mujoco.MjData(self.link.model)
         mujoco.mj_forward(self.link.model, self.data)
         self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
+        self._play = MarkerPlay(p, dof, self.step_s)
         self._load_nm = p["servo.load_offset_nm"]
         self._drag = p["world.drag_nm"] * self._drag_coefficients()
         self._dragged = bool(self._drag.any())
@@ -86,10 +88,13 @@ class MujocoRig:
     def markers_m(self) -> Array:
         """True markers in the world frame, shape (16, 3), at the start of the last step.
 
-        MuJoCo updates what is fixed to the bodies before it moves them. This is a view that the
-        next step changes.
+        MuJoCo updates what is fixed to the bodies before it moves them. This may be a view that
+        the next step changes.
         """
-        return np.asarray(self.data.site_xpos)
+        markers_m = np.asarray(self.data.site_xpos)
+        if self._play.absent:
+            return markers_m
+        return self._play.shown_m(markers_m, self.data.qpos[self.link.joints])
 
     @property
     def folded(self) -> bool:
@@ -116,6 +121,8 @@ class MujocoRig:
         applied_nm[link.hinges] = self.bending_law.torque_nm(qpos.take(link.hinges), leaking_s)
         if self._dragged:
             self._apply_drag()
+        if not self._play.absent:
+            self._play.advance([servo.gear_nm for servo in self.servos])
         mujoco.mj_step(link.model, data)
         self._steps += 1
 

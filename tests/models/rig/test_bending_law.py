@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.rig.hinged.bending_law import SPAN_HINGES, BendLaw
+from models.rig.hinged.bending_law import BendLaw
 from models.rig.rig_parameters import read_parameters
+from models.rig.rig_structure import DEFAULT_STRUCTURE
 
+SPAN_HINGES = DEFAULT_STRUCTURE.hinges
 HINGES = SPAN_HINGES + 1
 EFFECTS = ("directional_stiffness", "stiffness_softening", "stiffness_hardening", "hysteresis",
            "creep", "cross_axis_coupling")  # fmt: skip

@@ -1,0 +1,126 @@
+"""Set-point of the servo between two goals: held, interpolated or profiled.
+
+A held goal is the set-point at once. An interpolating servo reaches the goal on a line, one control
+period after it took effect. A profiling servo moves its set-point with limited velocity and
+acceleration (trapezoidal profile, e-Manual of ROBOTIS, "Profile Velocity"), planned anew from where
+it is when the next goal arrives.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from firmware_py.signals import PERIOD_S
+from models.rig.rig_parameters import RigParameters
+
+
+class GoalForm(Protocol):
+    """Set-point of one servo, at rest at zero."""
+
+    def take(self, goal_rad: float) -> None:
+        """Take the goal that takes effect now."""
+        ...
+
+    def advance(self) -> float:
+        """Advance by one step and return the set-point in rad."""
+        ...
+
+
+class HeldGoal:
+    """Set-point that jumps to each goal."""
+
+    def __init__(self) -> None:
+        self._goal_rad = 0.0
+
+    def take(self, goal_rad: float) -> None:
+        """See `GoalForm`."""
+        self._goal_rad = goal_rad
+
+    def advance(self) -> float:
+        """See `GoalForm`."""
+        return self._goal_rad
+
+
+class InterpolatedGoal:
+    """Set-point on a line to each goal.
+
+    Parameters
+    ----------
+    step_s : float
+        Integration step.
+    """
+
+    def __init__(self, step_s: float) -> None:
+        self._steps = max(round(PERIOD_S / step_s), 1)
+        self._goal_rad = self._setpoint_rad = self._per_step_rad = 0.0
+        self._left = 0
+
+    def take(self, goal_rad: float) -> None:
+        """See `GoalForm`."""
+        self._goal_rad, self._left = goal_rad, self._steps
+        self._per_step_rad = (goal_rad - self._setpoint_rad) / self._steps
+
+    def advance(self) -> float:
+        """See `GoalForm`."""
+        if self._left:
+            self._left -= 1
+            self._setpoint_rad = self._goal_rad - self._left * self._per_step_rad
+        return self._setpoint_rad
+
+
+class ProfiledGoal:
+    """Set-point with limited velocity and acceleration.
+
+    Parameters
+    ----------
+    step_s : float
+        Integration step.
+    velocity_rad_s, acceleration_rad_s2 : float
+        Limits.
+    """
+
+    def __init__(self, step_s: float, velocity_rad_s: float, acceleration_rad_s2: float) -> None:
+        self._step_s = step_s
+        self._fastest = velocity_rad_s
+        self._gain = acceleration_rad_s2 * step_s  # of velocity in a step
+        self._goal_rad = self._setpoint_rad = self._velocity = 0.0
+
+    def take(self, goal_rad: float) -> None:
+        """See `GoalForm`."""
+        self._goal_rad = goal_rad
+
+    def advance(self) -> float:
+        """See `GoalForm`."""
+        left = self._goal_rad - self._setpoint_rad
+        # With n steps of braking from the velocity n a h, the way is a h^2 n (n + 1) / 2.
+        steps = math.sqrt(0.25 + 2.0 * abs(left) / (self._gain * self._step_s)) - 0.5
+        speed = min(self._gain * steps, abs(left) / self._step_s, self._fastest)
+        wanted = math.copysign(speed, left)
+        slowest, fastest = self._velocity - self._gain, self._velocity + self._gain
+        self._velocity = min(max(wanted, slowest), fastest)
+        self._setpoint_rad += self._step_s * self._velocity
+        return self._setpoint_rad
+
+
+def goal_form(parameters: RigParameters, step_s: float) -> GoalForm:
+    """Build the form that the structure names.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Of the rig.
+    step_s : float
+        Integration step.
+    """
+    p = parameters
+    match p.structure.goal:
+        case "held":
+            return HeldGoal()
+        case "interpolated":
+            return InterpolatedGoal(step_s)
+        case "profile":
+            velocity, acceleration = (
+                p["servo.profile_velocity_rad_s"], p["servo.profile_acceleration_rad_s2"],
+            )  # fmt: skip
+            return ProfiledGoal(step_s, velocity, acceleration)

@@ -1,0 +1,73 @@
+"""Play in the link's mount, which only the markers show.
+
+The link leans by half of the play to the side to which its torque pushes; within a small torque,
+and over a short time, it passes from one side to the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.rig.rig_parameters import RigParameters
+from models.shared.kinematics import Array
+
+
+class MarkerPlay:
+    """Lean of the link in its mount, at rest in the middle.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Of the rig; without play in the markers nothing leans.
+    dof : int
+        Number of driven joints.
+    step_s : float
+        Integration step.
+
+    Attributes
+    ----------
+    absent : bool
+        Whether the structure has no such play, or its width is zero.
+    lean_rad : ndarray, shape (dof,)
+        About each joint.
+    """
+
+    def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
+        p = parameters
+        self._half_rad = 0.5 * p["servo.backlash_rad"] if p.structure.play == "markers" else 0.0
+        self.absent = self._half_rad == 0.0
+        self._torque_nm = p["servo.play_torque_nm"]
+        self._gain = -math.expm1(-step_s / p["servo.play_time_s"])
+        self.lean_rad = np.zeros(dof)
+
+    def advance(self, torque_nm: Sequence[float]) -> None:
+        """Advance by one step.
+
+        Parameters
+        ----------
+        torque_nm : sequence of float, length dof
+            That the drives pass to the joints; the link pushes against it.
+        """
+        for k, torque in enumerate(torque_nm):
+            side_rad = -self._half_rad * math.tanh(torque / self._torque_nm)
+            self.lean_rad[k] += self._gain * (side_rad - self.lean_rad[k])
+
+    def shown_m(self, markers_m: Array, joint_rad: Sequence[float]) -> Array:
+        """Markers on the leaning link.
+
+        Parameters
+        ----------
+        markers_m : ndarray, shape (16, 3)
+            Without the lean.
+        joint_rad : sequence of float, length dof
+            Angles of the joints.
+        """
+        cos, sin = math.cos(joint_rad[0]), math.sin(joint_rad[0])
+        turn = self.lean_rad[0] * np.array([0.0, 1.0, 0.0])
+        if len(self.lean_rad) == 2:  # the second axis, -x, is carried by the first joint
+            turn = turn + self.lean_rad[1] * np.array([-cos, 0.0, sin])
+        once = np.cross(turn, markers_m)
+        return np.asarray(markers_m + once + 0.5 * np.cross(turn, once))
