@@ -26,7 +26,8 @@ TYPICAL: Final[dict[str, float]] = {
     "directional_stiffness": 0.15, "stiffness_softening": 0.15, "stiffness_hardening": 0.3,
     "pressure_leak": 0.1, "hysteresis": 0.3, "creep": 0.3, "aerodynamic_drag": 2.0,
     "encoder_offset": 0.02, "load_offset": 3.0, "current_bias": 0.2, "current_scale": 0.1,
-    "marker_frame_tilt": 0.015, "sync_offset": 0.03,
+    "marker_frame_tilt": 0.015, "sync_offset": 0.03, "sensor_lag": 0.02, "encoder_ripple": 0.004,
+    "cogging": 2.0, "marker_scale": 0.01, "stiction": 3.0,
 }  # fmt: skip
 """Strength that matters, in the catalogue's unit [chosen before any run]. Cross-axis coupling needs
 two joints and is not in these lean cases."""
@@ -34,7 +35,7 @@ two joints and is not in these lean cases."""
 SIGNED: Final = {
     "torque_constant_drift", "payload_offset", "prebend", "directional_stiffness",
     "encoder_offset", "load_offset", "current_bias", "current_scale", "marker_frame_tilt",
-    "sync_offset",
+    "sync_offset", "encoder_ripple", "cogging", "marker_scale",
 }  # fmt: skip
 
 NUISANCE: Final = {

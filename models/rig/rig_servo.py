@@ -4,9 +4,10 @@ The rotor (its inertia seen from the output) drives the joint through a gear wit
 compliance; the encoder sits on the rotor. The level of friction grows with the torque that the gear
 transmits:
 
-    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2).
+    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2) + F_b exp(-s / d).
 
-The forms of friction and set-point are those of `models.rig.forms`.
+The distance s since the last reversal is forgotten at rest, ds/dt = |w| - s / T. The forms of
+friction and set-point are those of `models.rig.forms`.
 """
 
 from __future__ import annotations
@@ -55,6 +56,11 @@ class RigServo:
         self._coulomb = p["servo.coulomb_friction_nm"]
         self._stribeck = p["servo.stribeck_friction_nm"]
         self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
+        self._breakaway = p["servo.breakaway_friction_nm"]
+        self._breakaway_rad = p["servo.breakaway_distance_rad"]
+        self._dwell_s = p["servo.breakaway_dwell_s"]
+        self._cogging = p["servo.cogging_nm"]
+        self._cogging_periods = p["servo.cogging_periods"], p["servo.cogging_phase_rad"]
         self._load_friction = p["servo.load_friction_share"]
         self._friction = friction_form(p, step_s)
         in_gear = p.structure.play == "gear"
@@ -63,16 +69,27 @@ class RigServo:
         self._gear_damping = p["servo.gear_damping_nm_s_rad"]
         self._delay_s = p["servo.dead_time_s"]
         self._encoder_offset = p["sensor.encoder_offset_rad"]
+        self._ripple = p["sensor.encoder_ripple_rad"]
+        self._ripple_periods = (
+            p["sensor.encoder_ripple_periods"], p["sensor.encoder_ripple_phase_rad"],
+        )  # fmt: skip
+        lag_s = p["sensor.current_lag_s"]
+        self._lag = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
         self._pending: deque[tuple[float, float]] = deque()
         self._goal = goal_form(p, step_s)
         self._register = CurrentRegister(p, step_s)
-        self._integral_a = 0.0
+        self._integral_a = self._slid_rad = self._sensed_a = 0.0
+        self._forward = True
         self.rotor_rad = self.rotor_rad_s = self.current_a = self.gear_nm = 0.0
 
     @property
     def encoder_rad(self) -> float:
         """Angle that encoder and firmware see, before quantisation."""
-        return self.rotor_rad + self._encoder_offset
+        read = self.rotor_rad + self._encoder_offset
+        if self._ripple:
+            periods, phase = self._ripple_periods
+            read += self._ripple * math.sin(periods * self.rotor_rad + phase)
+        return read
 
     @property
     def sampled_current_a(self) -> float:
@@ -111,8 +128,10 @@ class RigServo:
         self._update_current()
         self.gear_nm = self._gear(self.rotor_rad - joint_rad, self.rotor_rad_s - joint_rad_s)
         drive = self._torque_constant * self.current_a - self.gear_nm
-        friction = self._friction.torque_nm(self.rotor_rad_s, self._friction_level(), drive)
-        torque = self._torque_constant * self.current_a - friction - self.gear_nm
+        if self._cogging:
+            periods, phase = self._cogging_periods
+            drive -= self._cogging * math.sin(periods * self.rotor_rad + phase)
+        torque = drive - self._friction.torque_nm(self.rotor_rad_s, self._friction_level(), drive)
         self.rotor_rad_s += self._step_s * torque / self._inertia
         self.rotor_rad += self._step_s * self.rotor_rad_s
         return self.gear_nm
@@ -125,7 +144,8 @@ class RigServo:
         self.current_a = min(max(wanted, -self._limit_a), self._limit_a)
         if self.current_a == wanted:  # anti-windup
             self._integral_a += self._step_s * self._integral_gain * error
-        self._register.hold(self.current_a)
+        self._sensed_a = self.current_a + self._lag * (self._sensed_a - self.current_a)
+        self._register.hold(self._sensed_a)
 
     def _gear(self, twist: float, rate: float) -> float:
         beyond = twist - min(max(twist, -self._half_play), self._half_play)
@@ -138,4 +158,13 @@ class RigServo:
         level = self._coulomb + self._load_friction * abs(self.gear_nm)
         if self._stribeck:
             level += self._stribeck * math.exp(-((self.rotor_rad_s / self._stribeck_speed) ** 2))
+        if self._breakaway:
+            level += self._breakaway_level(self.rotor_rad_s)
         return level
+
+    def _breakaway_level(self, rate: float) -> float:
+        """Friction above the sliding level: full after a reversal, lost with the distance."""
+        if rate and (rate > 0.0) != self._forward:
+            self._forward, self._slid_rad = rate > 0.0, 0.0
+        self._slid_rad += self._step_s * (abs(rate) - self._slid_rad / self._dwell_s)
+        return self._breakaway * math.exp(-self._slid_rad / self._breakaway_rad)

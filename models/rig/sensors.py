@@ -88,7 +88,7 @@ def read_markers(
     Returns
     -------
     ndarray, shape (n, 16, 3)
-        In the world frame of the motion capture, with its tilt and shift.
+        In the world frame of the motion capture, with its tilt, scale and shift.
     """
     p = parameters
     interval_s = 1.0 / p["sensor.mocap_rate_hz"]
@@ -101,4 +101,4 @@ def read_markers(
     resampled = MarkerLog(float(frames_s[0]), interval_s, frames_m).at(time_s)
     cos, sin = np.cos(p["sensor.frame_tilt_rad"]), np.sin(p["sensor.frame_tilt_rad"])
     tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-    return np.asarray(resampled @ tilt.T + shift_m)
+    return np.asarray((1.0 + p["sensor.marker_scale_share"]) * (resampled @ tilt.T) + shift_m)

@@ -43,7 +43,9 @@ CATALOGUE: Final[dict[str, EffectRow]] = {
     "coulomb_friction": EffectRow("servo_torque", "N.m", "dry friction torque at the output"),
     "viscous_friction": EffectRow("servo_torque", "N.m.s/rad", "friction torque per joint rate"),
     "stribeck_friction": EffectRow("servo_torque", "N.m", "extra friction near standstill"),
+    "stiction": EffectRow("servo_torque", "N.m", "breakaway torque above sliding friction"),
     "load_dependent_friction": EffectRow("servo_torque", "1", "friction per transmitted torque"),
+    "cogging": EffectRow("servo_torque", "N.m", "amplitude of the torque periodic in the angle"),
     "backlash": EffectRow("servo_torque", "rad", "full backlash of the gear"),
     "joint_elasticity": EffectRow("servo_torque", "rad/(N.m)", "gear wind-up per torque"),
     "dead_time": EffectRow("command", "s", "delay of the goal on its way to the servo's loop"),
@@ -61,11 +63,14 @@ CATALOGUE: Final[dict[str, EffectRow]] = {
     "aerodynamic_drag": EffectRow("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic"),
     "cross_axis_coupling": EffectRow("bend_torque", "1", "torque of one plane per other plane's"),
     "encoder_offset": EffectRow("sensor", "rad", "constant error of the encoder, loop included"),
+    "encoder_ripple": EffectRow("sensor", "rad", "amplitude of the encoder's periodic error"),
     "load_offset": EffectRow("joint_torque", "N.m", "constant torque on the joint"),
     "current_bias": EffectRow("sensor", "A", "constant error of the measured current"),
     "current_scale": EffectRow("sensor", "1", "relative error of the measured current"),
     "marker_frame_tilt": EffectRow("sensor", "rad", "tilt of the mocap frame about y"),
+    "marker_scale": EffectRow("sensor", "1", "relative error of the mocap's scale"),
     "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo"),
+    "sensor_lag": EffectRow("sensor", "s", "low-pass time of the measured current"),
 }
 
 

@@ -155,9 +155,8 @@ class Link:
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
         """Deformation Index, and end effector in the world frame of the motion capture."""
         joint, bend = self._delayed(scope)
-        tip_m = (
-            symbolic_base_rotation(scope.frame_tilt_rad, 0) @ self._frames(scope, joint, bend)[2]
-        )
+        tilt = symbolic_base_rotation(scope.frame_tilt_rad, 0)
+        tip_m = (1 + scope.frame_scale) * (tilt @ self._frames(scope, joint, bend)[2])
         result = {
             "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
                             nominal=0.01), self._deformation_index(scope, joint, bend)),
@@ -172,11 +171,15 @@ class Link:
         return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
 
     def _delayed(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
-        """Joint angles and bends as the motion capture shows them, to second order in its delay."""
-        delay_s = scope.frame_delay_s
+        """Joint angles and bends as the motion capture shows them, to second order in its times.
+
+        Delay δ and low-pass T: e^(−sδ) / (1 + sT) ≈ 1 − (δ + T) s + (δ²/2 + δT + T²) s².
+        """
+        delay_s, lag_s = scope.frame_delay_s, scope.frame_lag_s
+        curvature = delay_s**2 / 2 + lag_s * (delay_s + lag_s)
 
         def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
-            return value - delay_s * rate + delay_s**2 / 2 * acceleration
+            return value - (delay_s + lag_s) * rate + curvature * acceleration
 
         standing = self._load_angles(scope)
         joint = {
@@ -241,7 +244,7 @@ class Link:
                 * (
                     fraction * (bend["span", j] - scope.rest_bend["span", j])
                     + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
-                    + (k == 0) * (joint[j] - scope.angle[j])
+                    + (k == 0) * (joint[j] - scope.angle[j] - scope.ripple_since_upright(j))
                 )
                 for j in scope.joints
             ]

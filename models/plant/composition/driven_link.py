@@ -72,7 +72,7 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
     unit = SI_UNIT_OF[angle]
     for j in scope.joints:
         sample = scope.input(Variable(f"angle_{j}_{angle}", unit, 0.0, f"measured, joint {j}"))
-        true = sample - scope.encoder_error[j]
+        true = scope.true_angle(j, sample)
         ramp = scope.state(Variable(f"ramp_{j}_{angle}", unit, nominal=0.5), true)
         slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))
         joint = scope.state(Variable(f"joint_{j}_{angle}", unit, nominal=0.5), true)

@@ -55,7 +55,7 @@ def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
 
     start = [scope.states[a.name()].initial for a in scope.angle.values()]
     first = equilibrium(start) if bends else ca.SX(0, 1)
-    upright_angles = [ca.SX(-scope.encoder_error[j]) for j in scope.joints]
+    upright_angles = [ca.SX(scope.true_angle(j, 0)) for j in scope.joints]
     upright = equilibrium(upright_angles) if bends else ca.SX(0, 1)
     for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
         scope.rest_bend[key] = value

@@ -12,6 +12,7 @@ from models.plant.components.drives.presliding import declare_presliding
 from models.plant.components.lagrange import solve_symmetric
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium
+from models.plant.composition.output_lag import lag_outputs
 from models.plant.composition.port_effects import apply_effects, apply_load_torques
 from models.plant.composition.step_functions import (
     build_step_model,
@@ -74,11 +75,28 @@ def compose_twin(
         variable = Variable(
             f"{COORDINATE_NAME[angle]}_{j}_{angle}", SI_UNIT_OF[angle], 0.0, f"measured, joint {j}"
         )
-        outputs[variable.name] = (variable, scope.measured_angle(j))
+        outputs[variable.name] = (variable, reported_angle(scope, j))
     for j, current in scope.current.items():
         variable = current_variable(j)
         outputs[variable.name] = (variable, measured_current(scope, j, current))
-    return build_step_model(name, scope, outputs | load.outputs(scope))
+    return build_step_model(name, scope, lag_outputs(scope, outputs | load.outputs(scope)))
+
+
+def reported_angle(scope: Scope, joint: int) -> Expr:
+    """Measured coordinate of a joint behind its low-pass, to second order in its time.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the rate of every state set.
+    joint : int
+        Number of the joint.
+    """
+    measured = scope.measured_angle(joint)
+    if joint not in scope.sensor_lag:
+        return measured
+    lag_s, rate = scope.sensor_lag[joint].angle_s, scope.rate[joint]
+    return measured - lag_s * rate + lag_s**2 * scope.states[rate.name()].rate
 
 
 def declare_joint_states(scope: Scope, joint: int, initial: Expr) -> None:

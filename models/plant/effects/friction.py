@@ -1,12 +1,18 @@
-"""Friction of the drive: dry, viscous, near standstill and by load."""
+"""Friction of the drive: dry, viscous, near standstill, at breakaway and by load."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+FASTEST_SLIDE_S: Final = 2e-3
+"""Shortest time in which sliding breaks the contacts of `Stiction`; two integration steps."""
 
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
@@ -87,6 +93,44 @@ class StribeckFriction(Effect):
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
             extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
             scope.friction[j] += extra * fade * friction_direction(scope, j)
+
+
+class Stiction(Effect):
+    """Breakaway torque F_b above sliding friction, lost over a distance and regained at rest.
+
+        F = F_b (1 − x²) sign(q̇),   ẋ = (q̇ − |q̇| x) / (δ + |q̇| T_0) − x / T
+
+    x is the bristle of Dahl (1968): from rest (x = 0) or after a reversal it passes zero, where the
+    contacts hold most, and sliding by a few δ breaks them. That friction exceeds its sliding level
+    over a distance and not at a speed is the model of Bliman and Sorine (1995); that it returns
+    with the dwell time T is the rising static friction of Armstrong-Hélouvry et al. (1994).
+    Stribeck friction acts before a standstill as it does after it; this acts after it only.
+    """
+
+    name = "stiction"
+    per_joint = (
+        Parameter(name="stiction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
+                  role="effect", description="breakaway torque above sliding friction",
+                  source="assumed absent"),
+        Parameter(name="stiction_distance_{j}_{angle}", unit="rad", value=0.01, low=0.002, high=0.1,
+                  role="effect", description="distance in which sliding breaks the contacts",
+                  source="assumed: a hundredth of the study's stroke"),
+        Parameter(name="stiction_dwell_{j}_s", unit="s", value=2.0, low=0.1, high=100.0,
+                  description="time at rest in which they form again",
+                  source="assumed: below the rest before a trial"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add a friction that is largest where sliding begins."""
+        for j in scope.joints:
+            rate = scope.rate[j]
+            slid = scope.state(Variable(f"slid_{j}", "1", minimum=-1.0, maximum=1.0))
+            speed = ca.fabs(rate)
+            reach = scope.p("stiction_distance_{j}_{angle}", j) + speed * FASTEST_SLIDE_S
+            forming = slid / scope.p("stiction_dwell_{j}_s", j)
+            scope.states[slid.name()].rate = (rate - speed * slid) / reach - forming
+            level = scope.p("stiction_{j}_{torque}", j) * (1 - slid**2)
+            scope.friction[j] += level * friction_direction(scope, j)
 
 
 class LoadDependentFriction(Effect):

@@ -36,12 +36,14 @@ ORDER: Final[tuple[str, ...]] = (
     # command: the goal and the current limit are separate quantities.
     "dead_time",
     "current_saturation",
-    # servo_torque: the torque constant is a factor, each friction an addend.
+    # servo_torque: the torque constant is a factor, each friction and the cogging an addend.
     "torque_constant_drift",
     "coulomb_friction",
     "viscous_friction",
     "stribeck_friction",
+    "stiction",
     "load_dependent_friction",
+    "cogging",
     # servo_torque: wind-up and play add up between the drive's side of the gear and the load's.
     "joint_elasticity",
     "backlash",
@@ -53,10 +55,13 @@ ORDER: Final[tuple[str, ...]] = (
     "aerodynamic_drag",
     # sensor: separate quantities.
     "encoder_offset",
+    "encoder_ripple",
     "current_bias",
     "current_scale",
     "marker_frame_tilt",
+    "marker_scale",
     "sync_offset",
+    "sensor_lag",
 )
 """Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
 the one comes before the other."""

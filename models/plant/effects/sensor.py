@@ -1,10 +1,10 @@
-"""Sensor errors: encoder, current, and frame and clock of the motion capture."""
+"""Sensor errors: encoder, current, lag, and frame and clock of the motion capture."""
 
 from __future__ import annotations
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Scope
+from models.plant.scope import Scope, SensorLowPass
 
 
 class EncoderOffset(Effect):
@@ -73,6 +73,25 @@ class MarkerFrameTilt(Effect):
         scope.frame_tilt_rad += scope.p("marker_frame_tilt_rad")
 
 
+class MarkerScale(Effect):
+    """Relative error of the motion capture's scale, (1 + s) r about the origin of its frame.
+
+    The Deformation Index compares lengths with those at rest, which have the same error, so it
+    does not change.
+    """
+
+    name = "marker_scale"
+    needs = ("tip",)
+    shared = (
+        Parameter(name="marker_scale", unit="1", value=0.0, low=-0.2, high=0.2, role="effect",
+                  description="relative error of the mocap's scale", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale the frame."""
+        scope.frame_scale += scope.p("marker_scale")
+
+
 class SyncOffset(Effect):
     """Lag δ of the motion capture behind the servo's clock: at time t it shows the state at t − δ.
 
@@ -91,3 +110,42 @@ class SyncOffset(Effect):
     def apply(self, scope: Scope) -> None:
         """Delay the motion capture."""
         scope.frame_delay_s += scope.p("sync_offset_s")
+
+
+class SensorLag(Effect):
+    """Low-pass of measured signals; the strength is that of the current, 1 / (1 + θ s).
+
+    Where no current is modelled the strength is that of a measured deflection, and where there is
+    none that of the joint's coordinate (`models.plant.composition.output_lag`). A fraction of θ
+    lies in a second stage where a plant document frees it or gives it; otherwise there is none.
+    Lags of the coordinate and of the motion capture are zero unless a document frees or gives them:
+    −T of their rate and T² of their acceleration, which leaves (ωT)³. The drive's own loops are not
+    delayed, nor is anything in the driven link and the observer.
+    """
+
+    name = "sensor_lag"
+    per_joint = (
+        Parameter(name="sensor_lag_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
+                  description="mean delay of the low-pass of the measured current",
+                  source="assumed absent"),
+        Parameter(name="sensor_lag_second_{j}", unit="1", value=0.0, low=0.0, high=0.5,
+                  description="fraction of it in a second stage; 0.5 is critically damped",
+                  source="assumed of first order"),
+        Parameter(name="sensor_lag_angle_{j}_s", unit="s", value=0.0, low=0.0, high=0.05,
+                  description="low-pass of the measured angle", source="assumed absent"),
+    )  # fmt: skip
+    shared = (
+        Parameter(name="sensor_lag_mocap_s", unit="s", value=0.0, low=0.0, high=0.05,
+                  description="low-pass of the motion capture", source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Set the low-pass of every joint's signals and of the motion capture."""
+        for j in scope.joints:
+            second = scope.name("sensor_lag_second_{j}", j)
+            scope.sensor_lag[j] = SensorLowPass(
+                time_s=scope.p("sensor_lag_{j}_s", j),
+                second_share=None if second in scope.absent else scope.p(second),
+                angle_s=scope.p("sensor_lag_angle_{j}_s", j),
+            )
+        scope.frame_lag_s += scope.p("sensor_lag_mocap_s")

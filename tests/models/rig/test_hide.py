@@ -20,6 +20,8 @@ STRENGTH = {
     "pressure_leak": 0.5, "hysteresis": 0.4, "creep": 0.4, "aerodynamic_drag": 2.0,
     "cross_axis_coupling": 0.2, "encoder_offset": 0.02, "load_offset": 4.0, "current_bias": 0.2,
     "current_scale": 0.1, "marker_frame_tilt": 0.02, "sync_offset": 0.03,
+    "sensor_lag": 0.02, "encoder_ripple": 0.005, "cogging": 3.0, "marker_scale": 0.02,
+    "stiction": 4.0,
 }  # fmt: skip
 
 
@@ -82,7 +84,7 @@ def test_errors_of_the_current_leave_the_rest_alone(effect, hidden, default_tria
     np.testing.assert_allclose(fit, expected, atol=2e-3)
 
 
-@pytest.mark.parametrize("effect", ["marker_frame_tilt", "sync_offset"])
+@pytest.mark.parametrize("effect", ["marker_frame_tilt", "marker_scale", "sync_offset"])
 def test_errors_of_the_mocap_leave_the_servo_alone(effect, hidden, default_trial):
     trial = hidden(effect)
     np.testing.assert_array_equal(trial.angle_rad, default_trial.angle_rad)

@@ -76,7 +76,7 @@ def declare_goal(scope: Scope, joint: int) -> None:
         )
     )
     scope.goal[joint] = goal
-    scope.start[joint] = goal - scope.encoder_error[joint]
+    scope.start[joint] = scope.true_angle(joint, goal)
 
 
 def start_offset_parameter(scope: Scope, joint: int) -> Parameter:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture
-def cogging(monkeypatch):
+def hose_spring(monkeypatch):
     """What the guide's code leaves behind; the effect is forgotten afterwards."""
     monkeypatch.chdir(ROOT)
     known = dict(EFFECTS)
@@ -37,31 +37,33 @@ def run(plant, **changes):
     return compiled.simulate(u, 0.017, model.parameter_values(changes))
 
 
-def test_it_simulates_and_is_absent_at_zero(cogging):
+def test_it_simulates_and_is_absent_at_zero(hose_spring):
     plain = run(read_plant())
-    assert np.array_equal(run(cogging["plant"]), plain)
-    assert np.abs(run(cogging["plant"], cogging_1_nm=2.0) - plain).max() > 1e-2
+    assert np.array_equal(run(hose_spring["plant"]), plain)
+    assert np.abs(run(hose_spring["plant"], hose_spring_1_nm=2.0) - plain).max() > 1e-2
 
 
-def test_it_has_an_exact_derivative(cogging):
-    model = sensitivity_model(cogging["model"], ["cogging_1_nm"])
+def test_it_has_an_exact_derivative(hose_spring):
+    model = sensitivity_model(hose_spring["model"], ["hose_spring_1_nm"])
     u = np.zeros((60, len(model.inputs)))
     u[:, 0] = np.linspace(0, 0.3, 60)
-    slope = CompiledModel(model).simulate(u, 0.017)[:, len(cogging["model"].outputs) :]
+    slope = CompiledModel(model).simulate(u, 0.017)[:, len(hose_spring["model"].outputs) :]
     ends = [
-        CompiledModel(cogging["model"]).simulate(
-            u, 0.017, cogging["model"].parameter_values({"cogging_1_nm": c})
+        CompiledModel(hose_spring["model"]).simulate(
+            u, 0.017, hose_spring["model"].parameter_values({"hose_spring_1_nm": c})
         )
         for c in (1e-5, -1e-5)
     ]
     assert slope == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-6)
 
 
-def test_it_is_a_parameter_of_units_and_documents(cogging, tmp_path):
-    variables = {v.name: v for v in cogging["model"].parameters}
-    assert variables["cogging_1_nm"].unit == "N.m" and variables["cogging_1_nm"].maximum == 5.0
-    assert "cogging_periods_2" not in names(cogging["model"].parameters)
+def test_it_is_a_parameter_of_units_and_documents(hose_spring, tmp_path):
+    variables = {v.name: v for v in hose_spring["model"].parameters}
+    assert (
+        variables["hose_spring_1_nm"].unit == "N.m" and variables["hose_spring_1_nm"].maximum == 5.0
+    )
+    assert "hose_rest_2_rad" not in names(hose_spring["model"].parameters)
     path = tmp_path / "plant.json"
-    cogging["plant"].with_values({"cogging_1_nm": 0.8}).write(path)
+    hose_spring["plant"].with_values({"hose_spring_1_nm": 0.8}).write(path)
     again = read_plant(path)
-    assert "cogging" in again.effects and again.parameters["cogging_1_nm"].value == 0.8
+    assert "hose_spring" in again.effects and again.parameters["hose_spring_1_nm"].value == 0.8

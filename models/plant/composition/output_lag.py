@@ -1,0 +1,64 @@
+"""Low-pass of measured outputs: filter states behind the outputs of a composed plant.
+
+A first-order stage of time θ delays a slow signal by θ. A stage of time zero would be infinitely
+fast: its state follows with D = √(θ² + D_0²), and the output takes the fraction θ/D of it::
+
+    ż = (y − z) / D,   y_lagged = y + θ/D (z − y)
+
+The mean delay is θ exactly, at zero the signal passes untouched, and all is smooth in θ; for θ well
+above D_0 it is the first-order low-pass 1 / (1 + θ s) [Oppenheim & Willsky 1997].
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from models.plant.scope import Expr, Scope, substitute
+from models.plant.step_model import Variable
+
+SHORTEST_LAG_S: Final = 2e-3
+"""D_0: a pole at 500 per second, which an internal step of 2.9 ms integrates stably."""
+
+LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_")
+"""Beginnings of the names of the outputs that a joint's lag may act on; the first one counts."""
+
+
+def lag_outputs(
+    scope: Scope, outputs: dict[str, tuple[Variable, Expr]]
+) -> dict[str, tuple[Variable, Expr]]:
+    """Outputs with the low-pass of every joint on the signal that it belongs to.
+
+    Parameters
+    ----------
+    scope : Scope
+        Composed: the initial value of every state is set.
+    outputs : dict of str to (Variable, SX)
+        By name, in order.
+    """
+    result = dict(outputs)
+    for j, lag in scope.sensor_lag.items():
+        name = lagged_output(outputs, j)
+        variable, value = outputs[name]
+        second = lag.second_share
+        shares = [1] if second is None else [1 - second, second]
+        for number, share in enumerate(shares, 1):
+            filtered = Variable(f"lagged_{name}_{number}", variable.unit)
+            value = _stage(scope, filtered, value, share * lag.time_s)
+        result[name] = (variable, value)
+    return result
+
+
+def lagged_output(outputs: dict[str, tuple[Variable, Expr]], joint: int) -> str:
+    """Name of the output that a joint's lag acts on (`LAGGED`)."""
+    beginnings = [pattern.format(j=joint) for pattern in LAGGED]
+    return next(name for start in beginnings for name in outputs if name.startswith(start))
+
+
+def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:
+    delay_s = ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
+    still = [(s.symbol, s.initial) for s in scope.states.values()]
+    state = scope.state(variable, substitute(value, still))
+    scope.states[variable.name].rate = (value - state) / delay_s
+    return value + time_s / delay_s * (state - value)

@@ -1,0 +1,86 @@
+"""Periodic effects over the turn of a joint: error of its encoder, torque of its motor.
+
+Both are a sine and a cosine of a known number of periods. The amplitude of the sine is the
+strength. The two amplitudes are regular at zero, where an amplitude and a phase would not be; the
+size is √(sine² + cosine²).
+"""
+
+from __future__ import annotations
+
+import functools
+
+import casadi as ca
+
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+
+
+def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
+    """Sum a sin(n q) + b cos(n q), with the parameters of an effect.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the parameters declared.
+    prefix : str
+        Beginning of their names.
+    joint : int
+        Number of the joint.
+    angle : SX
+        Coordinate q.
+    """
+    suffix = "{angle}" if prefix == EncoderRipple.name else "{torque}"
+    turn = scope.p(prefix + "_order_{j}", joint) * angle
+    sine = scope.p(prefix + "_{j}_" + suffix, joint)
+    cosine = scope.p(prefix + "_cosine_{j}_" + suffix, joint)
+    return sine * ca.sin(turn) + cosine * ca.cos(turn)
+
+
+class EncoderRipple(Effect):
+    """Periodic error of the encoder, q + a sin(n q) + b cos(n q), which the servo controls.
+
+    An eccentric or oval scale and unequal signals of its tracks cause it (docs/sources.md, "The
+    servo"). The velocity loop measures its rate at the motor, without the error.
+    """
+
+    name = "encoder_ripple"
+    per_joint = (
+        Parameter(name="encoder_ripple_{j}_{angle}", unit="rad", value=0.0, low=-0.02, high=0.02,
+                  role="effect", description="sine of the measured angle's periodic error",
+                  source="assumed absent"),
+        Parameter(name="encoder_ripple_cosine_{j}_{angle}", unit="rad", value=0.0, low=-0.02,
+                  high=0.02, role="effect", description="its cosine", source="assumed absent"),
+        Parameter(name="encoder_ripple_order_{j}", unit="1/rad", value=16.0, low=1.0, high=40.0,
+                  description="periods per turn", source="assumed: pole pairs of the encoder"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add the error as a function of the coordinate."""
+        for j in scope.joints:
+            scope.encoder_ripple[j] = functools.partial(periodic, scope, self.name, j)
+
+
+class Cogging(Effect):
+    """Torque of the motor or its gear on the drive's side, τ = −a sin(n q) − b cos(n q).
+
+    It pulls the joint towards n evenly spaced angles and takes no energy over a period. Slots and
+    magnets of a motor, or the teeth of a gear, cause it [Hanselman 2003]. It acts on the rotor, so
+    the gear does not transmit it.
+    """
+
+    name = "cogging"
+    per_joint = (
+        Parameter(name="cogging_{j}_{torque}", unit="N.m", value=0.0, low=-10.0, high=10.0,
+                  role="effect", description="sine of the torque periodic in the angle",
+                  source="assumed absent"),
+        Parameter(name="cogging_cosine_{j}_{torque}", unit="N.m", value=0.0, low=-10.0, high=10.0,
+                  role="effect", description="its cosine", source="assumed absent"),
+        Parameter(name="cogging_order_{j}", unit="1/rad", value=24.0, low=1.0, high=200.0,
+                  description="periods per turn", source="assumed: pins of the gear's last stage"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Subtract the torque, after the torque that the gear transmits is set."""
+        for j in scope.joints:
+            scope.joint_torque[j] -= periodic(scope, self.name, j, scope.angle[j])
