@@ -128,10 +128,13 @@ class RigServo:
         self._update_current()
         self.gear_nm = self._gear(self.rotor_rad - joint_rad, self.rotor_rad_s - joint_rad_s)
         drive = self._torque_constant * self.current_a - self.gear_nm
+        cogging = 0.0
         if self._cogging:
             periods, phase = self._cogging_periods
-            drive -= self._cogging * math.sin(periods * self.rotor_rad + phase)
-        torque = drive - self._friction.torque_nm(self.rotor_rad_s, self._friction_level(), drive)
+            cogging = self._cogging * math.sin(periods * self.rotor_rad + phase)
+        level = self._friction_level()
+        friction = self._friction.torque_nm(self.rotor_rad_s, level, drive - cogging)
+        torque = self._torque_constant * self.current_a - friction - self.gear_nm - cogging
         self.rotor_rad_s += self._step_s * torque / self._inertia
         self.rotor_rad += self._step_s * self.rotor_rad_s
         return self.gear_nm
