@@ -42,7 +42,7 @@ def sensitivity_model(
         raise ValueError(f"{model.name} has no rate")
     index = [names(model.parameters).index(name) for name in wrt]
     nx, nw = len(model.states), len(wrt)
-    moved = _reached(model, index)
+    moved = _reached(model, model.rate, index)
     z = ca.MX.sym("z", nx + moved.nnz())
     u, p = ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
     h = ca.MX.sym("h")
@@ -74,11 +74,11 @@ def sensitivity_model(
     )
 
 
-def _reached(model: StepModel, index: Sequence[int]) -> Any:
+def _reached(model: StepModel, rate: Any, index: Sequence[int]) -> Any:
     """Sparsity (states, parameters) of the derivatives that can differ from zero at some time."""
     nx, shape = len(model.states), (len(model.states), len(index))
     step, found = np.zeros((nx, nx)), np.zeros(shape)
-    for function in (model.rate, model.begin, model.finish):
+    for function in (rate, model.begin, model.finish):
         step += _pattern(function.jac_sparsity(0, 0))
         found += _pattern(function.jac_sparsity(0, 2))[:, index]
     found += _pattern(model.initial.jac_sparsity(0, 1))[:, index]
