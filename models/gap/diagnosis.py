@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.noise_floor_fit import (
-    floor_of_nuisance_fit,
-    noise_floor_of,
-    nuisance_and_variation,
-)
+from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
 from models.gap.improved_plant import improved_plant
 from models.gap.residuals.fit_parameters import (
@@ -162,7 +158,7 @@ def diagnose(
     catalogue = _catalogue(plant, leave_out)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
-    floor = noise_floor_of(plant, trials[0].meta.dof) or floor_of_nuisance_fit(residuals)
+    floor = noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     consistencies = consistencies_of_named(search, result)

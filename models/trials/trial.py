@@ -129,9 +129,15 @@ class Trial:
 
     @property
     def joint(self) -> Array:
-        """Measured joint coordinates, in rad or, on a straight guide, in m; shape (n, dof)."""
-        angle = "angle_1_rad" in self.columns
-        return self._joints("angle_{j}_rad" if angle else "position_{j}_m")
+        """Joint coordinates, in rad or, on a straight guide, in m; shape (n, dof).
+
+        As measured; where they were not, as commanded; zero where neither was recorded.
+        """
+        last = self.meta.dof
+        for pattern in ("angle_{j}_rad", "position_{j}_m", "goal_{j}_rad", "goal_{j}_m"):
+            if all(pattern.format(j=j) in self.columns for j in range(1, last + 1)):
+                return self._joints(pattern)
+        return np.zeros((len(self), last))
 
     @property
     def current_a(self) -> Array:

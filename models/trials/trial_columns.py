@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -56,42 +58,77 @@ def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) 
         If the file is truncated or no CSV, a column is missing, doubled or without a unit, or a
         value is not a plausible finite number where one is required.
     """
+    required = [s.name for s in signals]
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
+            reader = csv.reader(file)
+            header = next(reader, [])
+            if header:
+                _check_header(path, header, required, known)
+            samples = _read_rows(path, header, reader, required)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
-    while rows and not rows[-1]:  # blank lines at the end are no samples
-        rows.pop()
-    if len(rows) < 4:
-        raise InputError(path, f"has {max(len(rows) - 1, 0)} rows", "give at least three")
-    header, body = rows[0], rows[1:]
-    required = [s.name for s in signals]
-    _check_header(path, header, required, known)
-    samples = np.full((len(body), len(header)), np.nan)
-    optional = _optional(header, body, required)
-    for i, row in enumerate(body):
-        if len(row) != len(header):
-            raise InputError(
-                path, f"row {i + 2} has {len(row)} cells, the header {len(header)}",
-                "the file is truncated or damaged: export it again",
-            )  # fmt: skip
-        for k, cell in enumerate(row):
-            if cell == "" and header[k] in optional:
-                continue
-            try:
-                samples[i, k] = float(cell)
-            except ValueError:
-                samples[i, k] = np.nan
-            if not np.isfinite(samples[i, k]):
-                raise InputError(
-                    path, f"row {i + 2}, column {header[k]}: {cell!r} is not a finite number",
-                    "correct the cell (only a marker may be empty, where it was occluded)",
-                )  # fmt: skip
+    if len(samples) < 3:
+        raise InputError(path, f"has {len(samples)} rows", "give at least three")
     columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
     for name in required:
         _check_magnitude(path, name, columns[name])
     return columns
+
+
+def _read_rows(
+    path: Path, header: list[str], reader: Iterator[list[str]], required: Sequence[str]
+) -> Array:
+    """Samples (n, columns); row by row, since their text takes ten times the memory."""
+    optional = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
+    tip = {k for k, name in enumerate(header) if name in tip_names()}
+    numbers, count, blank = array("d"), 0, False
+    tip_seen, tip_empty = False, (0, 0)
+    for row in reader:
+        if not row:  # blank lines at the end are no samples
+            blank = True
+            continue
+        count += 1
+        if blank or len(row) != len(header):
+            raise InputError(
+                path,
+                f"row {count + 1} has {0 if blank else len(row)} cells, the header {len(header)}",
+                "the file is truncated or damaged: export it again",
+            )
+        values = _numbers(row)
+        missing = () if math.isfinite(sum(values)) else range(len(row))
+        for k in (k for k in missing if not math.isfinite(values[k])):
+            if row[k] == "" and k in tip:  # all cells of the tip may be empty, or none
+                tip_empty = tip_empty if tip_empty[0] else (count + 1, k)
+            elif row[k] or not optional[k]:
+                raise _no_number(path, count + 1, header[k], row[k])
+        tip_seen = tip_seen or any(row[k] for k in tip)
+        numbers.extend(values)
+    if tip_seen and tip_empty[0]:
+        raise _no_number(path, tip_empty[0], header[tip_empty[1]], "")
+    return np.frombuffer(numbers, dtype=np.float64).reshape(count, -1 if count else 0)
+
+
+def _numbers(row: list[str]) -> list[float]:
+    """Cells as numbers, NaN where they are none."""
+    try:
+        return [float(cell) for cell in row]
+    except ValueError:
+        return [_number(cell) for cell in row]
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _no_number(path: Path, row: int, column: str, cell: str) -> InputError:
+    return InputError(
+        path, f"row {row}, column {column}: {cell!r} is not a finite number",
+        "correct the cell (only a marker may be empty, where it was occluded)",
+    )  # fmt: skip
 
 
 def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
@@ -105,14 +142,6 @@ def _check_header(path: Path, header: list[str], required: list[str], known: set
             raise InputError(
                 path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
             )
-
-
-def _optional(header: list[str], body: list[list[str]], required: list[str]) -> set[str]:
-    """Columns whose cells may be empty; those of the tip only where all of them are."""
-    names = {h for h in header if _MARKER.fullmatch(h) or h not in required}
-    tip = [header.index(name) for name in tip_names() if name in header]
-    unseen = not any(row[k] for row in body for k in tip if k < len(row))
-    return names | set(tip_names()) if unseen else names
 
 
 def _column_remedy(name: str, header: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ motion capture every marker and the tip are empty. docs/trials.md defines all co
 from __future__ import annotations
 
 import csv
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -213,6 +214,9 @@ def check_meta(
         meta = msgspec.convert(document, TrialMeta)
     except msgspec.ValidationError as error:
         raise InputError(where, str(error), "see docs/trials.md for its form") from None
+    for key, value in meta.conditions.items():
+        if not math.isfinite(value):
+            raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
     for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
         low, high = _META_RANGE[key]
         value = getattr(meta, key)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from firmware_py.errors import InputError
 from models.gap.estimation.model_discrepancy import discrepancy_of
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
@@ -73,8 +74,27 @@ class GaussNewton:
         self.high = np.array([q.high for q in residuals.fit_parameters])
 
     def start(self) -> FitPoint:
-        """Plant as given: every fit parameter is zero."""
-        return self.at(np.zeros(len(self.residuals.fit_parameters)))
+        """Plant as given: every fit parameter is zero.
+
+        Raises
+        ------
+        InputError
+            If its simulation does not stay finite on some trial.
+        """
+        point = self.at(np.zeros(len(self.residuals.fit_parameters)))
+        if np.isfinite(point.cost):
+            return point
+        wild = [
+            str(self.residuals.trials[k].path)
+            for g, rows in zip(self.residuals.groups, point.rows, strict=True)
+            for k, own in zip(g.trials, rows, strict=True)
+            if not float(np.sum(own**2)) < np.inf
+        ]
+        raise InputError(
+            f"plant {self.residuals.plant.name!r}",
+            "does not stay finite on " + (", ".join(wild) or "these trials"),
+            "identify it on trials of this robot, or check the conditions of the trials",
+        )
 
     def _patterns(self) -> tuple[Array, Array]:
         """Orthonormal patterns of the plant's own error, and what each loses by it.

@@ -90,6 +90,20 @@ class NoiseFloor:
                 table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
         return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
 
+    def completed_by(self, other: NoiseFloor) -> NoiseFloor:
+        """Floor with the spectra of another one for the signals that it lacks.
+
+        Parameters
+        ----------
+        other : NoiseFloor
+            Of more signals.
+        """
+        lacking = [s for s in other.noise if s not in self.noise]
+        at, hz = self.frequency_hz, other.frequency_hz
+        noise = {s: np.interp(at, hz, other.noise[s]) for s in lacking}
+        model = {s: np.interp(at, hz, other.model[s]) for s in lacking}
+        return replace(self, noise={**self.noise, **noise}, model={**self.model, **model})
+
     def whitener(
         self,
         group: TrialGroup,
@@ -97,6 +111,8 @@ class NoiseFloor:
         settings: GapSettings = DEFAULT_SETTINGS,
     ) -> Array:
         """Inverse Cholesky factors, shape (signals, K, trials, trials).
+
+        A signal of which the floor knows nothing does not count: its factors are zero.
 
         Parameters
         ----------
@@ -115,6 +131,9 @@ class NoiseFloor:
         left, own_noise = (remains, 1 / self.repeats) if known else (1.0, 0.0)
         result = np.empty((len(group.signals), len(hz), len(own), len(own)))
         for s, signal in enumerate(group.signals):
+            if signal not in self.noise:
+                result[s] = 0.0
+                continue
             noise, model = (
                 np.interp(hz, self.frequency_hz, table[signal])
                 for table in (self.noise, self.model)
@@ -149,8 +168,10 @@ class NoiseFloor:
         for a, k in enumerate(group.trials):
             payload = trials[k].meta.payload_kg
             for b, signal in enumerate(group.signals):
-                table = np.array([known[p][signal] for p in payloads])
-                result[a, b] = _between(payload, payloads, table)
+                own = [p for p in payloads if signal in known[p]]
+                if own:
+                    table = np.array([known[p][signal] for p in own])
+                    result[a, b] = _between(payload, np.array(own), table)
         return result
 
 
@@ -259,10 +280,10 @@ def floor_from_residuals(
             noise[signal].append(np.interp(hz, own, varying))
             model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
         if split:
-            curves[group.key] = {
-                float(p): {s: part.mean(axis=0)[b] for b, s in enumerate(group.signals)}
-                for p, part in zip(np.unique(payloads), parts, strict=True)
-            }
+            for p, part in zip(np.unique(payloads), parts, strict=True):
+                own_curves = curves.setdefault(group.key, {}).setdefault(float(p), {})
+                for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
+                    own_curves.setdefault(s, curve)
     return NoiseFloor(
         hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated
     )

@@ -119,6 +119,26 @@ def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoi
     return estimator.fit(estimator.start(), free)
 
 
+def noise_floor_for(residuals: Residuals) -> NoiseFloor:
+    """Floor of the plant file, or, for what that does not know, of the nuisance fit.
+
+    A signal that `identify` did not see has the spectrum of the nuisance fit's residual.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the trials where the gap is looked for.
+    """
+    known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
+    signals = {s for g in residuals.groups for s in g.signals}
+    if known is not None and signals <= known.noise.keys():
+        return known
+    fitted = floor_of_nuisance_fit(residuals)
+    if known is None:
+        return fitted
+    return known.completed_by(fitted)
+
+
 def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
     """Floor that the plant file carries for a number of joints; None where it carries none.
 

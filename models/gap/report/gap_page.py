@@ -264,7 +264,7 @@ def _residuals(document: GapDocument, part: str, both: Sequence[Comparison]) -> 
     for signal in both[0].simulated:
         series = [-c.error(signal) for c in both]
         still = all(np.ptp(c.simulated[signal]) == 0 for c in both)  # across a single joint's plane
-        if still or not np.nanmax(np.abs(series[0])) > 0 or signal not in document.before[part]:
+        if still or not np.any(np.abs(series[0]) > 0) or signal not in document.before[part]:
             continue
         row = document.before[part][signal]
         floor = row.rms / row.floors if row.floors else None

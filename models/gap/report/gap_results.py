@@ -126,7 +126,7 @@ def errors_in_floors(
         if not np.isfinite(row.rms):  # never measured where the rows count
             continue
         size = floor[signal].rms if signal in floor else np.nan
-        result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size))
+        result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size) if size > 0 else None)
     return result
 
 

@@ -14,6 +14,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from firmware_py.errors import InputError
 from firmware_py.motion import Kind, Motion
 from firmware_py.signals import PERIOD_S
 from models.gap.diagnosis import Diagnosis
@@ -63,7 +64,10 @@ def separating_motion(
         if label == "payload swap":
             payload = swapped if heaviest <= swapped / 2 else 0.0
         rest = found.settings.menu_rest_samples
-        trial = _simulated(found.improved, trials[0], kind, payload, rest)
+        try:
+            trial = _simulated(found.improved, trials[0], kind, payload, rest)
+        except InputError:  # the trials' amplitude or period are outside what a motion may have
+            return NO_MOTION, {}
         result[label] = min(_separation(found, trial, other) for other in alike)
     return max(result, key=lambda label: result[label]), result
 

@@ -9,7 +9,7 @@ counts where it stays significant under a false-discovery rate (Benjamini and Ho
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -81,10 +81,11 @@ def locate_gap(
         series = _series(rows, samples)
         pairs = _pairs(own, rows, samples)
         masks = _masks(own, settings)
-        block = round(settings.bootstrap_block_s / step_s)
+        block = min(max(1, round(settings.bootstrap_block_s / step_s)), samples)
         noise = _noise(rng, pairs, series.shape, block, settings.bootstrap_draws)
+        drawn = _drawn_power(noise, masks)
         for b, signal in enumerate(group.signals):
-            regions += _regions(signal, series[:, b], masks, noise)
+            regions += _regions(signal, series[:, b], masks, drawn)
             regions += _bands(signal, rows[:, b], hz, rng, settings)
     found = _significant(regions, settings.false_discovery_rate)
     return sorted(found, key=lambda c: (not c.significant, -c.floors))
@@ -112,18 +113,32 @@ def _pairs(own: Sequence[Trial], rows: Array, samples: int) -> Array:
 
 def _noise(
     rng: np.random.Generator, pairs: Array, shape: tuple[int, ...], block: int, draws: int
-) -> Array:
-    """Draws of noise for one signal, (draws, trials, n)."""
+) -> Iterator[Array]:
+    """Draws of noise for one signal, each (trials, n): all at once would fill the memory."""
     trials, samples = shape[0], shape[-1]
     if not len(pairs):
-        return rng.standard_normal((draws, trials, samples))
+        for _ in range(draws):
+            yield rng.standard_normal((trials, samples))
+        return
     count = -(-samples // block)
     row = rng.integers(len(pairs), size=(draws, trials, count))
     start = rng.integers(max(samples - block, 1), size=row.shape)
     sign = rng.choice([-1.0, 1.0], size=row.shape)
     offset = np.arange(block)
-    drawn = pairs[row[..., None], start[..., None] + offset] * sign[..., None]
-    return np.asarray(drawn.reshape(draws, trials, -1)[..., :samples])
+    for r, s, g in zip(row, start, sign, strict=True):
+        drawn = pairs[r[..., None], s[..., None] + offset] * g[..., None]
+        yield drawn.reshape(trials, -1)[:, :samples]
+
+
+def _drawn_power(
+    noise: Iterable[Array], masks: Mapping[tuple[str, str], Array]
+) -> dict[tuple[str, str], Array]:
+    """Mean square of each draw in each region, (draws,)."""
+    result: dict[tuple[str, str], list[float]] = {key: [] for key in masks}
+    for draw in noise:
+        for key, mask in masks.items():
+            result[key].append(float(np.mean(draw[mask] ** 2)))
+    return {key: np.array(powers) for key, powers in result.items()}
 
 
 def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str], Array]:
@@ -132,7 +147,9 @@ def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str],
     rate = np.gradient(angle, own[0].step_s, axis=1)
     time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
     phases = settings.location_phases
-    phase = np.floor(phases * ((time_s / own[0].meta.period_s) % 1.0)).astype(int)
+    period_s = own[0].meta.period_s
+    phases = phases if period_s > 0 else 0  # a motion without a period has no phases
+    phase = np.floor(phases * ((time_s / (period_s or 1.0)) % 1.0)).astype(int)
     moving, still = time_s >= 0, settings.standing_rate_rad_s
     third = np.max(np.abs(angle)) / 3
     masks: dict[tuple[str, str], Array] = {}
@@ -160,13 +177,16 @@ def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str],
 
 
 def _regions(
-    signal: str, series: Array, masks: dict[tuple[str, str], Array], noise: Array
+    signal: str,
+    series: Array,
+    masks: Mapping[tuple[str, str], Array],
+    noise: Mapping[tuple[str, str], Array],
 ) -> list[GapRegion]:
     result = []
     for (factor, level), mask in masks.items():
         chosen = series[mask]
         power = float(np.mean(chosen**2))
-        drawn = np.mean(noise[:, mask] ** 2, axis=1)
+        drawn = noise[factor, level]
         p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
         result.append(
             GapRegion(

@@ -25,12 +25,18 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.simulation.long_trials import shortened
 from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 from models.trials.trial import Trial
 
 WORKERS: Final = 2
 """Threads that simulate; CasADi lets go of the interpreter meanwhile."""
+
+_FOLLOWED: Final = "goal_{j}_rad angle_{j}_rad current_{j}_a"
+
+LARGEST_DERIVATIVE: Final = 1e60
+"""Larger ones are those of a simulation that runs away; their squares would overflow [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,7 @@ class Residuals:
     Raises
     ------
     InputError
-        If the trials are of one and of two joints.
+        If the trials are of one and of two joints, or nothing is measured in one of them.
     """
 
     def __init__(
@@ -102,11 +108,12 @@ class Residuals:
         dofs = {t.meta.dof for t in trials}
         if len(dofs) != 1:
             raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
-        self.plant, self.trials = plant, tuple(trials)
-        self.fit_parameters, self.settings = tuple(fit_parameters), settings
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
         substep_s = settings.longest_substep_s if is_link else model.max_substep_s
+        self.plant, self.trials = plant, shortened(trials, model, substep_s)
+        self.fit_parameters, self.settings = tuple(fit_parameters), settings
+        trials = self.trials
         self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._plain = CompiledModel(self.model)
@@ -139,19 +146,21 @@ class Residuals:
         )
 
     def _group(self) -> list[TrialGroup]:
-        found: dict[str, list[int]] = {}
+        found: dict[tuple[str, tuple[str, ...]], list[int]] = {}
         for k, trial in enumerate(self.trials):
-            found.setdefault(trial_group_key(trial), []).append(k)
+            own = self._measured[k]
+            seen = tuple(s for s in self._outputs if s in own and np.isfinite(own[s]).any())
+            if not seen:
+                raise InputError(
+                    trial.path, "has no measured signal that the plant simulates",
+                    "declare one of " + ", ".join(self._outputs) + " and give its samples",
+                )  # fmt: skip
+            found.setdefault((trial_group_key(trial), seen), []).append(k)
         result = []
-        for key, rows in found.items():
-            seen = [
-                s for s in self._outputs
-                if all(s in self._measured[k] and np.isfinite(self._measured[k][s]).any()
-                       for k in rows)
-            ]  # fmt: skip
+        for (key, seen), rows in found.items():
             first = self.trials[rows[0]]
             count = coefficient_count(len(first), first.step_s, self.settings.highest_frequency_hz)
-            result.append(TrialGroup(key, tuple(rows), tuple(seen), count))
+            result.append(TrialGroup(key, tuple(rows), seen, count))
         return result
 
     def residuals(self, values: Array) -> list[Array]:
@@ -165,15 +174,7 @@ class Residuals:
         with ThreadPoolExecutor(WORKERS) as pool:
             both = list(pool.map(lambda k: self._run_sensitive(k, values), range(len(self.trials))))
         rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
-        slopes = []
-        for g in self.groups:
-            shape = len(g.trials), len(g.signals), g.coefficients, len(self.fit_parameters)
-            block = np.empty(shape)
-            for a, k in enumerate(g.trials):
-                for b, signal in enumerate(g.signals):
-                    slope = both[k][1][self._outputs.index(signal)]
-                    block[a, b] = self._coefficients(k, signal, slope, g.coefficients)
-            slopes.append(block)
+        slopes = [np.stack([both[k][1] for k in g.trials]) for g in self.groups]
         return rows, slopes
 
     def goal_not_followed(self) -> dict[str, int]:
@@ -197,23 +198,30 @@ class Residuals:
         y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
         return np.asarray(y + self._by_output @ (values * self._acts[k]))
 
-    def _run_sensitive(self, k: int, values: Array) -> tuple[Array, list[Array]]:
-        """Outputs (n, outputs) and, by output, their derivatives (n, fit parameters)."""
+    def _run_sensitive(self, k: int, values: Array) -> tuple[Array, Array]:
+        """Outputs (n, outputs) and the spectra of their derivatives (signals, K, fit parameters).
+
+        A derivative that overflows says nothing and counts as zero.
+        """
         y = run_trial(self._sensitive, self.trials[k], self._parameters(k, values))
-        count = len(self._outputs)
-        slopes = [
-            (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._acts[k]
-            for o in range(count)
-        ]
-        return y[:, :count] + self._by_output @ (values * self._acts[k]), slopes
+        count, group = len(self._outputs), next(g for g in self.groups if k in g.trials)
+        spectra = np.empty((len(group.signals), group.coefficients, len(self.fit_parameters)))
+        for b, signal in enumerate(group.signals):
+            o = self._outputs.index(signal)
+            slope = (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._acts[k]
+            spectra[b] = self._coefficients(k, signal, slope, group.coefficients)
+        spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0
+        return y[:, :count] + self._by_output @ (values * self._acts[k]), spectra
 
     def _spectra(self, g: TrialGroup, runs: Sequence[Array]) -> Array:
         rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
         for a, k in enumerate(g.trials):
             for b, signal in enumerate(g.signals):
-                residual = self._measured[k][signal] - runs[k][:, self._outputs.index(signal)]
-                seen = interpolate_missing(residual)
-                rows[a, b] = self._coefficients(k, signal, seen, g.coefficients)
+                simulated = runs[k][:, self._outputs.index(signal)]
+                residual = self._measured[k][signal] - simulated
+                if np.isfinite(simulated).all():
+                    residual = interpolate_missing(residual)
+                rows[a, b] = self._coefficients(k, signal, residual, g.coefficients)
         return rows
 
     def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
@@ -248,7 +256,7 @@ def rows_that_follow(
     """1 for each row up to where a joint no longer follows its goal, 0 after.
 
     There the current saturates and the joint falls behind. Two such falls differ, so no simulation
-    follows them.
+    follows them. Where angle or current were not measured every row counts.
 
     Parameters
     ----------
@@ -263,6 +271,9 @@ def rows_that_follow(
     -------
     ndarray, shape (n,)
     """
+    joints = range(1, trial.meta.dof + 1)
+    if any(q not in trial.columns for j in joints for q in _FOLLOWED.format(j=j).split()):
+        return np.ones(len(trial))
     error, current = np.abs(trial.goal_rad - trial.angle_rad), np.abs(trial.current_a)
     behind = error > usual_error_rad + settings.not_followed_error_rad
     saturated = current > settings.not_followed_current_fraction * current.max(axis=0)
@@ -271,9 +282,11 @@ def rows_that_follow(
 
 
 def interpolate_missing(rows: Array) -> Array:
-    """Rows with what is missing interpolated."""
+    """Rows with what is missing interpolated; zero where all is missing."""
     seen = np.isfinite(rows)
     if seen.all():
         return rows
+    if not seen.any():
+        return np.zeros(len(rows))
     place = np.arange(len(rows))
     return np.interp(place, place[seen], rows[seen])

@@ -29,10 +29,10 @@ def coefficient_count(samples: int, step_s: float, highest_hz: float) -> int:
 
     Examples
     --------
-    >>> coefficient_count(512, 0.017, 8.0)
-    139
+    >>> coefficient_count(512, 0.017, 8.0), coefficient_count(3, 0.017, 8.0)
+    (139, 3)
     """
-    return max(4, min(samples, int(2 * samples * step_s * highest_hz)))
+    return min(samples, max(4, int(2 * samples * step_s * highest_hz)))
 
 
 def coefficient_frequencies_hz(coefficients: int, samples: int, step_s: float) -> Array:

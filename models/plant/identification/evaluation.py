@@ -61,7 +61,8 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
     Raises
     ------
     InputError
-        If a trial lacks an input of the plant, or the simulation does not stay finite on it.
+        If a trial lacks an input of the plant, nothing that the plant simulates was measured in it,
+        or the simulation does not stay finite on it.
     """
     compiled: dict[int, CompiledModel] = {}
     result = []
@@ -72,6 +73,11 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
         y, measured = run_trial(compiled[dof], trial), measured_signals(trial)
         signals = [s for s in names(compiled[dof].model.outputs) if s in measured]
         outputs = names(compiled[dof].model.outputs)
+        if not any(np.isfinite(measured[s]).any() for s in signals):
+            raise InputError(
+                trial.path, "has no measured signal that the plant simulates",
+                "declare one of " + ", ".join(outputs) + " and give its samples",
+            )  # fmt: skip
         simulated = {s: y[:, outputs.index(s)] for s in signals}
         if not all(np.isfinite(column).all() for column in simulated.values()):
             raise InputError(
@@ -83,7 +89,7 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
 
 
 def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, SignalError]:
-    """Errors of each signal over all rows of all trials.
+    """Errors of each signal over all rows of all trials that it was measured in.
 
     Parameters
     ----------
@@ -98,9 +104,9 @@ def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, 
     result = {}
     for signal, unit in units.items():
         parts = [c.error(signal) for c in comparisons if signal in c.simulated]
-        if parts:
-            error = np.concatenate(parts)
-            rms, mae = np.sqrt(np.nanmean(error**2)), np.nanmean(np.abs(error))
+        error = np.concatenate([part[np.isfinite(part)] for part in parts] or [np.empty(0)])
+        if len(error):
+            rms, mae = np.sqrt(np.mean(error**2)), np.mean(np.abs(error))
             result[signal] = SignalError(float(rms), float(mae), unit)
     return result
 
@@ -108,18 +114,26 @@ def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, 
 def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
     """Root mean square distance of the simulated from the measured end effector."""
     squares = [
-        sum(c.error(axis) ** 2 for axis in TIP) for c in comparisons if TIP[0] in c.simulated
+        np.sum([c.error(axis) ** 2 for axis in TIP], axis=0)
+        for c in comparisons
+        if all(axis in c.simulated for axis in TIP)
     ]
-    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+    return _root_mean(squares)
 
 
 def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
     """The same for a link that does not bend, at the measured angles, for comparison."""
     squares = []
-    for trial in (c.trial for c in comparisons if TIP[0] in c.simulated):
+    for trial in (c.trial for c in comparisons if {"angle_1_rad", *TIP} <= c.simulated.keys()):
         rigid = rigid_tip_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_length_m)
         squares.append(np.sum((rigid - trial.tip_m) ** 2, axis=1))
-    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+    return _root_mean(squares)
+
+
+def _root_mean(squares: Sequence[Array]) -> float | None:
+    """Root of the mean over all rows that were measured; None where none was."""
+    seen = np.concatenate([part[np.isfinite(part)] for part in squares] or [np.empty(0)])
+    return float(np.sqrt(np.mean(seen))) if len(seen) else None
 
 
 def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:

@@ -17,6 +17,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from firmware_py.errors import InputError
+from models.plant.effects import PULLEY_M
 from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.compiled_model import (
     Array,
@@ -24,6 +26,7 @@ from models.plant.simulation.compiled_model import (
     run_trial,
     trial_parameters,
 )
+from models.plant.simulation.long_trials import shortened
 from models.plant.simulation.sensitivity import sensitivity_model
 from models.plant.step_model import names
 from models.trials.deformation import deformation_index, marker_lengths_m
@@ -38,6 +41,12 @@ CORRELATED_SAMPLES: Final = 12
 
 STANDSTILL_RAD_S: Final = 0.1
 """Joint rate below which dry friction can take any value, so that the current has a low weight."""
+
+STANDSTILL_M_S: Final = STANDSTILL_RAD_S * PULLEY_M
+"""The same on a straight guide."""
+
+LARGEST_DERIVATIVE: Final = 1e60
+"""Larger ones are those of a simulation that runs away; their squares would overflow [assumed]."""
 
 WORKERS: Final = 2
 
@@ -67,7 +76,9 @@ def _balanced_index(trial: Trial) -> Array:
 
 
 def row_weights(trial: Trial, signal: str) -> Array:
-    """Square root of the weight of each row of a signal; a current is weighted by its joint's rate.
+    """Square root of the weight of each row of a signal.
+
+    A current is weighted by its joint's rate, or not at all where that was not measured.
 
     Parameters
     ----------
@@ -78,9 +89,13 @@ def row_weights(trial: Trial, signal: str) -> Array:
     """
     if not signal.startswith("current_"):
         return np.ones(len(trial))
-    angle = trial.columns[signal.replace("current", "angle").replace("_a", "_rad")]
-    rate = np.gradient(angle, trial.step_s)
-    return np.asarray(np.sqrt(rate**2 / (rate**2 + STANDSTILL_RAD_S**2)))
+    joint = signal.split("_")[1]
+    standstill = {f"angle_{joint}_rad": STANDSTILL_RAD_S, f"position_{joint}_m": STANDSTILL_M_S}
+    for name, still in standstill.items():
+        if name in trial.columns:
+            rate = np.gradient(trial.columns[name], trial.step_s)
+            return np.asarray(np.sqrt(rate**2 / (rate**2 + still**2)))
+    return np.ones(len(trial))
 
 
 @dataclass(frozen=True)
@@ -136,15 +151,19 @@ class Objective:
         scale: Mapping[str, float] | None = None,
         max_substep_s: float | None = None,
     ) -> None:
-        self.plant, self.free, self.trials = plant, tuple(free), tuple(trials)
+        self.plant, self.free = plant, tuple(free)
         self._signals, self._scale = tuple(signals), dict(scale or {})
-        self._measured = [measured_signals(t) for t in trials]
         self._models: dict[int, tuple[CompiledModel, list[str]]] = {}
+        used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
+            same = [t for t in trials if t.meta.dof == dof]
+            used += shortened(same, model, max_substep_s or model.max_substep_s)
             own = [name for name in self.free if name in names(model.parameters)]
             compiled = CompiledModel(sensitivity_model(model, own, max_substep_s))
             self._models[dof] = (compiled, own)
+        self.trials = tuple(used)
+        self._measured = [measured_signals(t) for t in used]
         chosen = [plant.parameters[name] for name in self.free]
         self.start = np.array([q.value for q in chosen])
         self.low = np.array([q.low for q in chosen])
@@ -164,6 +183,8 @@ class Objective:
                 [j for rows in parts for _, j in rows.values()]
                 + [np.diag(1 / self.prior_deviation)]
             )
+            if not (np.abs(jacobian) < LARGEST_DERIVATIVE).all():
+                residual = np.full_like(residual, np.inf)  # runs away: no step may end here
             self._last = (key, residual, jacobian)
         return self._last[1], self._last[2]
 
@@ -172,11 +193,22 @@ class Objective:
         squares: dict[str, list[Array]] = {}
         for k in range(len(self.trials)):
             for signal, (residual, _) in self._trial(k, values).items():
-                squares.setdefault(signal, []).append(residual**2 * CORRELATED_SAMPLES)
+                if len(residual):
+                    squares.setdefault(signal, []).append(residual**2 * CORRELATED_SAMPLES)
         return {
             signal: float(np.sqrt(np.mean(np.concatenate(rows)))) * self.scale(signal)
             for signal, rows in squares.items()
         }
+
+    def runaway_trials(self, values: Array) -> list[str]:
+        """Files of the trials whose simulation, or its derivatives, do not stay finite."""
+        return [
+            str(trial.path) for k, trial in enumerate(self.trials)
+            if not all(
+                np.isfinite(r).all() and (np.abs(j) < LARGEST_DERIVATIVE).all()
+                for r, j in self._trial(k, values).values()
+            )
+        ]  # fmt: skip
 
     def scale(self, signal: str) -> float:
         """Scale of a signal's residual, at least half of `SCALE`.
@@ -233,6 +265,11 @@ def fit_objective(
         Relative change of the cost that ends the fit.
     report : callable
         Called with the cost after each evaluation.
+
+    Raises
+    ------
+    InputError
+        If the simulation does not stay finite at the start.
     """
 
     def residuals(values: Array) -> Array:
@@ -243,6 +280,12 @@ def fit_objective(
     margin = 1e-9 * (objective.high - objective.low)
     first = np.clip(objective.start if start is None else start,
                     objective.low + margin, objective.high - margin)  # fmt: skip
+    if not np.isfinite(objective(first)[0]).all():
+        raise InputError(
+            f"plant {objective.plant.name!r}",
+            f"does not stay finite on {', '.join(objective.runaway_trials(first)) or 'a trial'}",
+            "start from other values of its parameters, or check the conditions of the trials",
+        )
     found = least_squares(
         residuals, first, lambda values: objective(values)[1],
         bounds=(objective.low, objective.high), x_scale="jac", method="trf",

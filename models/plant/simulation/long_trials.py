@@ -1,0 +1,91 @@
+"""Limit on the rows of long trials that are fitted, so that a fit takes minutes and little memory.
+
+A fit simulates its trials some hundred times. A simulation costs rows times sub-steps times states:
+its state updates. A trial that needs too many is cut to its first rows, and the longest of too many
+trials are. The first rows begin at rest, so that the state at the start is known. Whatever is
+simulated once (`evaluate`, the errors before and after a diagnosis) uses whole trials: there the
+rest of a cut one is held out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.plant.step_model import StepModel
+from models.trials.trial import Trial
+
+__all__ = ["shortened"]
+
+MOST_OF_TRIAL: Final = 3e6
+"""State updates in one simulation of a trial: 22 700 rows of the link with every effect and one
+joint, which a diagnosis needs eight minutes for; 600 000 rows of a mass on a guide at 1 kHz
+(measured)."""
+
+MOST_OF_ALL: Final = 10e6
+"""State updates in one simulation of all trials; `make demo` needs a hundredth [assumed]."""
+
+LEAST_ROWS: Final = 200
+"""Rows that every trial keeps [assumed]."""
+
+REST_FRACTION: Final = 0.25
+"""Fraction of a cut trial that may be at rest before the motion [assumed]."""
+
+
+def shortened(
+    trials: Sequence[Trial],
+    model: StepModel,
+    substep_s: float,
+    most_of_trial: float = MOST_OF_TRIAL,
+    most_of_all: float = MOST_OF_ALL,
+) -> tuple[Trial, ...]:
+    """Trials cut so that their simulation needs no more than some state updates.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        To fit to.
+    model : StepModel
+        That is simulated.
+    substep_s : float
+        Longest internal step in s.
+    most_of_trial, most_of_all : float
+        State updates of one trial, and of all.
+    """
+    cost = np.array(
+        [len(model.states) * max(1, math.ceil(t.step_s / substep_s - 1e-9)) for t in trials]
+    )
+    updates = np.minimum(cost * np.array([len(t) for t in trials]), most_of_trial)
+    each = _level(updates, most_of_all)
+    return tuple(
+        _first_rows(t, max(LEAST_ROWS, int(min(each, most_of_trial) / c)))
+        for t, c in zip(trials, cost, strict=True)
+    )
+
+
+def _level(sizes: NDArray[np.float64], most: float) -> float:
+    """Level w with sum(min(size, w)) = most; infinite where all sizes together are below."""
+    left = most
+    for place, size in enumerate(np.sort(sizes)):
+        level = left / (len(sizes) - place)
+        if size > level:
+            return level
+        left -= float(size)
+    return math.inf
+
+
+def _first_rows(trial: Trial, rows: int) -> Trial:
+    """First rows of a trial; of a long rest before the motion only the end."""
+    if rows >= len(trial):
+        return trial
+    rest = trial.meta.rest_samples
+    start = max(0, rest - int(REST_FRACTION * rows))
+    meta = msgspec.structs.replace(trial.meta, rest_samples=rest - start)
+    columns = {name: column[start : start + rows] for name, column in trial.columns.items()}
+    return replace(trial, meta=meta, columns=columns)
