@@ -1,8 +1,11 @@
-"""Benchmark of the gap workflow.
+"""Benchmark of the gap workflow, by rig.
 
     python -m bench.gap --plant build/plant.json --out build/bench_gap
+    python -m bench.gap --rigs default drive test_a --out build/bench_rigs
 
-Resumable: one result file per case, named by its hash; a rerun does what is missing.
+With --plant, cases of the default rig. With --rigs, cases of each rig, with a plant that is
+identified on that rig first. Resumable: one result file per case, named by its hash; a rerun does
+what is missing. Leaves figures, the confusion matrix and a table by rig in OUT/summary.
 """
 
 from __future__ import annotations
@@ -16,13 +19,16 @@ from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from bench.gap.case_run import run_bench_case
-from bench.gap.cases import BenchCase, draw_cases
+from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
+from bench.gap.rig_plants import plant_of_rig
+from bench.gap.rig_table import figures_by_rig, rig_table_text
 from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
 from firmware_py.console import Progress
+from models.rig.rig_structure import named_structures
 
 
 def run_benchmark(
-    cases: Iterable[BenchCase], plant: Path, out: Path, executor: Executor | None = None
+    cases: Iterable[BenchCase], plant: Path | None, out: Path, executor: Executor | None = None
 ) -> None:
     """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor.
 
@@ -30,8 +36,8 @@ def run_benchmark(
     ----------
     cases : iterable of BenchCase
         Drawn by `draw_cases`.
-    plant : Path
-        Identified without effects.
+    plant : Path or None
+        Identified without effects; None for one of each case's own rig.
     out : Path
         Directory of the result files.
     executor : Executor, optional
@@ -44,10 +50,15 @@ def run_benchmark(
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     pool = executor or ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
     try:
-        futures = {pool.submit(run_bench_case, case, str(plant), str(out)): case for case in left}
+        rigs = sorted({c.rig for c in left})
+        plants = {rig: plant or plant_of_rig(rig, out / "plants") for rig in rigs}
+        futures = {
+            pool.submit(run_bench_case, case, str(plants[case.rig]), str(out)): case
+            for case in left
+        }
         for future in as_completed(futures):
             future.result()
-            progress.step(futures[future].kind)
+            progress.step(f"{futures[future].rig} {futures[future].kind}")
     finally:
         if executor is None:
             pool.shutdown(cancel_futures=True)
@@ -55,22 +66,38 @@ def run_benchmark(
 
 def main() -> None:
     """Draw, run, summarise."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plant", type=Path, required=True, help="identified without effects")
-    parser.add_argument("--out", type=Path, required=True, help="directory of results")
-    parser.add_argument("--singles", type=int, default=4, help="cases of each effect and size")
-    parser.add_argument("--nulls", type=int, default=150, help="data sets without an effect")
-    parser.add_argument("--pairs", type=int, default=30, help="data sets with two effects")
-    parser.add_argument("--outside", type=int, default=20, help="effect denied to the catalogue")
-    parser.add_argument("--seed", type=int, default=0, help="of the draw")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--plant", type=Path, help="identified on the default rig without effects")
+    add("--rigs", nargs="+", choices=list(named_structures()), default=[], metavar="NAME",
+        help="rigs, each with a plant of its own: " + ", ".join(named_structures()))  # fmt: skip
+    add("--out", type=Path, required=True, help="directory of results")
+    add("--singles", type=int, default=4, help="cases of each effect and size")
+    add("--nulls", type=int, default=150, help="data sets without an effect")
+    add("--pairs", type=int, default=30, help="data sets with two effects")
+    add("--outside", type=int, default=20, help="effect denied to the catalogue")
+    add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
+    add("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args()
-    cases = draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed)
+    if bool(args.plant) == bool(args.rigs):
+        parser.error("give either --plant or --rigs")
+    cases: list[BenchCase] = []
+    for rig in args.rigs or [DEFAULT_RIG]:
+        own = list(
+            draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig)
+        )
+        cases += own if args.most is None else mixed_cases(own, args.most)
     run_benchmark(cases, args.plant, args.out)
-    figures = benchmark_figures(args.out)
-    (args.out / "summary").mkdir(exist_ok=True)
-    (args.out / "summary" / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
-    (args.out / "summary" / "confusion.svg").write_text(confusion_matrix_svg(args.out))
-    print(json.dumps(figures, indent=1))
+    figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)
+    summary = args.out / "summary"
+    summary.mkdir(exist_ok=True)
+    (summary / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
+    (summary / "by_rig.json").write_text(json.dumps(by_rig, indent=1) + "\n")
+    (summary / "by_rig.md").write_text(rig_table_text(by_rig) + "\n")
+    (summary / "confusion.svg").write_text(confusion_matrix_svg(args.out))
+    print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
 
 
 if __name__ == "__main__":

@@ -17,12 +17,13 @@ import numpy as np
 from bench.gap.cases import BenchCase
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from models.gap.diagnosis import diagnose
+from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import RigParameters, read_parameters
+from models.rig.rig_parameters import RigParameters, read_rig
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
@@ -30,6 +31,8 @@ from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
 SEALED_KG = 1.0
+SEALED_CONDITIONS = {"motion": ("multisine", SEALED_KG), "payload": ("sinusoid", 1.5)}
+"""Motion and payload of the trials that judge the improved plant in SI units."""
 HANGING_RAD = 0.1
 
 
@@ -87,6 +90,8 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             for effect in found.named
         },
         "sealed": sealed_errors(rig, case, [plant, found.improved]) if found.named else None,
+        "sealed_rms": sealed_rms(rig, case, plant, found.improved) if found.named else {},
+        "unsaid_bounds": unsaid_bounds(found),
         "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
         "strength_consistency": {
             e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()
@@ -187,6 +192,55 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+def sealed_rms(
+    rig: RigParameters, case: BenchCase, given: Plant, improved: Plant
+) -> dict[str, dict[str, list[float]]]:
+    """Root mean square errors of both plants in SI units: trial → signal → [given, improved].
+
+    The trials are one of another motion and one of another payload, with the hidden effects.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Of the case.
+    case : BenchCase
+        With the hidden effects.
+    given, improved : Plant
+        Before and after the diagnosis.
+    """
+    hidden, result = rig.hide(case.hidden), {}
+    for what, (motion, payload_kg) in SEALED_CONDITIONS.items():
+        try:
+            trial = run_case(hidden, TrialCase(Motion(motion), payload_kg, 3, case.seed))
+        except InputError:  # the link folds
+            continue
+        before, after = (compare_with_trials(p, [trial])[0] for p in (given, improved))
+        result[what] = {s: [_rms(before.error(s)), _rms(after.error(s))] for s in before.simulated}
+    return result
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.nanmean(error**2)))
+
+
+def unsaid_bounds(found: Diagnosis) -> list[str]:
+    """Refitted parameters of the improved plant that are at a bound.
+
+    The workflow is to refuse such a plant, so that none is left.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Of a case.
+    """
+    given, improved = found.plant.parameters, found.improved.parameters
+    return [
+        name
+        for name, q in improved.items()
+        if (name not in given or q.value != given[name].value) and q.value in (q.low, q.high)
+    ]
+
+
 def required_noise_floor(plant: Plant) -> NoiseFloor:
     """Noise floor of a plant for one joint.
 
@@ -203,7 +257,7 @@ def required_noise_floor(plant: Plant) -> NoiseFloor:
 
 def rig_of(case: BenchCase) -> RigParameters:
     """Rig of a case, without the hidden effects."""
-    rig = read_parameters()
+    rig = read_rig(case.rig)
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 

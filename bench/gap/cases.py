@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
+
+DEFAULT_RIG: Final = "default"
 
 Kind = Literal["single", "null", "pair", "outside"]
 
@@ -59,12 +62,15 @@ class BenchCase:
         Factors on the rig's parameters.
     seed : int
         Of trial variation and noise.
+    rig : str
+        Name of the rig.
     """
 
     kind: Kind
     hidden: dict[str, float]
     nuisance: dict[str, float]
     seed: int
+    rig: str = DEFAULT_RIG
 
     @property
     def key(self) -> str:
@@ -74,9 +80,9 @@ class BenchCase:
 
 
 def draw_cases(
-    singles: int, nulls: int, pairs: int, outside: int, seed: int
+    singles: int, nulls: int, pairs: int, outside: int, seed: int, rig: str = DEFAULT_RIG
 ) -> Iterator[BenchCase]:
-    """Draw cases.
+    """Draw cases; those of each rig differ.
 
     Parameters
     ----------
@@ -86,14 +92,17 @@ def draw_cases(
         Without an effect, with two, and with one that the catalogue is denied.
     seed : int
         Of the draw.
+    rig : str
+        Name of the rig.
     """
-    rng = np.random.default_rng(seed)
+    own = [] if rig == DEFAULT_RIG else [zlib.crc32(rig.encode())]
+    rng = np.random.default_rng([seed, *own] if own else seed)
     names = list(TYPICAL)
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
         nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
         strengths = {e: _strength(rng, e, size) for e, size in hidden}
-        return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)))
+        return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig)
 
     for _ in range(singles):
         for size in (1.0, 0.2):
@@ -103,6 +112,26 @@ def draw_cases(
         first, second = rng.choice(names, 2, replace=False).tolist()
         yield case("pair", (first, 1.0), (second, 1.0))
     yield from (case("outside", (str(rng.choice(names)), 1.0)) for _ in range(outside))
+
+
+def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:
+    """At most so many cases, the kinds in turn: six with one effect to one of each other kind.
+
+    Parameters
+    ----------
+    cases : sequence of BenchCase
+        Of one rig.
+    most : int
+        Number to keep.
+    """
+    queues = {kind: [c for c in cases if c.kind == kind] for kind in get_args(Kind)}
+    kept: list[BenchCase] = []
+    while len(kept) < most and any(queues.values()):
+        for kind, queue in queues.items():
+            count = 6 if kind == "single" else 1
+            kept += queue[:count]
+            del queue[:count]
+    return kept[:most]
 
 
 def _strength(rng: np.random.Generator, effect: str, size: float) -> float:

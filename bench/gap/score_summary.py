@@ -57,14 +57,14 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "cases": len(results),
         "impossible": len(results) - len(possible),
         "detected": fraction_with_interval([bool(r["named"]) for r in singles]),
-        "top_1": fraction_with_interval([_top(r, 1) for r in detected]),
-        "top_1_clear": fraction_with_interval([_top(r, 1) for r in clear]),
-        "top_1_faint": fraction_with_interval([_top(r, 1) for r in faint]),
+        "top_1": fraction_with_interval([is_first_name_right(r) for r in detected]),
+        "top_1_clear": fraction_with_interval([is_first_name_right(r) for r in clear]),
+        "top_1_faint": fraction_with_interval([is_first_name_right(r) for r in faint]),
         "top_2": fraction_with_interval([_top(r, 2) for r in detected]),
         "top_1_unique": fraction_with_interval(
-            [_top(r, 1) for r in detected if not r["look_alikes"][0]]
+            [is_first_name_right(r) for r in detected if not r["look_alikes"][0]]
         ),
-        "class": fraction_with_interval([_in_class(r) for r in detected]),
+        "class": fraction_with_interval([is_in_class(r) for r in detected]),
         "nothing_beside": fraction_with_interval([len(r["named"]) == 1 for r in detected]),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
         "largest_on_nulls": sorted(round(r["largest"], 2) for r in of("null"))[-5:],
@@ -73,13 +73,13 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         ),
         "pairs_in_class": fraction_with_interval([_pair_in_class(r) for r in of("pair")]),
         "outside_said": fraction_with_interval(
-            [_reported(r) for r in of("outside") if r["separable"]]
+            [is_said_outside(r) for r in of("outside") if r["separable"]]
         ),
-        "outside_said_all": fraction_with_interval([_reported(r) for r in of("outside")]),
-        "inside_said": fraction_with_interval([_reported(r) for r in detected]),
+        "outside_said_all": fraction_with_interval([is_said_outside(r) for r in of("outside")]),
+        "inside_said": fraction_with_interval([is_said_outside(r) for r in detected]),
         "fraction_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
-        "coverage": fraction_with_interval([c for r in detected if (c := _covered(r)) is not None]),
+        "coverage": fraction_with_interval([c for r in detected if (c := is_strength_covered(r)) is not None]),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
         "cpu_s": _quantiles([r["cpu_s"] for r in possible]),
         "peer": peer_comparison(directory),
@@ -100,8 +100,8 @@ def _plain(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
     of = lambda kind: [r for r in results if r["case"]["kind"] == kind]  # noqa: E731
     singles = of("single")
     return {
-        "top_1_detected": fraction_with_interval([_top(r, 1) for r in singles if r["named"]]),
-        "top_1_all": fraction_with_interval([_top(r, 1) for r in singles]),
+        "top_1_detected": fraction_with_interval([is_first_name_right(r) for r in singles if r["named"]]),
+        "top_1_all": fraction_with_interval([is_first_name_right(r) for r in singles]),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
         "pairs_exact": fraction_with_interval(
             [set(r["named"][:2]) == set(r["case"]["hidden"]) for r in of("pair")]
@@ -142,12 +142,17 @@ def _true(r: dict[str, Any]) -> str:
     return str(next(iter(r["case"]["hidden"])))
 
 
+def is_first_name_right(r: dict[str, Any]) -> bool:
+    """Whether the hidden effect is the first name."""
+    return _top(r, 1)
+
+
 def _top(r: dict[str, Any], most: int) -> bool:
     return _true(r) in r["named"][:most]
 
 
-def _in_class(r: dict[str, Any]) -> bool:
-    """The hidden effect is the first name or one of its declared look-alikes."""
+def is_in_class(r: dict[str, Any]) -> bool:
+    """Whether the hidden effect is the first name or one of its declared look-alikes."""
     alike = [e for c in r["look_alikes"][0] for e in c] if r["look_alikes"] else []
     return _true(r) in [*r["chosen"][0], *alike]
 
@@ -166,7 +171,8 @@ def _pair_in_class(r: dict[str, Any]) -> bool:
     return any(a in alike[0] and b in alike[1] for a, b in permutations(r["case"]["hidden"]))
 
 
-def _reported(r: dict[str, Any]) -> bool:
+def is_said_outside(r: dict[str, Any]) -> bool:
+    """Whether the verdict says that an effect outside the catalogue is at work."""
     return bool(r["verdict"] == "not in the catalogue")
 
 
@@ -177,7 +183,7 @@ def _removed(r: dict[str, Any]) -> float:
 
 def _change(r: dict[str, Any]) -> tuple[float, float, float] | None:
     """Estimated change of the strength, its standard error and the hidden strength."""
-    if not _top(r, 1):
+    if not is_first_name_right(r):
         return None
     value, error, before = r["estimates"][_true(r)][0]
     return value - before, error or 0.0, r["true"][_true(r)]
@@ -188,7 +194,8 @@ def _parameter(r: dict[str, Any]) -> float | None:
     return abs(change[0] / change[2] - 1) if change else None
 
 
-def _covered(r: dict[str, Any]) -> bool | None:
+def is_strength_covered(r: dict[str, Any]) -> bool | None:
+    """Whether the strength lies within 1.96 standard errors; None where the name is wrong."""
     change = _change(r)
     return abs(change[0] - change[2]) <= 1.96 * change[1] if change else None
 

@@ -1,0 +1,126 @@
+"""Figures of the benchmark by rig and by group of effects.
+
+Rigs whose purpose is "tuning" are those that numbers of the workflow were set on; the others are
+for tests alone, and only their figures say how the workflow does on a rig that it has never seen.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from bench.gap.score_summary import (
+    fraction_with_interval,
+    is_first_name_right,
+    is_in_class,
+    is_said_outside,
+    is_strength_covered,
+)
+from models.rig.rig_structure import named_structures
+from models.shared.catalogue import CATALOGUE
+
+LINK_PORTS: Final = ("bend_torque", "stiffness", "mass")
+WORSE_FRACTION: Final = 0.05
+"""Rise of a signal's error on data that nothing was fitted to, from which a plant is worse."""
+
+Result = dict[str, Any]
+Figures = dict[str, Any]
+
+
+def is_link_effect(effect: str) -> bool:
+    """Whether an effect is of the link, the payload or play, and not of servo or sensor."""
+    port = CATALOGUE[effect].port
+    return port in LINK_PORTS or effect in ("backlash", "aerodynamic_drag")
+
+
+def rig_figures(results: Sequence[Result]) -> Figures:
+    """Figures of some results.
+
+    Parameters
+    ----------
+    results : sequence of dict
+        Result files of `bench.gap.case_run`.
+    """
+    possible = [r for r in results if "impossible" not in r]
+    single = [r for r in possible if r["case"]["kind"] == "single"]
+    null = [r for r in possible if r["case"]["kind"] == "null"]
+    outside = [r for r in possible if r["case"]["kind"] == "outside"]
+    link, servo = _by_group(single, link=True), _by_group(single, link=False)
+    covered = [c for r in single if (c := is_strength_covered(r)) is not None]
+    return {
+        "cases": len(possible),
+        "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in null]),
+        "first_servo_sensor": fraction_with_interval([is_first_name_right(r) for r in servo]),
+        "first_link_payload_play": fraction_with_interval([is_first_name_right(r) for r in link]),
+        "class": fraction_with_interval([bool(r["named"]) and is_in_class(r) for r in single]),
+        "wrongly_outside": fraction_with_interval([is_said_outside(r) for r in single]),
+        "wrong_and_closed": fraction_with_interval([_is_wrong_and_closed(r) for r in single]),
+        "strength_covered": fraction_with_interval(covered),
+        "outside_said": fraction_with_interval([is_said_outside(r) for r in outside]),
+        "worse": fraction_with_interval([_is_worse(r) for r in possible]),
+        "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
+        "worst_rise": max((x for r in possible for x in _rises(r)), default=0.0),
+    }
+
+
+def figures_by_rig(directory: Path) -> dict[str, Figures]:
+    """Figures of every rig, of those for tuning, and of those for tests.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the result files.
+    """
+    results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
+    names = sorted({r["case"]["rig"] for r in results})
+    named = named_structures()
+    purposes = {name: named[name].purpose for name in names}
+    chosen: dict[str, Callable[[Result], bool]] = {
+        f"all for {purpose}": lambda r, p=purpose: purposes[r["case"]["rig"]] == p  # type: ignore[misc]
+        for purpose in sorted(set(purposes.values()))
+    }
+    chosen |= {name: lambda r, n=name: r["case"]["rig"] == n for name in names}  # type: ignore[misc]
+    return {name: rig_figures([r for r in results if keep(r)]) for name, keep in chosen.items()}
+
+
+def rig_table_text(figures: Mapping[str, Figures]) -> str:
+    """Markdown table: one row for each figure, one column for each rig."""
+    columns = list(figures)
+    lines = ["| figure | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    rows = list(next(iter(figures.values()), {}))
+    for row in rows:
+        lines.append(f"| {row} | " + " | ".join(_cell(figures[c][row]) for c in columns) + " |")
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:+.0%}"
+    if not isinstance(value, dict):
+        return str(value)
+    return f"{round(value['fraction'] * value['of'])} of {value['of']}" if value["of"] else "–"
+
+
+def _by_group(results: Sequence[Result], link: bool) -> list[Result]:
+    return [r for r in results if is_link_effect(next(iter(r["case"]["hidden"]))) == link]
+
+
+def _is_wrong_and_closed(r: Result) -> bool:
+    """A wrong name, no look-alike, and a verdict that sends nobody to look again."""
+    return bool(r["named"]) and not is_in_class(r) and r["verdict"] in ("closed", "reduced")
+
+
+def _rises(r: Result) -> list[float]:
+    """Rise of each signal's error on sealed trials, as a fraction of that before."""
+    return [
+        after / before - 1.0
+        for trial in (r["sealed_rms"] or {}).values()
+        for before, after in trial.values()
+        if before > 0
+    ]
+
+
+def _is_worse(r: Result) -> bool:
+    return any(rise > WORSE_FRACTION for rise in _rises(r))
