@@ -85,9 +85,7 @@ def main() -> None:
         parser.error("give either --plant or --rigs")
     cases: list[BenchCase] = []
     for rig in args.rigs or [DEFAULT_RIG]:
-        own = list(
-            draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig)
-        )
+        own = list(draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig))
         cases += own if args.most is None else mixed_cases(own, args.most)
     run_benchmark(cases, args.plant, args.out)
     figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)

@@ -79,7 +79,9 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "inside_said": fraction_with_interval([is_said_outside(r) for r in detected]),
         "fraction_of_gap_removed": _quantiles([_removed(r) for r in sealed]),
         "parameter_error": _quantiles([e for r in clear if (e := _parameter(r)) is not None]),
-        "coverage": fraction_with_interval([c for r in detected if (c := is_strength_covered(r)) is not None]),
+        "coverage": fraction_with_interval(
+            [c for r in detected if (c := is_strength_covered(r)) is not None]
+        ),
         "wall_s": _quantiles([r["wall_s"] for r in possible]),
         "cpu_s": _quantiles([r["cpu_s"] for r in possible]),
         "peer": peer_comparison(directory),
@@ -100,7 +102,9 @@ def _plain(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
     of = lambda kind: [r for r in results if r["case"]["kind"] == kind]  # noqa: E731
     singles = of("single")
     return {
-        "top_1_detected": fraction_with_interval([is_first_name_right(r) for r in singles if r["named"]]),
+        "top_1_detected": fraction_with_interval(
+            [is_first_name_right(r) for r in singles if r["named"]]
+        ),
         "top_1_all": fraction_with_interval([is_first_name_right(r) for r in singles]),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
         "pairs_exact": fraction_with_interval(
