@@ -2,10 +2,12 @@
 
     python -m bench.gap --plant build/plant.json --out build/bench_gap
     python -m bench.gap --rigs default drive test_a --out build/bench_rigs
+    python -m bench.gap --like build/bench_rigs --out build/bench_rigs_now
 
 With --plant, cases of the default rig. With --rigs, cases of each rig, with a plant that is
-identified on that rig first. Resumable: one result file per case, named by its hash; a rerun does
-what is missing. Leaves figures, the confusion matrix and a table by rig in OUT/summary.
+identified on that rig first. With --like, the cases of another run, to compare two versions.
+Resumable: one result file per case, named by its hash; a rerun does what is missing. Leaves
+figures, the confusion matrix and a table by rig in OUT/summary.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from bench.gap.case_run import run_bench_case
-from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
+from bench.gap.cases import DEFAULT_RIG, BenchCase, cases_of_run, draw_cases, mixed_cases
 from bench.gap.rig_plants import plant_of_rig
 from bench.gap.rig_table import figures_by_rig, rig_table_text
 from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
@@ -80,14 +82,11 @@ def main() -> None:
     add("--outside", type=int, default=20, help="effect denied to the catalogue")
     add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
     add("--seed", type=int, default=0, help="of the draw")
+    add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     args = parser.parse_args()
-    if bool(args.plant) == bool(args.rigs):
-        parser.error("give either --plant or --rigs")
-    cases: list[BenchCase] = []
-    for rig in args.rigs or [DEFAULT_RIG]:
-        own = list(draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig))
-        cases += own if args.most is None else mixed_cases(own, args.most)
-    run_benchmark(cases, args.plant, args.out)
+    if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
+        parser.error("give one of --plant, --rigs and --like")
+    run_benchmark(_cases(args), args.plant, args.out)
     figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)
     summary = args.out / "summary"
     summary.mkdir(exist_ok=True)
@@ -96,6 +95,17 @@ def main() -> None:
     (summary / "by_rig.md").write_text(rig_table_text(by_rig) + "\n")
     (summary / "confusion.svg").write_text(confusion_matrix_svg(args.out))
     print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
+
+
+def _cases(args: argparse.Namespace) -> list[BenchCase]:
+    """Cases of the command line."""
+    if args.like:
+        return cases_of_run(args.like)
+    cases: list[BenchCase] = []
+    for rig in args.rigs or [DEFAULT_RIG]:
+        own = list(draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig))
+        cases += own if args.most is None else mixed_cases(own, args.most)
+    return cases
 
 
 if __name__ == "__main__":

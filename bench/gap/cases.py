@@ -13,6 +13,7 @@ import json
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -132,6 +133,18 @@ def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:
             kept += queue[:count]
             del queue[:count]
     return kept[:most]
+
+
+def cases_of_run(directory: Path) -> list[BenchCase]:
+    """Cases whose results are in a directory.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the result files.
+    """
+    results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
+    return [BenchCase(**r["case"]) for r in results]
 
 
 def _strength(rng: np.random.Generator, effect: str, size: float) -> float:

@@ -1,0 +1,71 @@
+"""Figures of the gap benchmark by rig: groups of effects, harm and bounds."""
+
+import json
+
+import pytest
+
+from bench.gap.cases import cases_of_run, draw_cases, mixed_cases
+from bench.gap.rig_table import figures_by_rig, is_link_effect, rig_figures, rig_table_text
+
+
+def result(hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", rig="default"):
+    """Result of one case with one sealed trial of one signal."""
+    return {
+        "case": {"kind": kind, "hidden": hidden, "nuisance": {}, "seed": 1, "rig": rig},
+        "named": list(named),
+        "chosen": [[n] for n in named],
+        "look_alikes": [[] for _ in named],
+        "verdict": verdict,
+        "sealed_rms": {"motion": {"tip_x_m": list(rms)}},
+        "unsaid_bounds": [],
+        "estimates": {n: [[0.3, 0.05, 0.0]] for n in named},
+        "true": hidden,
+    }
+
+
+def test_link_and_servo_effects_are_counted_apart():
+    rows = [
+        result({"creep": 0.3}, ["creep"]),
+        result({"creep": 0.3}, ["hysteresis"]),
+        result({"dead_time": 0.3}, ["dead_time"]),
+    ]
+    figures = rig_figures(rows)
+    assert figures["first_link_payload_play"]["of"] == 2
+    assert figures["first_link_payload_play"]["fraction"] == 0.5
+    assert figures["first_servo_sensor"]["fraction"] == 1.0
+    assert figures["wrong_and_closed"]["fraction"] == pytest.approx(1 / 3)
+    assert is_link_effect("backlash") and not is_link_effect("sync_offset")
+
+
+@pytest.mark.parametrize(
+    ("after", "worse"), [(0.5, False), (1.0, False), (1.049, False), (1.06, True)]
+)
+def test_a_plant_is_worse_from_five_percent_in_any_signal(after, worse):
+    figures = rig_figures([result({"creep": 0.3}, ["creep"], rms=(1.0, after))])
+    assert bool(figures["worse"]["fraction"]) is worse
+    assert figures["worst_rise"] == pytest.approx(after - 1.0)
+
+
+def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):
+    for k, rig in enumerate(("default", "drive", "test_a")):
+        row = result({"creep": 0.3}, ["creep"], rig=rig)
+        (tmp_path / f"{k}.json").write_text(json.dumps(row))
+    figures = figures_by_rig(tmp_path)
+    assert figures["all for test"]["cases"] == 1
+    assert figures["all for tuning"]["cases"] == 2
+    header = rig_table_text(figures).splitlines()[0]
+    assert all(name in header for name in ("default", "drive", "test_a"))
+    assert [c.rig for c in cases_of_run(tmp_path)] == ["default", "drive", "test_a"]
+
+
+def test_a_shortened_draw_keeps_every_kind():
+    drawn = list(draw_cases(1, 9, 9, 9, seed=3, rig="drive"))
+    kept = mixed_cases(drawn, 9)
+    assert [c.kind for c in kept].count("single") == 6
+    assert {c.kind for c in kept} == {"single", "null", "pair", "outside"}
+    assert len(mixed_cases(drawn, 10**6)) == len(drawn)
+
+
+def test_each_rig_has_cases_of_its_own():
+    drawn = {rig: list(draw_cases(1, 0, 0, 0, 0, rig)) for rig in ("default", "drive", "test_a")}
+    assert len({tuple(c.seed for c in cases) for cases in drawn.values()}) == 3
