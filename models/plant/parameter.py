@@ -41,6 +41,8 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         Origin of value and bounds.
     error : float or None
         Standard error of an identified value.
+    prior_deviation : float or None
+        Standard deviation of the value before a fit; None for a quarter of the bounds.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     description: str = ""
     source: str = ""
     error: float | None = None
+    prior_deviation: float | None = None
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:

@@ -199,7 +199,9 @@ class Plant:
             effects=[EffectEntry(name) for name in self.effects],
             signals=self.signals,
             parameters={
-                q.name: ParameterEntry(q.value, q.unit, (q.low, q.high), q.role, q.source, q.error)
+                q.name: ParameterEntry(
+                    q.value, q.unit, (q.low, q.high), q.role, q.source, q.error, q.prior_deviation
+                )
                 for q in (*self.parameters.values(), *self.expected.values())
             },
             provenance=self.provenance,
@@ -306,6 +308,7 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
     return msgspec.structs.replace(
         q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
         role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
+        prior_deviation=entry.prior_deviation or q.prior_deviation,
     )  # fmt: skip
 
 

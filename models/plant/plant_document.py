@@ -73,6 +73,8 @@ class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, om
         Origin of value and bounds.
     error : float or None
         Standard error of an identified value.
+    prior_deviation : float or None
+        Standard deviation of the value before a fit.
     """
 
     value: float
@@ -81,6 +83,7 @@ class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, om
     role: Role | None = None
     source: str | None = None
     error: float | None = None
+    prior_deviation: float | None = None
 
 
 class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -96,6 +96,8 @@ class Scope:
         Parameters that are fixed at zero.
     goal, start : dict by joint
         Goal after the command port; coordinate of the joint at the start.
+    goal_jump : dict by joint
+        Jump of the goal at the begin of the step, where the goal has a shape within it.
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
     holding_torque : dict by joint
@@ -141,6 +143,7 @@ class Scope:
     absent: set[str] = field(default_factory=set)
     goal: dict[int, Expr] = field(default_factory=dict)
     start: dict[int, Expr] = field(default_factory=dict)
+    goal_jump: dict[int, Expr] = field(default_factory=dict)
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)

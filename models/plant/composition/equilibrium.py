@@ -31,6 +31,8 @@ def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     force : SX
         Velocity and gravity forces over the joints' coordinates and the bends.
     """
+    for state in scope.states.values():  # one may start at another, e.g. at the shaped goal
+        state.initial = scope.initial_value(state.initial)
     bends = [scope.states[b.name()] for b in scope.bend.values()]
     symbols = ca.vertcat(*(b.symbol for b in bends))
     count = len(scope.joints)

@@ -2,8 +2,9 @@
 
 A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
 of one: residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
-effect"). Each free parameter also has a prior, its value before the fit with a quarter of its
-bounds as standard deviation, so that parameters which the data do not determine keep their values.
+effect"). Each free parameter also has a prior, its value before the fit with `prior_deviation` or a
+quarter of its bounds as standard deviation, so that parameters which the data do not determine
+keep their values.
 """
 
 from __future__ import annotations
@@ -168,7 +169,7 @@ class Objective:
         self.start = np.array([q.value for q in chosen])
         self.low = np.array([q.low for q in chosen])
         self.high = np.array([q.high for q in chosen])
-        self.prior_deviation = (self.high - self.low) / 4
+        self.prior_deviation = np.array([q.prior_deviation or (q.high - q.low) / 4 for q in chosen])
         self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
 
     def __call__(self, values: Array) -> tuple[Array, Array]:

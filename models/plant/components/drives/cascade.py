@@ -6,7 +6,14 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.components.drives.drive_protocol import declare_goal, friction_speed_parameter
+from models.plant.components.drives.drive_protocol import friction_speed_parameter
+from models.plant.components.drives.goal_shape import (
+    declare_shaped_goal,
+    declare_step_length,
+    goal_shape_parameters,
+    sawtooth_above_end,
+    sawtooth_above_mean,
+)
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
@@ -51,17 +58,18 @@ class Cascade:
                 Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
                           description="rated current limit", source='docs/sources.md, "The servo"'),
                 friction_speed_parameter(scope, j),
+                *goal_shape_parameters(j),
             ]  # fmt: skip
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Add goals as inputs and the integral of the velocity error as a state."""
+        """Add goals with their shape, and the integral of the velocity error as a state."""
         for j in scope.joints:
-            declare_goal(scope, j)
+            declare_shaped_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
     def apply_control(self, scope: Scope) -> None:
-        """Set current and torque by both loops."""
+        """Set torque by both loops, and the current as it is sampled."""
         for j in scope.joints:
             integral = scope.states[f"velocity_integral_{j}_rad"]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
@@ -75,8 +83,12 @@ class Cascade:
             wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain
-            scope.current[j] = current
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
+            jump = gain * scope.p("position_gain_{j}_per_s", j) * scope.goal_jump[j]
+            above_end = sawtooth_above_end(
+                scope, j, declare_step_length(scope), self._decay_s(scope, j)
+            )
+            scope.current[j] = current + jump * above_end
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
@@ -87,15 +99,18 @@ class Cascade:
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step; the staircase of the goal makes the current a saw-tooth.
+        """Current as it is sampled; the staircase of the goal makes the current a saw-tooth.
 
-        Each step the goal jumps by q̇h and the current by k_v k_p q̇h, which then decays with the
-        velocity loop, τ = J / (k_t k_v). The current at the end of the step differs from its mean
-        by k_v k_p q̇h (r / (1 − r) − τ/h), r = exp(−h/τ). The difference is negative and
-        proportional to the rate, like negative viscous friction.
+        In a steady motion the goal jumps by (1 − λ) q̇h in each step. Sampled at the end, the
+        current is below its mean in proportion to the rate, like negative viscous friction.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
-        decay_s = self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)
-        left = ca.exp(-step_s / decay_s)
         jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
-        return scope.current[joint] + jump * (left / (1 - left) - decay_s / step_s)
+        held = 1 - scope.p("goal_interpolation_{j}", joint)
+        above_mean = sawtooth_above_mean(scope, joint, step_s, self._decay_s(scope, joint))
+        return scope.current[joint] + held * jump * above_mean
+
+    def _decay_s(self, scope: Scope, joint: int) -> Expr:
+        """Time constant of the velocity loop."""
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        return self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)

@@ -1,0 +1,108 @@
+"""Shape of the goal within a step: held, interpolated or limited in speed, and the current in it.
+
+A servo receives a goal once a step. With w(s) the fraction of the change that has taken effect at
+the phase s of the step, 0 to 1::
+
+    g(s) = g_before + Δ w(s),   w(s) = 1 − λ + λ s,   Δ = clip(goal − g_before, ±v h)
+
+λ = 0 holds the goal (a staircase), λ = 1 interpolates linearly from the goal before, which delays
+it by half a step more than a held one. v is the speed of a velocity profile; what is left of a
+change is made in the next steps. A profile that ends within the step is a λ between 0 and 1.
+
+The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which decays with the velocity loop,
+τ = J / (k_t k_v); a steady motion adds the jumps of the earlier steps. Sampled at the phase φ, the
+current is above its value at the end of the step by the jump times (e^{−φh/τ} − r) / (1 − r), and
+above its mean by the jump times e^{−φh/τ} / (1 − r) − τ/h, with r = e^{−h/τ}.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from models.plant.components.drives.drive_protocol import SI_UNIT_OF, declare_goal
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+STEP_STATE = "step_s"
+"""State that holds the length of the step, for outputs and rates."""
+
+
+def goal_shape_parameters(joint: int) -> list[Parameter]:
+    """Interpolation and speed of the goal, and the phase at which the current is sampled."""
+    j = joint
+    return [
+        Parameter(name=f"goal_interpolation_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+                  role="nuisance", description="0 holds the goal of a step, 1 interpolates it",
+                  source="assumed held", prior_deviation=1.0),
+        Parameter(name=f"current_phase_{j}", unit="1", value=1.0, low=0.02, high=1.0,
+                  role="nuisance", description="phase of the step at which the current is sampled",
+                  source="assumed: read before the next goal is sent", prior_deviation=1.0),
+        Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
+                  description="speed limit of the goal's profile; 100 is none",
+                  source="docs/sources.md, \"Control tables\": profile velocity, 0 is none"),
+    ]  # fmt: skip
+
+
+def declare_step_length(scope: Scope) -> Expr:
+    """Add the length of the step as a state where there is none yet; returns its symbol."""
+    if STEP_STATE not in scope.states:
+        symbol = scope.state(Variable(STEP_STATE, "s", nominal=0.017), 1.0)
+        scope.states[STEP_STATE].begin = scope.step_s
+        return symbol
+    return scope.states[STEP_STATE].symbol
+
+
+def declare_shaped_goal(scope: Scope, joint: int) -> None:
+    """Add a goal as an input and its shape within the step; set `goal`, `goal_jump` and `start`.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the parameters of `goal_shape_parameters`.
+    joint : int
+        Number of the joint.
+    """
+    declare_goal(scope, joint)
+    sent, angle = scope.goal[joint], scope.suffix["angle"]
+    unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
+    held = 1 - scope.p("goal_interpolation_{j}", joint)
+    shaped = scope.state(Variable(f"shaped_goal_{joint}_{angle}", unit, nominal=0.5), sent)
+    change = scope.state(Variable(f"goal_change_{joint}_{angle}", unit, nominal=0.01))
+    limit = scope.p("profile_speed_{j}_rad_s", joint) * scope.step_s
+    wanted = ca.fmin(ca.fmax(sent - shaped, -limit), limit)
+    scope.states[change.name()].begin = wanted
+    scope.states[shaped.name()].begin = shaped + held * wanted
+    scope.states[shaped.name()].rate = (1 - held) * change / step_s
+    scope.goal[joint] = shaped
+    scope.goal_jump[joint] = held * change
+
+
+def sawtooth_above_end(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:
+    """Sampled current above that at the end of the step, per jump of the current.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the phase of the sampling.
+    joint : int
+        Number of the joint.
+    step_s, decay_s : SX
+        Length of the step; time constant of the velocity loop.
+    """
+    left = ca.exp(-step_s / decay_s)
+    phase = scope.p("current_phase_{j}", joint)
+    return (ca.exp(-phase * step_s / decay_s) - left) / (1 - left)
+
+
+def sawtooth_above_mean(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:
+    """Sampled current above the mean of the step, per jump of the current.
+
+    Parameters
+    ----------
+    scope, joint, step_s, decay_s
+        As for `sawtooth_above_end`.
+    """
+    left = ca.exp(-step_s / decay_s)
+    at_end = left / (1 - left) - decay_s / step_s
+    return at_end + sawtooth_above_end(scope, joint, step_s, decay_s)

@@ -1,0 +1,182 @@
+"""Goals held, interpolated and profiled, against an independent integration of the cascade."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from models.plant.components.drives.cascade import Cascade
+from models.plant.components.drives.drive_protocol import declare_goal
+from models.plant.components.drives.goal_shape import sawtooth_above_mean
+from models.plant.components.link import Link
+from models.plant.composition.twin import compose_twin
+from models.plant.identification.simulation_fit import Objective, fit_objective
+from models.plant.plant import read_plant
+from models.plant.scope import Scope
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.step_model import Variable, names
+
+STEP_S = 0.017
+VALUES = {
+    "position_gain_1_per_s": 12.0, "velocity_gain_1_a_s_rad": 18.0, "current_limit_1_a": 50.0,
+    "velocity_integral_time_1_s": 0.3, "torque_constant_1_nm_a": 6.0, "rotor_inertia_1_kg_m2": 0.8,
+    "mass_kg": 1.0, "arm_length_m": 0.3, "gravity_m_s2": 9.81,
+}  # fmt: skip
+DOCUMENT = """
+schema = 1
+name = "pendulum on a cascade"
+drive = { kind = "cascade" }
+load = { kind = "pendulum" }
+"""
+
+
+def sinusoid(count, rad_s=3.0):
+    return 0.4 * np.sin(rad_s * STEP_S * np.arange(count))
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plant") / "pendulum.toml"
+    path.write_text(DOCUMENT)
+    return CompiledModel(read_plant(path).with_values(VALUES).step_model(1, "twin"))
+
+
+def run(compiled, goal, **changes):
+    known = {"goal_1_rad": goal, "payload_kg": np.zeros(len(goal))}
+    u = np.column_stack([known[name] for name in names(compiled.model.inputs)])
+    y = compiled.simulate(u, STEP_S, compiled.model.parameter_values(changes))
+    return dict(zip(names(compiled.model.outputs), y.T, strict=True))
+
+
+def integrated(goal, interpolation, phase=1.0, speed=np.inf):
+    """Angle at the end of each step, and current at a phase of it, by an adaptive integration."""
+    v, x, before = VALUES, np.zeros(3), goal[0]
+    inertia = v["rotor_inertia_1_kg_m2"] + v["mass_kg"] * v["arm_length_m"] ** 2
+    weight_nm = v["mass_kg"] * v["gravity_m_s2"] * v["arm_length_m"]
+    rows = []
+    for sent in goal:
+        change = np.clip(sent - before, -speed * STEP_S, speed * STEP_S)
+
+        def current(t, x, before=before, change=change):
+            shaped = before + change * (1 - interpolation + interpolation * t / STEP_S)
+            error = v["position_gain_1_per_s"] * (shaped - x[0]) - x[1]
+            integral = x[2] / v["velocity_integral_time_1_s"]
+            return v["velocity_gain_1_a_s_rad"] * (error + integral), error
+
+        def rate(t, x, current=current):
+            current_a, error = current(t, x)
+            torque = v["torque_constant_1_nm_a"] * current_a - weight_nm * np.sin(x[0])
+            return [x[1], torque / inertia, error]
+
+        times = np.unique([phase * STEP_S, STEP_S])
+        y = solve_ivp(rate, (0, STEP_S), x, rtol=1e-10, atol=1e-12, t_eval=times).y
+        rows.append((y[0, -1], current(times[0], y[:, 0])[0]))
+        x, before = y[:, -1], before + change
+    return np.array(rows).T
+
+
+@pytest.mark.parametrize("interpolation", [0.0, 0.4, 1.0])
+def test_the_goal_within_a_step_is_the_one_of_an_independent_integration(pendulum, interpolation):
+    goal = sinusoid(200)
+    y = run(pendulum, goal, goal_interpolation_1=interpolation)
+    angle_rad, current_a = integrated(goal, interpolation)
+    np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
+    np.testing.assert_allclose(y["current_1_a"][1:], current_a, atol=2e-3)
+
+
+@pytest.mark.parametrize("interpolation, phase", [(0.0, 0.7), (0.0, 0.4), (0.5, 0.4)])
+def test_the_current_is_sampled_at_its_phase(pendulum, interpolation, phase):
+    """The smooth part of the current moves by less than a tenth of the saw-tooth within a step."""
+    goal = sinusoid(300, 1.5)
+    y = run(pendulum, goal, goal_interpolation_1=interpolation, current_phase_1=phase)
+    _, at_phase = integrated(goal, interpolation, phase)
+    _, at_end = integrated(goal, interpolation)
+    settled = slice(60, None)
+    error = (y["current_1_a"][1:] - at_phase)[settled]
+    sawtooth = (at_phase - at_end)[settled]
+    assert np.sqrt(np.mean(error**2)) < 0.15 * np.sqrt(np.mean(sawtooth**2))
+
+
+def test_a_profile_limits_the_speed_and_reaches_the_goal_without_overshoot(pendulum):
+    speed = 0.5
+    goal = np.where(np.arange(150) < 10, 0.0, 0.3)
+    y = run(pendulum, goal, goal_interpolation_1=1.0, profile_speed_1_rad_s=speed)
+    angle_rad, _ = integrated(goal, 1.0, speed=speed)
+    np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
+    index = names(pendulum.model.states).index("shaped_goal_1_rad")
+    model = pendulum.model
+    p = model.parameter_values({"goal_interpolation_1": 1.0, "profile_speed_1_rad_s": speed})
+    x = np.asarray(model.initial([0.0, 0.0], p)).ravel()
+    shaped = []
+    for value in goal:
+        x = model.advance(x, np.array([value, 0.0]), p, STEP_S)
+        shaped.append(x[index])
+    steps = np.diff(shaped)
+    assert np.all(steps >= -1e-12) and np.all(steps <= speed * STEP_S + 1e-12)
+    assert shaped[-1] == pytest.approx(0.3, abs=1e-12)
+
+
+class HeldCascade(Cascade):
+    """The cascade with its goal as an input that is held: the equations without a shape."""
+
+    def declare(self, scope):
+        for j in scope.joints:
+            declare_goal(scope, j)
+            scope.goal_jump[j] = 0
+            scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
+
+
+def test_the_defaults_are_the_cascade_without_a_shape():
+    nominal = read_plant()
+    outputs = []
+    for drive in (Cascade(), HeldCascade()):
+        scope = Scope((1, 2))
+        declared = [*drive.parameters(scope), *Link().parameters(scope)]
+        scope.declare([nominal.parameters[q.name] for q in declared])
+        model = compose_twin("twin", scope, drive, Link(), [])
+        goal = sinusoid(200)
+        u = np.column_stack([goal, 0.7 * goal, np.ones(200)])
+        outputs.append(CompiledModel(model).simulate(u, STEP_S))
+    np.testing.assert_allclose(outputs[0], outputs[1], rtol=1e-12, atol=1e-12)
+
+
+def test_the_sawtooth_has_no_mean_over_the_phases():
+    scope = Scope((1,))
+    scope.declare(Cascade().parameters(scope))
+    phase = scope.p("current_phase_{j}", 1)
+    step_s, decay_s = ca.SX.sym("h"), ca.SX.sym("decay")
+    above = ca.Function(
+        "above", [phase, step_s, decay_s], [sawtooth_above_mean(scope, 1, step_s, decay_s)]
+    )
+    for decay in (0.002, 0.007, 0.03):
+        mean = quad(lambda at, tau=decay: float(above(at, STEP_S, tau)), 0.0, 1.0)[0]
+        assert mean == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("interpolation, phase", [(0.7, 0.5), (0.1, 0.8)])
+def test_interpolation_and_phase_come_back_from_noisy_runs(synthetic, interpolation, phase):
+    shape = {"goal_interpolation_1": interpolation, "current_phase_1": phase}
+    true = read_plant().with_values(shape)
+    rng = np.random.default_rng(3)
+    trials = [synthetic(true, load, count=330, rng=rng) for load in (0.0, 2.0)]
+    start = read_plant().with_values({"position_gain_1_per_s": 10.0})
+    free = (*shape, "position_gain_1_per_s", "viscous_friction_1_nm_s_rad")
+    scale = {"angle_1_rad": 1e-4}
+    found = fit_objective(Objective(start, "twin", trials, free, ("angle", "current"), scale))
+    q = found.plant.parameters
+    assert q["goal_interpolation_1"].value == pytest.approx(interpolation, abs=0.05)
+    assert q["current_phase_1"].value == pytest.approx(phase, abs=0.1)
+    assert q["position_gain_1_per_s"].value == pytest.approx(12.0, rel=0.01)
+
+
+def test_a_file_without_a_shape_reads_as_one_that_holds_its_goals(tmp_path):
+    nominal = read_plant()
+    shape = {n for n in nominal.parameters if "interpolation" in n or "phase" in n}
+    older = replace(
+        nominal, parameters={n: q for n, q in nominal.parameters.items() if n not in shape}
+    )
+    older.write(tmp_path / "older.json")
+    read = read_plant(tmp_path / "older.json").parameters
+    assert shape and all(read[n].value == (1.0 if "phase" in n else 0.0) for n in shape)
