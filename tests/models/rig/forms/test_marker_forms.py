@@ -1,0 +1,85 @@
+"""Forms of the motion capture: play in the mount, and the filters of its software."""
+
+import numpy as np
+import pytest
+
+from models.rig.forms.marker_play import MarkerPlay
+from models.rig.forms.mocap_filter import filtered_frames
+from models.rig.rig_parameters import read_rig
+
+PLAY_RAD, RATE_HZ = 0.004, 240.0
+FILTERS = {"none": "default", "low_pass": "test_a", "zero_phase": "capture"}
+
+
+@pytest.fixture
+def play():
+    rig = read_rig("capture").changed(**{"servo.backlash_rad": PLAY_RAD})
+    return MarkerPlay(rig, 2, 1e-3)
+
+
+def push(play, *torque_nm, seconds=0.5):
+    for _ in range(round(seconds / 1e-3)):
+        play.advance(torque_nm)
+
+
+def test_the_link_moves_by_the_whole_play_against_the_drive(play):
+    push(play, 8.0, -8.0)
+    np.testing.assert_allclose(play.lean_rad, [-0.5 * PLAY_RAD, 0.5 * PLAY_RAD], rtol=1e-3)
+    push(play, -8.0, -8.0)
+    np.testing.assert_allclose(play.lean_rad, 0.5 * PLAY_RAD, rtol=1e-3)
+
+
+def test_the_lean_never_leaves_the_play(play):
+    rng = np.random.default_rng(3)
+    for torque in 5.0 * rng.standard_normal((500, 2)):
+        play.advance(torque)
+        assert np.abs(play.lean_rad).max() <= 0.5 * PLAY_RAD
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_markers_lean_about_the_axis_of_their_joint(play, rigid_markers, joint):
+    angle = np.array([0.3, -0.2])
+    torque = [0.0, 0.0]
+    torque[joint] = -8.0
+    push(play, *torque)
+    shown = play.shown_m(rigid_markers(angle[None])[0], angle)
+    turned = rigid_markers((angle + play.lean_rad)[None])[0]
+    np.testing.assert_allclose(shown, turned, atol=1e-8)
+
+
+def test_without_play_in_the_markers_nothing_leans():
+    assert MarkerPlay(read_rig("default"), 1, 1e-3).absent
+    assert MarkerPlay(read_rig("capture").changed(**{"servo.backlash_rad": 0.0}), 1, 1e-3).absent
+
+
+def frames(values):
+    """The same course in every coordinate of every marker."""
+    return np.broadcast_to(np.asarray(values)[:, None, None], (len(values), 16, 3))
+
+
+def filtered(kind, values, cutoff_hz=10.0):
+    rig = read_rig(FILTERS[kind]).changed(**{"sensor.mocap_cutoff_hz": cutoff_hz})
+    assert rig.structure.mocap_filter == kind
+    return filtered_frames(rig, frames(values))[:, 3, 1]
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_a_link_at_rest_stays_where_it_is(kind):
+    np.testing.assert_allclose(filtered(kind, np.full(300, 0.7)), 0.7, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "kind, lag_s", [("zero_phase", 0.0), ("low_pass", np.sqrt(2) / (20 * np.pi))]
+)
+def test_the_lag_on_a_ramp_is_that_of_the_filter(kind, lag_s):
+    """Of a Butterworth filter of second order: sqrt(2) over the angular cut-off."""
+    time_s = np.arange(600) / RATE_HZ
+    late = time_s - filtered(kind, time_s)
+    np.testing.assert_allclose(late[200:400], lag_s, atol=2e-4)
+
+
+@pytest.mark.parametrize("kind, gain", [("zero_phase", 0.5), ("low_pass", np.sqrt(0.5))])
+def test_the_gain_at_the_cut_off_is_that_of_the_filter(kind, gain):
+    time_s = np.arange(2400) / RATE_HZ
+    shown = filtered(kind, np.sin(2 * np.pi * 10.0 * time_s))[600:1800]
+    assert np.sqrt(2 * np.mean(shown**2)) == pytest.approx(gain, rel=0.01)
