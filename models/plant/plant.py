@@ -19,10 +19,13 @@ import msgspec
 
 from firmware_py.errors import InputError
 from models.plant.components.drives.drive_registry import DRIVES
+from models.plant.components.flexible_link import FlexibleLink
+from models.plant.components.geared_loads import GearedShaft, GearedSlide
 from models.plant.components.link import Link
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.components.rigid_loads import Mass, Pendulum
 from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
+from models.plant.composition.imposed_motion import compose_imposed
 from models.plant.composition.observer import compose_observer, observer_parameters
 from models.plant.composition.twin import compose_twin
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
@@ -44,7 +47,9 @@ from models.trials.trial import SignalRole
 __all__ = ["LOADS", "NOMINAL", "ModelKind", "Plant", "read_plant"]
 
 ModelKind = Literal["twin", "observer", "driven"]
-LOADS: Final[dict[str, type[PlantLoad]]] = {load.kind: load for load in (Link, Pendulum, Mass)}
+LOADS: Final[dict[str, type[PlantLoad]]] = {
+    load.kind: load for load in (Link, Pendulum, Mass, FlexibleLink, GearedShaft, GearedSlide)
+}
 """Loads by their name in a plant document."""
 COMPOSERS: Final = {
     "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,
@@ -322,7 +327,9 @@ def _composed(
     declared = _declared(scope, drive, load, held, observer=kind != "twin")
     known = dict(parameters)
     scope.declare([known[q.name] for q in declared])
-    return COMPOSERS[kind](f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
+    imposed = kind == "twin" and "imposed motion" in DRIVES[drive].features
+    compose = compose_imposed if imposed else COMPOSERS[kind]
+    return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
 
 
 def _scope(load: str, dof: int) -> Scope:

@@ -79,6 +79,8 @@ class StepModel:
         Longest internal step.
     rate : casadi.Function, optional
         (x, u, p) -> dx/dt of the continuous part, which `flow` integrates.
+    inputs_at_end : bool
+        Whether the inputs of a step are measured at its end; else they are sent at its begin.
     """
 
     name: str
@@ -93,6 +95,7 @@ class StepModel:
     output: ca.Function
     max_substep_s: float = 1e-3
     rate: ca.Function | None = None
+    inputs_at_end: bool = False
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
         """Vector p of the start values, some of them replaced.

@@ -24,7 +24,7 @@ LINK_CONDITIONS: Final = (
 """Conditions that a trial of the link must have and no other trial has."""
 
 
-class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Signal of a plant that is not the link.
 
     Attributes
@@ -36,10 +36,14 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         output of that name. `supply`: measured, and an input of the plant. `condition`: constant
         in a trial, under `[conditions]` of its TOML file, in place of the plant's parameter of that
         name. All but conditions are columns.
+    quantity : str
+        The plant's own name of the signal, where the trial's files call it otherwise. A trial that
+        was read has the plant's names.
     """
 
     unit: str
     role: Literal["goal", "measured", "supply", "condition"]
+    quantity: str = ""
 
 
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

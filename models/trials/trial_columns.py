@@ -153,7 +153,7 @@ def _column_remedy(name: str, header: Sequence[str]) -> str:
 
 
 def _check_magnitude(path: Path, name: str, column: Array) -> None:
-    limit, suspect = _COLUMN_RANGE.get(name.rsplit("_", 1)[1], (np.inf, ""))
+    limit, suspect = _COLUMN_RANGE.get(name.rpartition("_")[2], (np.inf, ""))
     beyond = np.flatnonzero(np.abs(column) > limit)
     if len(beyond):
         raise InputError(

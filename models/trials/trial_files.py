@@ -23,6 +23,7 @@ from firmware_py.signals import tick_signals
 from models.trials.trial import (
     LINK_CONDITIONS,
     SCHEMA,
+    Array,
     Trial,
     TrialMeta,
     TrialSet,
@@ -127,7 +128,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     columns = read_sample_columns(
         path, columns_of(meta.dof, signals), {s.name for s in tick_signals(meta.dof)}
     )
-    trial = Trial(path.stem, meta, columns, path)
+    trial = Trial(path.stem, _own_conditions(meta, signals), _own_columns(columns, signals), path)
     _check_time(trial)
     if not 0 <= meta.rest_samples < len(trial):
         raise InputError(
@@ -136,6 +137,20 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
             "set rest_samples to the number of leading rows at rest",
         )
     return trial
+
+
+def _own_columns(columns: Mapping[str, Array], signals: PlantSignals | None) -> dict[str, Array]:
+    """Columns by the plant's own names (`SignalRole.quantity`)."""
+    return {_quantity(name, signals): values for name, values in columns.items()}
+
+
+def _own_conditions(meta: TrialMeta, signals: PlantSignals | None) -> TrialMeta:
+    own = {_quantity(name, signals): value for name, value in meta.conditions.items()}
+    return msgspec.structs.replace(meta, conditions=own)
+
+
+def _quantity(name: str, signals: PlantSignals | None) -> str:
+    return (signals[name].quantity if signals and name in signals else "") or name
 
 
 def write_trial(trial: Trial, directory: Path | str) -> Path:

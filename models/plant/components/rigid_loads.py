@@ -11,7 +11,7 @@ from models.plant.scope import LINEAR, ROTARY, Expr, Scope
 from models.plant.step_model import Variable
 
 
-class _RigidLoad:
+class RigidLoad:
     """Load without bends: the joints are its only coordinates."""
 
     max_dof: ClassVar[int] = 1
@@ -27,7 +27,7 @@ class _RigidLoad:
         return {}
 
 
-class Pendulum(_RigidLoad):
+class Pendulum(RigidLoad):
     """Rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
 
     A point mass m (and the payload m_p) at the end of a uniform arm m_a of length l:
@@ -66,7 +66,7 @@ class Pendulum(_RigidLoad):
         return mass_kg * scope.p("gravity_m_s2") * lever
 
 
-class Mass(_RigidLoad):
+class Mass(RigidLoad):
     """Mass on a straight guide: m q̈ = F."""
 
     kind: ClassVar[str] = "mass"

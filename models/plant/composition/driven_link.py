@@ -23,6 +23,7 @@ from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium
 from models.plant.composition.port_effects import apply_effects, apply_load_torques
 from models.plant.composition.step_functions import (
+    COORDINATE_NAME,
     build_step_model,
     current_variable,
     measured_current,
@@ -62,7 +63,7 @@ def compose_driven(
         sampled = drive.sampled_current(scope, j, step_s)
         variable = current_variable(j)
         outputs[variable.name] = (variable, measured_current(scope, j, sampled))
-    return build_step_model(name, scope, outputs | load.outputs(scope))
+    return build_step_model(name, scope, outputs | load.outputs(scope), inputs_at_end=True)
 
 
 def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
@@ -71,7 +72,8 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
     unit = SI_UNIT_OF[angle]
     for j in scope.joints:
-        sample = scope.input(Variable(f"angle_{j}_{angle}", unit, 0.0, f"measured, joint {j}"))
+        name = f"{COORDINATE_NAME[angle]}_{j}_{angle}"
+        sample = scope.input(Variable(name, unit, 0.0, f"measured, joint {j}"))
         true = scope.true_angle(j, sample)
         ramp = scope.state(Variable(f"ramp_{j}_{angle}", unit, nominal=0.5), true)
         slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))

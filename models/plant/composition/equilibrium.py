@@ -17,6 +17,19 @@ LARGEST_START_RAD: Final = 0.5
 """Limit of a bend in each Newton step: a link too weak to stand has no equilibrium near zero."""
 
 
+def start_in_motion(scope: Scope) -> None:
+    """Set the initial value of every state that has a parameter `start_STATE`, after all others.
+
+    Parameters
+    ----------
+    scope : Scope
+        With its initial equilibrium.
+    """
+    for name, state in scope.states.items():
+        if f"start_{name}" in scope.parameters:
+            state.initial = scope.p(f"start_{name}")
+
+
 def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     """Set the initial value of every state, and `rest_bend`.
 

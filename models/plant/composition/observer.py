@@ -94,7 +94,7 @@ def compose_observer(
         state.rate = substitute(state.rate, now)
         state.finish = None if state.finish is None else substitute(state.finish, now)
     shown = {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()}
-    return build_step_model(name, scope, shown, MAX_SUBSTEP_S)
+    return build_step_model(name, scope, shown, MAX_SUBSTEP_S, inputs_at_end=True)
 
 
 MAX_SENSITIVITY_PER_KG: Final = 20.0

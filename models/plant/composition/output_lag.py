@@ -21,7 +21,9 @@ from models.plant.step_model import Variable
 SHORTEST_LAG_S: Final = 2e-3
 """D_0: a pole at 500 per second, which an internal step of 2.9 ms integrates stably."""
 
-LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_")
+LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_",
+    "torque_{j}_", "force_{j}_",
+)  # fmt: skip
 """Beginnings of the names of the outputs that a joint's lag may act on; the first one counts."""
 
 

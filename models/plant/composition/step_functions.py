@@ -14,6 +14,9 @@ from models.plant.step_model import StepModel, Variable, runge_kutta
 MAX_SUBSTEP_S: Final = 1e-3
 """Longest Runge–Kutta step: dry friction is stiff."""
 
+COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
+"""Name of a joint's measured coordinate, by the suffix of its unit."""
+
 
 def payload_variable(start: float = 0.0) -> Variable:
     """Payload as an input or output."""
@@ -45,6 +48,7 @@ def build_step_model(
     scope: Scope,
     outputs: dict[str, tuple[Variable, Expr]],
     max_substep_s: float = MAX_SUBSTEP_S,
+    inputs_at_end: bool = False,
 ) -> StepModel:
     """Functions of a `StepModel` from a composed scope.
 
@@ -58,6 +62,8 @@ def build_step_model(
         By name, in order.
     max_substep_s : float
         Longest internal step in s.
+    inputs_at_end : bool
+        See `StepModel`.
     """
     x = ca.vertcat(*(s.symbol for s in scope.states.values()))
     u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
@@ -87,4 +93,5 @@ def build_step_model(
         output=function("output", [], [expression for _, expression in outputs.values()]),
         max_substep_s=max_substep_s,
         rate=rate,
+        inputs_at_end=inputs_at_end,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import casadi as ca
 
@@ -11,10 +10,11 @@ from models.plant.components.drives.drive_protocol import SI_UNIT_OF, Drive
 from models.plant.components.drives.presliding import declare_presliding
 from models.plant.components.lagrange import solve_symmetric
 from models.plant.components.load_protocol import PlantLoad
-from models.plant.composition.equilibrium import set_initial_equilibrium
+from models.plant.composition.equilibrium import set_initial_equilibrium, start_in_motion
 from models.plant.composition.output_lag import lag_outputs
 from models.plant.composition.port_effects import apply_effects, apply_load_torques
 from models.plant.composition.step_functions import (
+    COORDINATE_NAME,
     build_step_model,
     current_variable,
     measured_current,
@@ -23,9 +23,6 @@ from models.plant.composition.step_functions import (
 from models.plant.effects import Effect
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import StepModel, Variable
-
-COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
-"""Name of a joint's measured coordinate, by the suffix of its unit."""
 
 
 def compose_twin(
@@ -69,6 +66,7 @@ def compose_twin(
     for rate, value in zip(rates, acceleration, strict=True):
         scope.states[rate.name()].rate = value
     set_initial_equilibrium(scope, force)
+    start_in_motion(scope)
     outputs: dict[str, tuple[Variable, Expr]] = {}
     angle = scope.suffix["angle"]
     for j in scope.joints:

@@ -37,7 +37,7 @@ class Prebend(Effect):
     """
 
     name = "prebend"
-    needs = ("bend",)
+    needs = ("bend", "tip")
     per_joint = (
         Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
                   role="effect", description="bend of the unloaded link from root to tip",

@@ -8,7 +8,7 @@ import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope
+from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 
 RIGID_GEAR_TIME_S: Final = 2e-3
@@ -61,6 +61,30 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
     scope.windup_acceleration[joint] += acceleration
 
 
+def open_play(scope: Scope, joint: int, half: Expr, rounding: Expr) -> None:
+    """Let the gear of a load touch only beyond its play.
+
+    The twist φ becomes ½ (√((φ−h)²+ε²) + φ − h) − ½ (√((φ+h)²+ε²) − φ − h), which is φ for h = 0.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the torque of the gear set.
+    joint : int
+        Number of the joint.
+    half, rounding : SX
+        h, half of the play, and ε, in the unit of the joint.
+    """
+    twist, rate = scope.bend["gear", joint], scope.bend_rate["gear", joint]
+    beyond, before = twist - half, twist + half
+    ends = [ca.sqrt(side**2 + rounding**2) for side in (beyond, before)]
+    touching = (ends[0] + beyond) / 2 - (ends[1] - before) / 2
+    slope = (beyond / ends[0] + 1) / 2 - (before / ends[1] - 1) / 2
+    scope.bend_torque["gear", joint] = substitute(
+        scope.bend_torque["gear", joint], [(twist, touching), (rate, slope * rate)]
+    )
+
+
 class JointElasticity(Effect):
     """Gear wind-up c per torque (flexible joint [Spong 1987]): w = −c τ_load.
 
@@ -91,7 +115,9 @@ class Backlash(Effect):
 
     w = −(b/2) tanh(τ_load / τ_b). The torque τ_b that closes the backlash makes the dead zone
     smooth: fits start at a wide one and reduce it. The encoder on the drive's side does not
-    measure the backlash.
+    measure the backlash. A load with a gear of its own (twist φ, torque −k_g φ − d_g φ̇) touches
+    only beyond the play: φ is replaced by its part beyond ±b/2, rounded over τ_b / k_g, and φ̇ by
+    the rate of that part.
     """
 
     name = "backlash"
@@ -112,5 +138,8 @@ class Backlash(Effect):
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2
             torque = scope.p("backlash_torque_{j}_{torque}", j)
+            if ("gear", j) in scope.bend:
+                open_play(scope, j, half, torque / scope.stiffness["gear", j])
+                continue
             lost = -half * ca.tanh(scope.transmitted_torque[j] / torque)
             add_windup(scope, j, "play", lost, half / torque)

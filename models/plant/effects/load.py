@@ -76,7 +76,7 @@ class AerodynamicDrag(Effect):
 
     def apply(self, scope: Scope) -> None:
         """Oppose the motion of joint and bends."""
-        fractions = _drag_fractions(scope) if scope.bend else {}
+        fractions = _drag_fractions(scope) if ("span", 1) in scope.bend else {}
         rate = {
             j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in fractions.items())
             for j in scope.joints

@@ -52,6 +52,7 @@ FITTED_STARTS: Final = 2
 
 LINK_SIGNALS: Final = ("tip", "di", "current")
 DRIVE_SIGNALS: Final = ("angle", "position", "current")
+ALL_SIGNALS: Final = ("",)
 
 Report = Callable[[str], None]
 
@@ -108,7 +109,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
         solution = _best_of_several(
-            Objective(plant, "twin", fit.trials, every, DRIVE_SIGNALS), report
+            Objective(plant, "twin", fit.trials, every, ALL_SIGNALS), report
         )
         found, rms = solution.plant, solution.rms
     found = _with_second_plane(found, fit.trials)

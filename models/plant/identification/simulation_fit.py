@@ -40,6 +40,9 @@ CORRELATED_SAMPLES: Final = 12
 """Samples that carry the information of one, before anything is known
 (docs/sources.md, "Naming a missing effect")."""
 
+EFFORT_FRACTION: Final = 0.03
+"""Scale of the residual of a torque or a force, whose size the unit does not tell, per its RMS."""
+
 STANDSTILL_RAD_S: Final = 0.1
 """Joint rate below which dry friction can take any value, so that the current has a low weight."""
 
@@ -218,8 +221,14 @@ class Objective:
         would outweigh all others.
         """
         outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
-        default = SCALE[next(v.unit for v in outputs if v.name == signal)]
+        unit = next(v.unit for v in outputs if v.name == signal)
+        default = SCALE[unit] if unit in SCALE else self._effort_scale(signal)
         return max(self._scale.get(signal, default), 0.5 * default)
+
+    def _effort_scale(self, signal: str) -> float:
+        """`EFFORT_FRACTION` of a signal's RMS over all trials."""
+        rows = [m[signal] for m in self._measured if signal in m]
+        return EFFORT_FRACTION * max(float(np.sqrt(np.nanmean(np.concatenate(rows) ** 2))), 1e-9)
 
     def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
         """Residual and Jacobian of each signal of a trial."""

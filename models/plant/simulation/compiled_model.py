@@ -31,6 +31,12 @@ Array = NDArray[np.float64]
 _DRIVER: Final = Path(__file__).with_name("run_trial.c")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)
 
+START_S: Final = 0.05
+"""Time in which value and rate at the start are measured; a quarter of a period at 5 Hz."""
+
+START_ROWS: Final = 5
+"""Least rows for it."""
+
 
 class CompiledModel:
     """A `StepModel` compiled to run whole trials.
@@ -128,8 +134,24 @@ def trial_parameters(model: StepModel, trial: Trial) -> Array:
             if position in trial.columns:
                 goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
                 own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
+                own[f"start_joint_rate_{j}_{angle}_s"] = _start(trial, position)[1]
+        deflection = f"deflection_{j}_rad"
+        if deflection in trial.columns:
+            start, rate = _start(trial, deflection)
+            own |= {f"start_{deflection}": start, f"start_deflection_rate_{j}_rad_s": rate}
     known = set(names(model.parameters))
     return model.parameter_values({n: v for n, v in own.items() if n in known})
+
+
+def _start(trial: Trial, column: str) -> tuple[float, float]:
+    """Value and rate of a column at the start, by a parabola through its first rows."""
+    rows = min(max(START_ROWS, round(START_S / trial.step_s)), len(trial))
+    time_s, values = trial.time_s[:rows] - trial.time_s[0], trial.columns[column][:rows]
+    seen = np.isfinite(values)
+    if seen.sum() < START_ROWS:
+        return 0.0, 0.0
+    _, rate, value = np.polyfit(time_s[seen], values[seen], 2)
+    return float(value), float(rate)
 
 
 def model_inputs(model: StepModel, trial: Trial) -> Array:
@@ -188,5 +210,6 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     """
     u = model_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p
-    at_end = any(name.startswith("angle_") for name in names(compiled.model.inputs))
-    return compiled.simulate(u[1:] if at_end else u[:-1], trial.step_s, p, compiled.start(u[0], p))
+    return compiled.simulate(
+        u[1:] if compiled.model.inputs_at_end else u[:-1], trial.step_s, p, compiled.start(u[0], p)
+    )

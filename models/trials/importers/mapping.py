@@ -16,6 +16,7 @@
 
     [columns]                          # table, C3D analog: contract name = where it comes from
     time_s      = { from = "stamp", unit = "ms" }
+    position_1_m = { from = "samples[].motor.position", unit = "mm" }   # path into nested JSON
     angle_1_rad = { from = "Present Position", unit = "deg" }
     current_1_a = { from = "cur", unit = "mA", scale = -1.0, offset = 0.0 }
 
@@ -167,7 +168,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             If the file lacks a value, or a condition is not a number.
         """
         trial: dict[str, Scalar | ScalarSource] = {
-            key: self._scalar(scalars, where, key, entry.source)
+            key: self._condition(scalars, where, key, entry.source)
             if isinstance(entry, ScalarSource)
             else entry
             for key, entry in self.trial.items()
@@ -176,13 +177,21 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         for key, entry in self.conditions.items():
             if isinstance(entry, ColumnSource):
                 raw = self._scalar(scalars, where, key, entry.source)
+                declared = self.signals[key].unit if key in self.signals else None
                 if not isinstance(raw, int | float):
                     raise InputError(where, f"{entry.source} is {raw!r}, no number", "correct it")
-                factor = entry.scale * factor_to_si(Path(self.path), key, entry.unit or "1")
+                factor = entry.scale * factor_to_si(
+                    Path(self.path), key, entry.unit or declared or "1", declared
+                )
                 conditions[key] = float(raw) * factor + entry.offset
             else:
                 conditions[key] = entry
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
+
+    def _condition(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
+        """Single value as a condition of the trial; a number that names a motion as text."""
+        value = self._scalar(scalars, where, key, name)
+        return f"{value:g}" if key == "motion" and isinstance(value, int | float) else value
 
     def _scalar(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
         if name not in scalars:

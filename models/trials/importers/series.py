@@ -20,9 +20,10 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
     "rpm": ("rad/s", math.pi / 30), "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0),
     "mV": ("V", 1e-3), "m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3),
     "inch": ("m", 0.0254), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "kg": ("kg", 1.0),
-    "g": ("kg", 1e-3), "N": ("N", 1.0), "N.m": ("N.m", 1.0), "Pa": ("Pa", 1.0),
-    "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757), "degC": ("degC", 1.0),
-    "Hz": ("Hz", 1.0), "W": ("W", 1.0), "1": ("1", 1.0),
+    "g": ("kg", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3), "N.m": ("N.m", 1.0),
+    "N.mm": ("N.m", 1e-3), "Pa": ("Pa", 1.0), "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5),
+    "psi": ("Pa", 6894.757), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0), "W": ("W", 1.0),
+    "1": ("1", 1.0),
 }  # fmt: skip
 """SI unit of the contract and factor to it, by a unit as a map may write it."""
 
@@ -98,7 +99,7 @@ def row_centre_m(corners_m: Array) -> Array:
     return np.asarray(np.where(count > 0, total_m / np.maximum(count, 1), np.nan))
 
 
-def factor_to_si(where: Path, column: str, unit: str) -> float:
+def factor_to_si(where: Path, column: str, unit: str, declared: str | None = None) -> float:
     """Factor from `unit` to the SI unit in which `column` is declared.
 
     Parameters
@@ -109,6 +110,8 @@ def factor_to_si(where: Path, column: str, unit: str) -> float:
         Name of the contract, with its unit suffix.
     unit : str
         One of `TO_SI`.
+    declared : str, optional
+        SI unit of a column whose name has no unit suffix.
 
     Examples
     --------
@@ -120,7 +123,9 @@ def factor_to_si(where: Path, column: str, unit: str) -> float:
     InputError
         If the unit is unknown or measures another quantity.
     """
-    declared = unit_of(column) or "1"
+    declared = declared or unit_of(column) or "1"
+    if unit == declared:
+        return 1.0
     if unit not in TO_SI:
         raise InputError(
             where, f"{column}: unit {unit!r} is unknown", "choose from " + ", ".join(TO_SI)

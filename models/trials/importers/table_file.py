@@ -1,7 +1,8 @@
 """Reader of tables (CSV, TSV, JSON, MATLAB) whose columns a map renames to the contract's names.
 
 `read_columns` returns all columns of a file. The map gives them their meaning, so that the log of
-another plant needs another map but no other reader.
+another plant needs another map but no other reader. In JSON a map may also give a path
+(`models.trials.importers.json_path`).
 """
 
 from __future__ import annotations
@@ -10,15 +11,19 @@ import csv
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.signals import TIME, unit_of
+from models.trials.importers.json_path import json_values
 from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.series import Series, factor_to_si
 from models.trials.trial import Array
+
+MATRIX_COLUMNS: Final = 32
+"""Most columns of a matrix of a MATLAB file that are taken for channels sampled together."""
 
 
 def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
@@ -40,7 +45,7 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
         If the file cannot be read, a mapped column is missing, a cell is not a number, or nothing
         is mapped to `time_s`.
     """
-    raw = read_columns(path)
+    raw = _with_paths(path, mapping, read_columns(path, may_be_nested=_is_json(path)))
     columns = {
         name: _numbers(path, name, cells)
         for name, cells in raw.items()
@@ -54,8 +59,9 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
                 + ", ".join(map(repr, list(raw)[:20])),
                 "correct 'from' in MAP.toml",
             )
-        unit = column.unit or unit_of(column.source) or unit_of(name) or "1"
-        factor = column.scale * factor_to_si(Path(mapping.path), name, unit)
+        declared = mapping.signals[name].unit if name in mapping.signals else unit_of(name)
+        unit = column.unit or unit_of(column.source) or declared or "1"
+        factor = column.scale * factor_to_si(Path(mapping.path), name, unit, declared)
         columns[name] = _numbers(path, column.source, raw[column.source]) * factor + column.offset
     if TIME.name not in columns:
         raise InputError(
@@ -66,11 +72,41 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
     return [Series(columns.pop(TIME.name), columns, path)]
 
 
+def _with_paths(
+    path: Path, mapping: RecordingMap, raw: dict[str, Sequence[Any]]
+) -> dict[str, Sequence[Any]]:
+    """Columns of a file, and those that the map names by a path into nested JSON."""
+    wanted = {c.source for c in mapping.columns.values()}
+    nested = sorted(w for w in wanted - set(raw) if set(w) & set("./[")) if _is_json(path) else []
+    if not nested and not raw:
+        raise InputError(
+            path, "holds no columns", "export a header and one row per sample, or map paths"
+        )
+    document = _json(path) if nested else None
+    raw = raw | {source: json_values(path, document, source) for source in nested}
+    lengths = {w: len(raw[w]) for w in sorted(wanted & set(raw))}
+    if len(set(lengths.values())) > 1:
+        shortest, longest = (
+            min(lengths, key=lengths.__getitem__),
+            max(lengths, key=lengths.__getitem__),
+        )
+        raise InputError(
+            path,
+            f"{shortest!r} has {lengths[shortest]} values, {longest!r} has {lengths[longest]}",
+            "map columns that were sampled together",
+        )
+    return raw
+
+
+def _is_json(path: Path) -> bool:
+    return path.suffix.lower() == ".json"
+
+
 def read_scalars(path: Path) -> dict[str, Scalar]:
     """Single values of a file beside its columns, by name: a gain, a mass, the motion's name.
 
-    These are the strings and numbers of a JSON object and the 1 × 1 variables of a MATLAB file;
-    other files have none.
+    These are the strings and numbers of a JSON object, those of objects in it by dotted path and by
+    JSON pointer, and the 1 × 1 variables of a MATLAB file; other files have none.
 
     Raises
     ------
@@ -79,19 +115,39 @@ def read_scalars(path: Path) -> dict[str, Scalar]:
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
-        document = _json(path)
-        single = document.items() if isinstance(document, dict) else ()
-        return {name: value for name, value in single if isinstance(value, str | int | float)}
+        dotted = _single_values(_json(path), "{}.{}")
+        return {n.removeprefix("."): v for n, v in dotted.items()} | _single_values(
+            _json(path), "{}/{}"
+        )
     if suffix == ".mat":
         return {n: np.ravel(v)[0].item() for n, v in _matlab(path).items() if np.size(v) == 1}
     return {}
 
 
-def read_columns(path: Path) -> dict[str, Sequence[Any]]:
+def _single_values(node: Any, form: str, prefix: str = "") -> dict[str, Scalar]:
+    """Strings and numbers of an object and of all objects in it, by path."""
+    result: dict[str, Scalar] = {}
+    for name, value in node.items() if isinstance(node, dict) else ():
+        own = form.format(prefix, name)
+        if isinstance(value, str | int | float):
+            result[own] = value
+        result |= _single_values(value, form, own)
+    return result
+
+
+def read_columns(path: Path, *, may_be_nested: bool = False) -> dict[str, Sequence[Any]]:
     """Cells of a file by the names of its columns, each of length n.
 
     JSON may be a list of records, an object of equally long lists, or an object in which one key
-    holds the list of records. From a MATLAB file the vectors of the most frequent length are taken.
+    holds the list of records. From a MATLAB file the vectors of the most frequent length are taken,
+    and the columns of matrices of that length: `speed[0]`, `speed[1]`, ….
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    may_be_nested : bool
+        Whether a file without columns is accepted, because a map has paths into it.
 
     Raises
     ------
@@ -110,7 +166,7 @@ def read_columns(path: Path) -> dict[str, Sequence[Any]]:
         raise InputError(
             path, f"cannot be read as {suffix or 'text'} ({error})", "export it again"
         ) from None
-    if not columns:
+    if not columns and not may_be_nested:
         raise InputError(path, "holds no columns", "export a header and one row per sample")
     return columns
 
@@ -165,13 +221,13 @@ def _matlab(path: Path) -> dict[str, Any]:
 
 
 def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
-    return _most_frequent_length(
-        {
-            name: np.asarray(value).ravel().tolist()
-            for name, value in _matlab(path).items()
-            if np.size(value) == max(np.shape(value), default=0) > 1
-        }
-    )
+    columns: dict[str, Sequence[Any]] = {}
+    for name, value in _matlab(path).items():
+        if np.size(value) == max(np.shape(value), default=0) > 1:
+            columns[name] = np.asarray(value).ravel().tolist()
+        elif np.ndim(value) == 2 and 1 < np.shape(value)[1] <= MATRIX_COLUMNS < len(value):
+            columns |= {f"{name}[{k}]": rows.tolist() for k, rows in enumerate(np.transpose(value))}
+    return _most_frequent_length(columns)
 
 
 def _most_frequent_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:

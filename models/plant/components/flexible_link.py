@@ -1,0 +1,73 @@
+"""Flexible link on a joint, in a plane without gravity: one mode of inertia, spring and damper."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+
+from models.plant.components.rigid_loads import RigidLoad
+from models.plant.parameter import Parameter
+from models.plant.scope import ROTARY, Expr, Scope
+from models.plant.step_model import Variable
+
+
+class FlexibleLink(RigidLoad):
+    """Link whose tip is behind the joint by a deflection θ: J (q̈ + θ̈) + c θ̇ + k θ = 0.
+
+    Source: the model of a link with a torsion spring at its root that makers of such links give
+    [Quanser; docs/sources.md, "Real recordings"]. A trial may begin in motion: deflection and its
+    rate at the start are those measured.
+    """
+
+    kind: ClassVar[str] = "flexible_link"
+    features: ClassVar[tuple[str, ...]] = ("bend", "gear load")
+    suffix: ClassVar[dict[str, str]] = ROTARY
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Inertia, stiffness and damping, and the deflection at the start."""
+        return (
+            Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=0.1, low=1e-6, high=100.0,
+                      description="inertia of link and load about the joint",
+                      source="data sheet of the link"),
+            Parameter(name="root_stiffness_1_nm_rad", unit="N.m/rad", value=10.0, low=1e-3,
+                      high=1e5, role="nuisance", description="stiffness against deflection",
+                      source="assumed"),
+            Parameter(name="root_damping_1_nm_s_rad", unit="N.m.s/rad", value=0.1, low=0.0,
+                      high=1e3, role="nuisance", description="damping of the deflection",
+                      source="assumed"),
+            Parameter(name="start_deflection_1_rad", unit="rad", value=0.0, low=-3.0, high=3.0,
+                      description="deflection at the start; of a trial, as measured",
+                      source="at rest"),
+            Parameter(name="start_deflection_rate_1_rad_s", unit="rad/s", value=0.0, low=-100.0,
+                      high=100.0, description="its rate at the start; of a trial, as measured",
+                      source="at rest"),
+        )  # fmt: skip
+
+    def declare(self, scope: Scope) -> None:
+        """Add deflection and its rate as states."""
+        scope.bend["root", 1] = scope.state(Variable("deflection_1_rad", "rad", nominal=0.02))
+        rate = scope.state(Variable("deflection_rate_1_rad_s", "rad/s", nominal=0.2))
+        scope.bend_rate["root", 1] = rate
+        scope.states["deflection_1_rad"].rate = rate
+        scope.stiffness["root", 1] = scope.p("root_stiffness_1_nm_rad")
+
+    def apply_elastic_torques(self, scope: Scope) -> None:
+        """Set the torque of spring and damper."""
+        elastic = scope.stiffness["root", 1] * scope.bend["root", 1]
+        damping = scope.p("root_damping_1_nm_s_rad") * scope.bend_rate["root", 1]
+        scope.bend_torque["root", 1] = -elastic - damping
+
+    def apply_transmitted_torque(self, scope: Scope) -> None:
+        """Set the torque on the gear: other torque on the joint less that of the spring."""
+        scope.transmitted_torque[1] = scope.joint_torque[1] - scope.bend_torque["root", 1]
+
+    def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        """Inertia in both coordinates; neither gravity nor velocity forces."""
+        inertia = scope.p("link_inertia_kg_m2")
+        return inertia * ca.SX.ones(2, 2), ca.SX.zeros(2, 1)
+
+    def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
+        """Return the deflection as a strain gauge at the root shows it."""
+        variable = Variable("deflection_1_rad", "rad", 0.0, "measured deflection of the link")
+        return {variable.name: (variable, scope.bend["root", 1])}
