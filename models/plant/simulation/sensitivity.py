@@ -97,7 +97,7 @@ def _pattern(sparsity: Any) -> Array:
 
 def _entries(matrix: Any, sparsity: Any) -> Any:
     """Entries of a matrix that a pattern holds, column by column, as a vector."""
-    return ca.project(matrix, sparsity).nz[:]
+    return ca.vec(ca.project(matrix, sparsity).nz[:])  # of a single row they are a row
 
 
 def _derivatives_of(
