@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
+from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
@@ -84,6 +85,12 @@ class Diagnosis:
         Kinds of variation in which all trials differ alike, in standard deviations.
     goal_not_followed_at_row : dict of str to int
         First row that does not count, by trial.
+    rows_fitted : dict of str to int
+        Rows that were fitted of each trial that is too long, see
+        `models.plant.simulation.long_trials`.
+    own_error : dict of str to tuple of str
+        By group of trials: how the plant's mean error and its patterns are known there, see
+        `models.gap.estimation.curve_transfer.Knowledge`.
     located, remaining : tuple of GapRegion
         Where the gap is after the nuisance fit, and with the named effects.
     named : tuple of str
@@ -114,6 +121,8 @@ class Diagnosis:
     residual_after: float
     nuisance_bias: dict[str, float]
     goal_not_followed_at_row: dict[str, int]
+    rows_fitted: dict[str, int]
+    own_error: dict[str, tuple[Knowledge, Knowledge]]
     located: tuple[GapRegion, ...]
     remaining: tuple[GapRegion, ...]
     named: tuple[str, ...]
@@ -180,6 +189,12 @@ def diagnose(
         residual_after=search.mean_residual(result.after),
         nuisance_bias=search.nuisance_bias(result.after),
         goal_not_followed_at_row=residuals.goal_not_followed(),
+        rows_fitted={
+            t.name: len(t)
+            for t, whole in zip(residuals.trials, trials, strict=True)
+            if len(t) < len(whole)
+        },
+        own_error=search.first.knowledge(),
         located=tuple(located),
         remaining=tuple(remaining),
         named=tuple(result.named),

@@ -107,6 +107,8 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Variance of a coefficient by signal.
     curves : dict
         Mean error: group of trials → payload in kg → signal → spectrum.
+    rest_s : dict of str to float
+        Rest before the motion by group of trials; the rig's where it is left out.
     """
 
     frequency_hz: str
@@ -114,6 +116,7 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     noise: dict[str, str]
     model: dict[str, str]
     curves: dict[str, dict[str, dict[str, str]]]
+    rest_s: dict[str, float] = {}
 
 
 class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from firmware_py.errors import InputError
+from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.model_discrepancy import discrepancy_of
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
@@ -111,6 +112,18 @@ class GaussNewton:
         scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
         basis, size, _ = np.linalg.svd(stacked(scaled), full_matrices=False)
         return basis, 1 - 1 / np.sqrt(1 + size**2)
+
+    def knowledge(self) -> dict[str, tuple[Knowledge, Knowledge]]:
+        """How the plant's mean error and its patterns are known, by key of the group."""
+        trials = self.residuals.trials
+        patterns = discrepancy_of(self.residuals.plant) if self.floor.learned else None
+        return {
+            g.key: (
+                self.floor.curves_for(g, trials)[1],
+                patterns.table_for(g, trials)[1] if patterns else "unknown",
+            )
+            for g in self.residuals.groups
+        }
 
     def whitened(self, rows: list[Array]) -> list[Array]:
         """Residual spectra in noise floors, (trials, signals, K)."""

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.plant.plant import Plant
@@ -49,6 +50,9 @@ class ModelDiscrepancy:
     def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown.
 
+        For trials of the same motion with another length, step or rest they are transferred
+        (`models.gap.estimation.curve_transfer`).
+
         Parameters
         ----------
         group : TrialGroup
@@ -58,16 +62,37 @@ class ModelDiscrepancy:
         """
         shape = len(group.trials), len(group.signals), group.coefficients
         result = np.zeros((len(self.table), *shape))
-        if group.key != self.key:
+        found, _ = self.table_for(group, trials)
+        if found is None:
             return result
         for a, k in enumerate(group.trials):
             at = float(np.clip(trials[k].meta.payload_kg, self.payload_kg[0], self.payload_kg[-1]))
             weights = [np.interp(at, self.payload_kg, row) for row in np.eye(len(self.payload_kg))]
-            pattern = np.einsum("p,mpsk->msk", weights, self.table)
+            pattern = np.einsum("p,mpsk->msk", weights, found)
             for b, signal in enumerate(group.signals):
                 if signal in self.signals:
                     result[:, a, b] = pattern[:, self.signals.index(signal)]
         return result
+
+    def table_for(
+        self, group: TrialGroup, trials: Sequence[Trial]
+    ) -> tuple[Array | None, Knowledge]:
+        """Table for the length, step and rest of a group, and how it is known.
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
+        first = trials[group.trials[0]]
+        if group.key == self.key:
+            return self.table, "measured"
+        if motion_of(group.key) != motion_of(self.key):
+            return None, "unknown"
+        table = transferred(self.table, self.key, None, first, group.coefficients)
+        return table, "unknown" if table is None else "transferred"
 
     def write(self, path: Path = PATH) -> None:
         """Write it to a .npz file, in single precision."""

@@ -25,11 +25,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.provenance import FloorRecord
 from models.trials.trial import Trial
+
+PayloadCurves = Mapping[float, Mapping[str, Array]]
+"""Spectra by payload in kg and signal."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +53,53 @@ class NoiseFloor:
         Whether the plant file carried it.
     formulation : dict of str to ndarray, shape (F,)
         Error of the equations of the effects named so far; correlated like the model's error.
+    rest_s : dict of str to float
+        Rest before the motion by group key of `curves`; the rig's where it is not told.
     """
 
     frequency_hz: Array
     noise: Mapping[str, Array]
     model: Mapping[str, Array]
-    curves: Mapping[str, Mapping[float, Mapping[str, Array]]] = field(default_factory=dict)
+    curves: Mapping[str, PayloadCurves] = field(default_factory=dict)
     repeats: float = 1.0
     learned: bool = True
     formulation: Mapping[str, Array] = field(default_factory=dict)
+    rest_s: Mapping[str, float] = field(default_factory=dict)
+
+    def curves_for(
+        self, group: TrialGroup, trials: Sequence[Trial]
+    ) -> tuple[PayloadCurves, Knowledge]:
+        """Mean error of a group by payload and signal, and how it is known.
+
+        A curve that was measured on trials of the same motion with another length, step or rest is
+        transferred (`models.gap.estimation.curve_transfer`).
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
+        first = trials[group.trials[0]]
+        rest_s = first.meta.rest_samples * first.step_s
+        if group.key in self.curves and abs(self.rest_s.get(group.key, rest_s) - rest_s) < (
+            first.step_s / 2
+        ):
+            return self.curves[group.key], "measured"
+        for key, table in self.curves.items():
+            if motion_of(key) != motion_of(group.key):
+                continue
+            rows = [(p, s, row) for p, own in table.items() for s, row in own.items()]
+            size = min(len(row) for _, _, row in rows)
+            stacked = np.array([row[:size] for _, _, row in rows])
+            moved = transferred(stacked, key, self.rest_s.get(key), first, group.coefficients)
+            if moved is not None:
+                result: dict[float, dict[str, Array]] = {p: {} for p in table}
+                for (p, s, _), row in zip(rows, moved, strict=True):
+                    result[p][s] = row
+                return result, "transferred"
+        return {}, "unknown"
 
     def widened(
         self,
@@ -126,14 +167,15 @@ class NoiseFloor:
         own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
         alike = np.exp(-np.abs(payload[:, None] - payload) / settings.payload_reach_kg)
-        known = group.key in self.curves
+        curves, _ = self.curves_for(group, trials)
+        known = {s for own_curves in curves.values() for s in own_curves}
         remains = settings.model_error_left_fraction**2
-        left, own_noise = (remains, 1 / self.repeats) if known else (1.0, 0.0)
         result = np.empty((len(group.signals), len(hz), len(own), len(own)))
         for s, signal in enumerate(group.signals):
             if signal not in self.noise:
                 result[s] = 0.0
                 continue
+            left, own_noise = (remains, 1 / self.repeats) if signal in known else (1.0, 0.0)
             noise, model = (
                 np.interp(hz, self.frequency_hz, table[signal])
                 for table in (self.noise, self.model)
@@ -161,7 +203,7 @@ class NoiseFloor:
             All trials of the residuals.
         """
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
-        known = self.curves.get(group.key, {})
+        known, _ = self.curves_for(group, trials)
         if not known:
             return result
         payloads = np.array(sorted(known))
@@ -260,6 +302,7 @@ def floor_from_residuals(
     noise: dict[str, list[Array]] = {s: [] for s in signals}
     model: dict[str, list[Array]] = {s: [] for s in signals}
     curves: dict[str, dict[float, dict[str, Array]]] = {}
+    rest_s: dict[str, float] = {}
     repeats = []
     for group, residual in zip(groups, rows, strict=True):
         own = group_frequencies_hz(group, trials)
@@ -280,50 +323,17 @@ def floor_from_residuals(
             noise[signal].append(np.interp(hz, own, varying))
             model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
         if split:
+            first = trials[group.trials[0]]
+            rest_s.setdefault(group.key, first.meta.rest_samples * first.step_s)
             for p, part in zip(np.unique(payloads), parts, strict=True):
                 own_curves = curves.setdefault(group.key, {}).setdefault(float(p), {})
                 for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
                     own_curves.setdefault(s, curve)
     return NoiseFloor(
-        hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated
-    )
+        hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated,
+        rest_s=rest_s,
+    )  # fmt: skip
 
 
 def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
     return {signal: np.mean(rows, axis=0) for signal, rows in table.items()}
-
-
-def floor_to_record(floor: NoiseFloor) -> FloorRecord:
-    """Floor as the plant file keeps it: a spectrum is one string of numbers."""
-    return FloorRecord(
-        frequency_hz=_text(floor.frequency_hz),
-        repeats=floor.repeats,
-        noise={s: _text(v) for s, v in floor.noise.items()},
-        model={s: _text(v) for s, v in floor.model.items()},
-        curves={
-            key: {f"{p:g}": {s: _text(v) for s, v in own.items()} for p, own in table.items()}
-            for key, table in floor.curves.items()
-        },
-    )
-
-
-def floor_from_record(record: FloorRecord) -> NoiseFloor:
-    """Floor that a plant file keeps."""
-    return NoiseFloor(
-        _row(record.frequency_hz),
-        {s: _row(v) for s, v in record.noise.items()},
-        {s: _row(v) for s, v in record.model.items()},
-        {
-            key: {float(p): {s: _row(v) for s, v in own.items()} for p, own in table.items()}
-            for key, table in record.curves.items()
-        },
-        record.repeats,
-    )
-
-
-def _text(row: Array) -> str:
-    return " ".join(f"{v:.4g}" for v in row)
-
-
-def _row(text: str) -> Array:
-    return np.array(text.split(), dtype=np.float64)

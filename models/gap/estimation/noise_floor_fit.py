@@ -12,11 +12,10 @@ from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import (
     NoiseFloor,
     flat_floor,
-    floor_from_record,
     floor_from_residuals,
     floor_of_residual,
-    floor_to_record,
 )
+from models.gap.estimation.noise_floor_record import floor_from_record, floor_to_record
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     nuisance_fit_parameters,

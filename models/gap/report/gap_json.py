@@ -8,6 +8,7 @@ from typing import ClassVar
 import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
+from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.gap_verdict import GapVerdict
 from models.gap.search.rejected_effects import RejectedEffect
 from models.gap.settings import GapSettings
@@ -23,15 +24,28 @@ class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rms: float
 
 
+class OwnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Knowledge of the plant's own error in a group of trials: its mean curve, and its patterns.
+
+    `measured` on trials like these, `transferred` from others of the same motion with another
+    length, step or rest, or `unknown`: then nothing is subtracted.
+    """
+
+    curve: Knowledge
+    patterns: Knowledge
+
+
 class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Noise floor by signal; `learned` is false where the plant file carries none.
 
     `dispersion` is the mean square of the nuisance fit's residual, clipped to what noise explains.
+    `own_error` tells by group of trials what is known of the plant's own error.
     """
 
     learned: bool
     signals: dict[str, SignalFloor]
     dispersion: float
+    own_error: dict[str, OwnError] = {}
 
 
 class LocatedRegion(
@@ -179,6 +193,8 @@ class GapDocument(Document, frozen=True):
         Error after each inclusion.
     settings : GapSettings
         Tuned numbers of the run.
+    rows_fitted : dict of str to int
+        Rows that were fitted of each trial that is too long to be fitted as a whole.
     """
 
     VERSION: ClassVar[int] = 2
@@ -199,6 +215,7 @@ class GapDocument(Document, frozen=True):
     rejected: tuple[RejectedEffect, ...]
     waterfall: tuple[WaterfallStep, ...]
     settings: GapSettings
+    rows_fitted: dict[str, int] = msgspec.field(default_factory=dict)
 
 
 def read_gap_document(path: Path) -> GapDocument:

@@ -17,6 +17,7 @@ from models.gap.report.gap_json import (
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
+    OwnError,
     RemainingGap,
     SeparatingMotion,
     SignalFloor,
@@ -64,7 +65,10 @@ def gap_document(
         schema=GapDocument.VERSION,
         verdict=found.verdict,
         gap_left_fraction=round(found.gap_left_fraction, 4),
-        noise_floor=NoiseFloorSummary(found.floor.learned, floor, round(found.dispersion, 4)),
+        noise_floor=NoiseFloorSummary(
+            found.floor.learned, floor, round(found.dispersion, 4),
+            {key: OwnError(*known) for key, known in found.own_error.items()},
+        ),
         nuisance_bias=found.nuisance_bias,
         goal_not_followed_at_row=unused,
         sentence=location_sentence(found.located, found.settings),
@@ -83,7 +87,8 @@ def gap_document(
         rejected=found.rejected,
         waterfall=tuple(WaterfallStep(step, floors) for step, floors in waterfall),
         settings=found.settings,
-    )
+        rows_fitted=found.rows_fitted,
+    )  # fmt: skip
 
 
 def noise_floor_rms(found: Diagnosis) -> dict[str, SignalFloor]:

@@ -23,6 +23,22 @@ def nuisance_bias_in_words(document: GapDocument) -> str:
     return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"
 
 
+def rows_fitted_in_words(document: GapDocument) -> str:
+    """Trials of which only the first rows were fitted; empty if there are none."""
+    rows = ", ".join(f"{count} of {name}" for name, count in document.rows_fitted.items())
+    return rows and f"of the longest trials only the first rows were fitted: {rows}"
+
+
+def own_error_in_words(document: GapDocument) -> str:
+    """Trials for which the floor holds no mean error of the plant; empty if it holds all."""
+    floor = document.noise_floor
+    if not floor.learned:
+        return ""
+    lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
+    where = "; ".join(lacking)
+    return where and f"the plant's own error is not known, so not subtracted, for: {where}"
+
+
 def gap_in_words(document: GapDocument) -> str:
     """Text for the console.
 
@@ -32,7 +48,10 @@ def gap_in_words(document: GapDocument) -> str:
         Of a diagnosis.
     """
     lines = [f"verdict: {document.verdict}", document.sentence]
-    notes = goal_not_followed_in_words(document), nuisance_bias_in_words(document)
+    notes = (
+        goal_not_followed_in_words(document), nuisance_bias_in_words(document),
+        rows_fitted_in_words(document), own_error_in_words(document),
+    )  # fmt: skip
     lines += [text for text in notes if text]
     for row in document.named:
         lines += _named_in_words(row)

@@ -1,0 +1,100 @@
+"""Transfer of spectra of an error from one trial to another of the same motion.
+
+The plant's own error is a curve in time that begins with the motion. Where a trial of that motion
+has another length, step or rest before it, the curve is brought back to time, laid on the start of
+the motion, interpolated and transformed again. At rest it keeps its first value. Beyond its end it
+repeats with the motion, if the goals do; otherwise nothing is known of the trial.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from firmware_py.signals import PERIOD_S
+from models.gap.residuals.spectrum import Array, cosine_transform, inverse_cosine_transform
+from models.trials.trial import Trial
+
+Knowledge = Literal["measured", "transferred", "unknown"]
+"""Whether an error was measured on trials like these, on others of their motion, or not at all."""
+
+STUDY_REST_S: Final = 60 * PERIOD_S
+"""Rest before the motion of trials whose record does not tell it: the rig's
+(`models.rig.study_protocol`)."""
+
+_LENGTH: Final = re.compile(r" (?P<rows>\d+)x(?P<step>[\d.e+-]+)s(?=( \S+=\S+)*$)")
+"""Length and step in `models.gap.residuals.residuals.trial_group_key`."""
+
+GOAL_TOLERANCE: Final = 0.02
+"""Fraction of the largest goal by which goals of two periods may differ [assumed]."""
+
+
+def motion_of(key: str) -> str:
+    """Key of a group of trials without their length and step.
+
+    Examples
+    --------
+    >>> motion_of("1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s mass_kg=0.5")
+    '1dof sinusoid 0.5236rad 4.352s 0rad mass_kg=0.5'
+    """
+    return _LENGTH.sub("", key)
+
+
+def transferred(
+    spectra: Array, key: str, rest_s: float | None, to: Trial, count: int
+) -> Array | None:
+    """Spectra as a trial of the same motion has them; None where the motion goes on beyond them.
+
+    Parameters
+    ----------
+    spectra : ndarray, shape (..., K)
+        Of trials with the length and step of `key`.
+    key : str
+        Of `models.gap.residuals.residuals.trial_group_key`, where they were measured.
+    rest_s : float or None
+        Their rest before the motion; None is the rig's.
+    to : Trial
+        Trial of the same motion.
+    count : int
+        Number of coefficients wanted.
+
+    Returns
+    -------
+    ndarray, shape (..., count)
+    """
+    length = _LENGTH.search(key)
+    if length is None:
+        return None
+    rows, step_s = int(length["rows"]), float(length["step"])
+    known_s = step_s * np.arange(rows, dtype=np.float64) - (
+        STUDY_REST_S if rest_s is None else rest_s
+    )
+    at_s = to.step_s * (np.arange(len(to), dtype=np.float64) - to.meta.rest_samples)
+    folded_s = _folded(at_s, float(known_s[-1]), to)
+    if folded_s is None:
+        return None
+    flat = np.reshape(spectra, (-1, np.shape(spectra)[-1])).T
+    curve = CubicSpline(known_s, inverse_cosine_transform(flat, rows), axis=0)
+    moved = cosine_transform(curve(np.maximum(folded_s, known_s[0])), count)
+    return np.asarray(moved.T.reshape(*np.shape(spectra)[:-1], len(moved)))
+
+
+def _folded(at_s: Array, end_s: float, to: Trial) -> Array | None:
+    """Times of a trial within a curve that ends at `end_s`, whole periods taken off."""
+    beyond = at_s > end_s + to.step_s / 2
+    period_s = to.meta.period_s
+    if not beyond.any():
+        return np.minimum(at_s, end_s)
+    if not 0 < period_s <= end_s:
+        return None
+    periods = np.where(beyond, np.ceil((at_s - end_s) / period_s), 0.0)
+    folded_s = np.minimum(at_s - periods * period_s, end_s)
+    for name, goal in to.columns.items():
+        if name.startswith("goal_"):
+            before = np.interp(folded_s, at_s, goal)
+            if np.max(np.abs(goal - before)) > GOAL_TOLERANCE * np.max(np.abs(goal)):
+                return None
+    return folded_s
