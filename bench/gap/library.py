@@ -3,6 +3,8 @@
 Three equations of the plant keep a residual where an effect is missing: torque on the joint and
 bend, both of the link driven by the measured angle, and the command, the goal for which the
 measured motion and current would be right. Each term of the library is an effect of the catalogue.
+Periodic terms have the orders and the phase of the rig. A scale error of the mocap moves the tip
+along the link, which none of the three equations contains, so it has no term.
 Columns equal to another's are left out: in the bend a tilted mocap frame and an offset of the
 encoder equal a prebend, in the torque a bias of the current equals that of a load.
 """
@@ -22,6 +24,9 @@ CREEP_S: Final = 3.0
 PLAY_NM: Final = 0.5
 YIELD_RAD_S: Final = 0.005
 STRIBECK_RAD_S: Final = 0.1
+BREAKAWAY_RAD: Final = 0.01
+COGGING_PERIODS: Final = 24.0
+RIPPLE_PERIODS: Final = 16.0
 """Parameters inside a column, at the catalogue's defaults: a linear library cannot fit them."""
 
 
@@ -158,7 +163,9 @@ def _torque_terms(m: LinkMotion, gravity: float, servo_torque: Array) -> dict[st
         "load_dependent_friction": np.abs(m.load_nm) * m.direction,
         "aerodynamic_drag": m.rate * np.abs(m.rate), "torque_constant_drift": servo_torque,
         "unmodelled_payload": payload, "payload_offset": m.off_axis_nm,
-        "encoder_offset": m.gravity_per_rad_nm,
+        "encoder_offset": m.gravity_per_rad_nm, "cogging": np.sin(COGGING_PERIODS * m.angle),
+        "stiction": m.direction * (1 - slid_memory(m.angle) ** 2),
+        "sensor_lag": derivative(servo_torque, m.step_s),
     }  # fmt: skip
 
 
@@ -173,7 +180,24 @@ def _bend_terms(m: LinkMotion) -> dict[str, Array]:
         "backlash": np.tanh(m.load_nm / PLAY_NM), "joint_elasticity": bend,
         "unmodelled_payload": np.sin(m.leaning), "payload_offset": m.off_axis_nm,
         "aerodynamic_drag": m.rate * np.abs(m.rate), "(damping)": bend_rate,
+        "encoder_ripple": np.sin(RIPPLE_PERIODS * m.angle),
     }  # fmt: skip
+
+
+def slid_memory(angle: Array) -> Array:
+    """Direction in which a joint has slid, forgotten over `BREAKAWAY_RAD` of sliding back.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        Of the joint, from rest.
+    """
+    moved = np.diff(angle, prepend=angle[0])
+    result = np.zeros(len(angle))
+    for k in range(1, len(angle)):
+        kept = np.exp(-abs(moved[k]) / BREAKAWAY_RAD)
+        result[k] = np.sign(moved[k]) * (1 - kept) + result[k - 1] * kept
+    return result
 
 
 def _command_terms(trial: Trial) -> dict[str, Array]:

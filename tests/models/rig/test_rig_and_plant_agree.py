@@ -1,0 +1,64 @@
+"""Rig and plant mean the same by a strength: hidden in one, set in the other, the same change."""
+
+import math
+
+import numpy as np
+import pytest
+
+from models.plant.plant import read_plant
+from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.step_model import names
+from models.rig.study_protocol import run_case
+
+HIDDEN = {
+    "sensor_lag": (0.02, "current_1_a", 0.2),
+    "encoder_ripple": (0.004, "tip_x_m", 0.6),
+    "cogging": (2.0, "current_1_a", 0.3),
+    "marker_scale": (0.01, "tip_z_m", 0.02),
+    "stiction": (3.0, "current_1_a", 0.65),
+}
+"""Strength, the signal that shows it most, and the largest part of its change that the equations
+may differ in: the rig's breakaway torque is full at a reversal and the plant's after some distance,
+and a rippled link rings at its mode, which is lower in the nominal plant."""
+
+
+@pytest.fixture(scope="module")
+def case(short_case):
+    return short_case(dof=1, amplitude_rad=math.radians(30.0), period_s=2.6)
+
+
+@pytest.fixture(scope="module")
+def rested(parameters):
+    """The rig after a pause in which the link rings down."""
+    return parameters.changed(**{"world.settle_s": 0.3, "world.pause_s": 2.0})
+
+
+@pytest.fixture(scope="module")
+def without(rested, case):
+    return run_case(rested, case)
+
+
+@pytest.fixture(scope="module")
+def twin():
+    plant = read_plant().with_effects(*HIDDEN)
+    return CompiledModel(plant.step_model(1))
+
+
+@pytest.mark.parametrize("effect", HIDDEN)
+def test_the_same_strength_makes_the_same_change(effect, rested, case, without, twin):
+    """Difference from the run without it: what else rig and plant differ in drops out."""
+    strength, signal, differing = HIDDEN[effect]
+    moving = slice(without.meta.rest_samples, None)  # at rest a rig with breakaway torque sticks
+    hidden = run_case(rested.hide({effect: strength}), case)
+    model = twin.model
+    changed = trial_parameters(model, without)
+    (name,) = read_plant().with_effects(effect).strengths(effect, 1)
+    changed[names(model.parameters).index(name)] += strength
+    column = names(model.outputs).index(signal)
+    plain, moved = (
+        run_trial(twin, without, p)[:, column] for p in (trial_parameters(model, without), changed)
+    )
+    rig = (hidden.columns[signal] - without.columns[signal])[moving]
+    plant = (moved - plain)[moving]
+    assert np.linalg.norm(rig - plant) < differing * np.linalg.norm(rig)
+    assert rig @ plant / (plant @ plant) == pytest.approx(1.0, abs=0.35)
