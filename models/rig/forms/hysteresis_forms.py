@@ -41,16 +41,22 @@ class BoucWen:
 
     def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
         self._per_yield = 1.0 / yield_rad[:, None]
+        self._half_per_yield = 0.5 * self._per_yield
         self._friction_nm = friction_nm[:, None]
         self._z = np.zeros((len(yield_rad), 2))
 
     def torque_nm(self, du: Array) -> Array:
         """See `HysteresisForm`."""
-        along = self._z * du
+        z = self._z
+        along = z * du
         along = along[:, :1] + along[:, 1:]
-        shed = 0.5 * self._per_yield * (np.abs(along) + along)
-        self._z = (self._z + self._per_yield * du) / (1.0 + shed)
-        return np.asarray(self._friction_nm * self._z)
+        shed = np.abs(along)
+        shed += along
+        shed *= self._half_per_yield
+        shed += 1.0
+        z += self._per_yield * du
+        z /= shed
+        return np.asarray(self._friction_nm * z)
 
 
 class Dahl:

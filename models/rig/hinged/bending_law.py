@@ -101,9 +101,16 @@ class BendLaw:
         u, slope : ndarray, shape (n, 2)
         """
         phi = angle_rad - self._rest_rad
-        root = np.sqrt(phi * phi + self._rounding_rad_squared)
-        skewed = phi + self._skew * (root - self._rounding_rad)
-        return self._mixed(skewed), 1.0 + self._skew * phi / root
+        root = phi * phi
+        root += self._rounding_rad_squared
+        np.sqrt(root, out=root)
+        skewed = root - self._rounding_rad
+        skewed *= self._skew
+        skewed += phi
+        slope = self._skew * phi
+        slope /= root
+        slope += 1.0
+        return self._mixed(skewed), slope
 
     def _mixed(self, planes: Array) -> Array:
         """Both planes coupled; rows of shape (n, 2)."""
