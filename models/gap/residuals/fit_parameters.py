@@ -136,7 +136,8 @@ def trial_fit_parameters(
         own = [full.parameters[n] for n in _owned(full, trial.meta.dof)]
         stiff = [q for q in own if q.unit == "N.m/rad" or q.name == "root_limit_moment_nm"]
         friction = [q for q in own if "_friction_" in q.name]
-        off_centre = {"payload_offset_share": 1 / trial.meta.link_length_m}
+        length_m = trial.meta.link_length_m or full.parameters["link_length_m"].value
+        off_centre = {"payload_offset_share": 1 / length_m}
         rows: list[tuple[str, dict[str, float], dict[str, float], float]] = [
             ("pressure", {q.name: q.value for q in stiff}, {},
              settings.pressure_variation_fraction),

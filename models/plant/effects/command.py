@@ -74,7 +74,10 @@ class CurrentSaturation(Effect):
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
         """Rated limit less the largest current that was held; 0 where no current was measured."""
         held = np.ones(HELD) / HELD
-        measured = [t for t in trials if "current_1_a" in t.columns]
+        measured = [
+            t for t in trials
+            if all(f"current_{j}_a" in t.columns for j in range(1, t.meta.dof + 1))
+        ]  # fmt: skip
         if len(measured) < len(trials) or "current_limit_1_a" not in known:
             return 0.0
         currents = [np.abs(c) for t in measured for c in t.current_a.T]

@@ -124,10 +124,8 @@ def trial_parameters(model: StepModel, trial: Trial) -> Array:
     trial : Trial
         Measured.
     """
-    own = {
-        name: getattr(trial.meta, name)
-        for name in ("base_offset_m", "link_length_m", "link_width_m")
-    }
+    dimensions = ("base_offset_m", "link_length_m", "link_width_m")
+    own = {n: getattr(trial.meta, n) for n in dimensions if trial.meta.link_length_m}
     own |= trial.meta.conditions
     for j in range(1, trial.meta.dof + 1):
         for position, angle in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
