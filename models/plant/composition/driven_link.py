@@ -22,6 +22,7 @@ from models.plant.components.lagrange import solve_symmetric
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium
 from models.plant.composition.port_effects import apply_effects, apply_load_torques
+from models.plant.composition.sample_phase import current_at_phase
 from models.plant.composition.step_functions import (
     COORDINATE_NAME,
     build_step_model,
@@ -62,6 +63,7 @@ def compose_driven(
     for j in scope.joints:
         sampled = drive.sampled_current(scope, j, step_s)
         variable = current_variable(j)
+        sampled = current_at_phase(scope, j, sampled)
         outputs[variable.name] = (variable, measured_current(scope, j, sampled))
     return build_step_model(name, scope, outputs | load.outputs(scope), inputs_at_end=True)
 

@@ -46,8 +46,8 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
     assert names(twin.outputs) == [*angles, *currents, "di", *tip]
     assert names(observer.inputs) == [*angles, *currents]
     assert names(observer.outputs) == ["di", *tip, "payload_kg"]
-    springs, creep_branches, shape_of_goal, step_length = 2, 3, 2, 1
-    own = 8 + shape_of_goal + springs * creep_branches
+    springs, creep_branches, shape_of_goal, sampling, step_length = 2, 3, 2, 1, 1
+    own = 8 + shape_of_goal + sampling + springs * creep_branches
     assert len(twin.states) == own * dof + step_length
     every = (*twin.inputs, *twin.outputs, *observer.inputs, *observer.outputs)
     assert all((unit_of(v.name) or "1") == v.unit for v in every)
