@@ -16,6 +16,7 @@ from models.commands.evaluate import evaluation_text
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
+from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
 from models.trials.trial_files import read_trials
 
@@ -45,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     )
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
     for q in found.fitted:
-        bound = "  at its bound" if q.value in (q.low, q.high) else ""
+        reached = bound_reached(q)
+        bound = f"  at its {reached} bound" if reached else ""
         rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{bound}")
     what = (
         f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
@@ -58,7 +60,13 @@ def run(args: argparse.Namespace) -> int:
         "plant": str(args.out),
         "picture": str(picture),
         "parameters": {
-            q.name: {"value": q.value, "error": q.error, "unit": q.unit} for q in found.fitted
+            q.name: {
+                "value": q.value,
+                "error": q.error,
+                "unit": q.unit,
+                "bound": bound_reached(q),
+            }
+            for q in found.fitted
         },
         "held_out": msgspec.to_builtins(found.held_out),
     }

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
 from firmware_py.errors import InputError
 
-__all__ = ["Parameter", "Role", "check_values"]
+__all__ = ["Parameter", "Role", "bound_reached", "check_values"]
 
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
 """Treatment of a parameter by `identify`.
@@ -55,6 +55,22 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     source: str = ""
     error: float | None = None
     prior_deviation: float | None = None
+
+
+AT_BOUND: Final = 1e-3
+"""Fraction of the distance between the bounds within which a value counts as at one [assumed]."""
+
+
+def bound_reached(q: Parameter) -> Literal["lower", "upper"] | None:
+    """Bound that a parameter's value is at; None where it is within.
+
+    Parameters
+    ----------
+    q : Parameter
+        Identified.
+    """
+    margin = AT_BOUND * (q.high - q.low)
+    return "lower" if q.value <= q.low + margin else "upper" if q.value >= q.high - margin else None
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:

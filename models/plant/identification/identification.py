@@ -104,8 +104,10 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     link, drive = _free_parameters(plant, planes)
     first = [t for t in fit if t.meta.dof == min(t.meta.dof for t in fit)]
     if plant.load == "link":
-        found, rms = _fit_link_and_drive(_scan_stiffness(plant, first, report), first, None, report)
-        found, rms = _fit_link_and_drive(_with_second_plane(found, first), fit.trials, rms, report)
+        found = _scan_stiffness(plant, first, report)
+        found, rms = _fit_link_and_drive(found, plant, first, None, report)
+        found = _with_second_plane(found, first)
+        found, rms = _fit_link_and_drive(found, plant, fit.trials, rms, report)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
         solution = _best_of_several(
@@ -151,15 +153,18 @@ def _best_of_several(objective: Objective, report: Report) -> Solution:
 
 
 def _fit_link_and_drive(
-    plant: Plant, trials: Sequence[Trial], rms: dict[str, float] | None, report: Report
-) -> tuple[Plant, dict[str, float]]:
-    """Fit the link, then the drive; the errors of an earlier round scale the fit of the link."""
+    plant: Plant, prior: Plant, trials: Sequence[Trial], rms: dict[str, float] | None,
+    report: Report,
+) -> tuple[Plant, dict[str, float]]:  # fmt: skip
+    """Fit the link, then the drive; the errors of an earlier round are the scales."""
     link, drive = _free_parameters(plant, max(t.meta.dof for t in trials))
-    first = _fit_stage(plant, "driven", trials, link, LINK_SIGNALS, rms, report)
+    angles = {n: v for n, v in (rms or {}).items() if n.startswith("angle_")}
+    first = _fit_stage(plant, prior, "driven", trials, link, LINK_SIGNALS, rms, report)
     second = _fit_stage(
-        first.plant, "twin", _payload_extremes(trials), drive, DRIVE_SIGNALS, None, report
+        first.plant, prior, "twin", _payload_extremes(trials), drive, DRIVE_SIGNALS, angles, report
     )
-    return second.plant, first.rms
+    angles = {n: v for n, v in second.rms.items() if n.startswith("angle_")}
+    return second.plant, angles | first.rms
 
 
 def _payload_extremes(trials: Sequence[Trial]) -> list[Trial]:
@@ -190,6 +195,7 @@ def _free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[
             load += rows
         if EFFECTS[name].port in ("command", "servo_torque"):
             drive += rows
+    load += [name for name in drive if name.startswith("rotor_inertia_")]  # in the current too
     return tuple(load), tuple(drive)
 
 
@@ -216,6 +222,7 @@ def _scan_stiffness(plant: Plant, trials: Sequence[Trial], report: Report) -> Pl
 
 def _fit_stage(
     plant: Plant,
+    prior: Plant,
     kind: ModelKind,
     trials: Sequence[Trial],
     free: Sequence[str],
@@ -227,7 +234,7 @@ def _fit_stage(
     substep_s = DRIVEN_SUBSTEP_S if kind == "driven" else None
     what = f"{'link' if kind == 'driven' else 'drive'}, {len(trials)} trials"
     return fit_objective(
-        Objective(plant, kind, trials, free, signals, scale, substep_s),
+        Objective(plant, kind, trials, free, signals, scale, substep_s, prior),
         evaluations=25, tolerance=1e-3,
         report=lambda cost: report(f"{what}: cost {cost:.4g}"),
     )  # fmt: skip

@@ -20,6 +20,8 @@ from scipy.optimize import least_squares
 
 from firmware_py.errors import InputError
 from models.plant.effects import PULLEY_M
+from models.plant.identification.cluster_errors import cluster_errors, grouped_rows
+from models.plant.parameter import AT_BOUND
 from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.compiled_model import (
     Array,
@@ -35,6 +37,10 @@ from models.trials.trial import Trial
 
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
 """Scale of a residual before a first fit, by the unit of the signal."""
+
+LEAST_SCALE: Final = {"rad": 0.1}
+"""Least fraction of `SCALE`, where it is not a half: an encoder resolves 0.01 mrad
+(docs/sources.md, "Control tables"); 0.2 mrad tell the lag of the goal from the position gain."""
 
 CORRELATED_SAMPLES: Final = 12
 """Samples that carry the information of one, before anything is known
@@ -143,6 +149,8 @@ class Objective:
         Scale of each signal in place of `SCALE`.
     max_substep_s : float, optional
         Longest internal step, where the model is not stiff.
+    prior : Plant, optional
+        Plant whose values are the centres of the priors; `plant` by default.
     """
 
     def __init__(
@@ -154,6 +162,7 @@ class Objective:
         signals: Sequence[str],
         scale: Mapping[str, float] | None = None,
         max_substep_s: float | None = None,
+        prior: Plant | None = None,
     ) -> None:
         self.plant, self.free = plant, tuple(free)
         self._signals, self._scale = tuple(signals), dict(scale or {})
@@ -173,6 +182,7 @@ class Objective:
         self.low = np.array([q.low for q in chosen])
         self.high = np.array([q.high for q in chosen])
         self.prior_deviation = np.array([q.prior_deviation or (q.high - q.low) / 4 for q in chosen])
+        self._centre = np.array([(prior or plant).parameters[n].value for n in self.free])
         self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
@@ -181,7 +191,7 @@ class Objective:
         if key != self._last[0]:
             with ThreadPoolExecutor(WORKERS) as pool:
                 parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
-            prior = (values - self.start) / self.prior_deviation
+            prior = (values - self._centre) / self.prior_deviation
             residual = np.concatenate([r for rows in parts for r, _ in rows.values()] + [prior])
             jacobian = np.concatenate(
                 [j for rows in parts for _, j in rows.values()]
@@ -214,8 +224,23 @@ class Objective:
             )
         ]  # fmt: skip
 
+    def standard_errors(self, values: Array) -> Array:
+        """Standard errors at the solution (`models.plant.identification.cluster_errors`)."""
+        rows = [
+            (trial, np.isfinite(self._measured[k][signal]), *values_of)
+            for k, trial in enumerate(self.trials)
+            for signal, values_of in self._trial(k, values).items()
+        ]
+        by_load, by_part = grouped_rows(rows)
+        information = np.diag(self.prior_deviation**-2.0)
+        information = information + sum(g.information for g in by_load.values())
+        margin = AT_BOUND * (self.high - self.low)
+        low, high = self.low - values, self.high - values
+        low, high = np.where(low > -margin, 0.0, low), np.where(high < margin, 0.0, high)
+        return cluster_errors((by_load, by_part), information, low, high)
+
     def scale(self, signal: str) -> float:
-        """Scale of a signal's residual, at least half of `SCALE`.
+        """Scale of a signal's residual, at least `LEAST_SCALE` of its `SCALE`.
 
         With less a signal that hardly moves (the end effector across a single joint's plane)
         would outweigh all others.
@@ -223,7 +248,7 @@ class Objective:
         outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
         unit = next(v.unit for v in outputs if v.name == signal)
         default = SCALE[unit] if unit in SCALE else self._effort_scale(signal)
-        return max(self._scale.get(signal, default), 0.5 * default)
+        return max(self._scale.get(signal, default), LEAST_SCALE.get(unit, 0.5) * default)
 
     def _effort_scale(self, signal: str) -> float:
         """`EFFORT_FRACTION` of a signal's RMS over all trials."""
@@ -302,23 +327,11 @@ def fit_objective(
         max_nfev=evaluations, ftol=tolerance, xtol=1e-6, gtol=1e-8,
     )  # fmt: skip
     values = np.clip(found.x, objective.low, objective.high)
-    residual, jacobian = objective(values)
-    errors = standard_errors(jacobian)
+    residual, _ = objective(values)
+    errors = objective.standard_errors(values)
     plant = objective.plant.with_values(
         dict(zip(objective.free, values, strict=True)),
         dict(zip(objective.free, errors, strict=True)),
     )
     cost = 0.5 * float(residual @ residual)
     return Solution(plant, objective.free, cost, objective.rms(values))
-
-
-def standard_errors(jacobian: Array) -> Array:
-    """Standard errors from the Jacobian of scaled residuals: the roots of diag((J'J)⁻¹).
-
-    Parameters
-    ----------
-    jacobian : ndarray, shape (n, k)
-        Of rank k.
-    """
-    _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
-    return np.asarray(np.sqrt(np.sum((rows.T / np.maximum(singular, 1e-12)) ** 2, axis=1)))

@@ -54,7 +54,7 @@ class Cascade:
                           source='docs/sources.md, "The servo"'),
                 Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.84, low=0.4,
                           high=2.0, role="nuisance", description="rotor inertia at the output",
-                          source='docs/sources.md, "The servo": recalled'),
+                          source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
                 Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
                           description="rated current limit", source='docs/sources.md, "The servo"'),
                 friction_speed_parameter(scope, j),

@@ -1,0 +1,153 @@
+"""Standard errors that hold where the error of the model is correlated: jackknife over groups.
+
+The curvature of the cost takes residuals for independent noise. The error of a reduced model is
+alike in rows of one payload, or of one part of the motion, whatever their number. The fit is
+therefore repeated, linearised, with one group of rows left out at a time::
+
+    d_g = (H − H_g)⁻¹ s_g,   H = J'J with priors,  H_g = J_g'J_g,  s_g = J_g'r_g
+    V = (G − 1)/G Σ (d_g − mean d)²
+
+(delete-a-group jackknife [Efron & Tibshirani 1993]; with few groups the sandwich estimate is too
+small [Cameron & Miller 2015]). G groups give G − 1 degrees of freedom: the error is widened so
+that two of it are a 95 % interval of Student's t. Rows are grouped by payload, or by trial where
+there are fewer than three payloads, and by part of the motion; the larger variance counts, beside
+that of the curvature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from models.trials.trial import Trial
+
+__all__ = ["Group", "cluster_errors", "grouped_rows", "jackknife_variance", "motion_parts"]
+
+Array = NDArray[np.float64]
+
+LEAST_GROUPS: Final = 3
+"""Groups below which their scatter says too little [assumed]."""
+
+TWO_SIDED: Final = 0.975
+
+
+class Group(NamedTuple):
+    """Rows that are left out together.
+
+    Attributes
+    ----------
+    information : ndarray, shape (k, k)
+        J'J of the rows.
+    score : ndarray, shape (k,)
+        J'r of the rows.
+    """
+
+    information: Array
+    score: Array
+
+
+def motion_parts(trial: Trial) -> NDArray[np.int_]:
+    """Part of the motion that each row belongs to: signs of angle and rate of the first joint.
+
+    Parameters
+    ----------
+    trial : Trial
+        Measured.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        0 to 3; zeros where no angle or position of the first joint was measured.
+    """
+    for name in ("angle_1_rad", "position_1_m"):
+        if name in trial.columns and len(trial) > 1:
+            angle = trial.columns[name] - np.nanmean(trial.columns[name])
+            return np.asarray(2 * (angle > 0) + (np.gradient(angle) > 0), dtype=np.int_)
+    return np.zeros(len(trial), dtype=int)
+
+
+Rows = tuple[Trial, NDArray[np.bool_], Array, Array]
+"""Trial, its rows that were measured, and their residuals (n,) and Jacobian (n, k)."""
+
+
+def grouped_rows(rows: Sequence[Rows]) -> tuple[dict[Hashable, Group], dict[Hashable, Group]]:
+    """Group the rows by payload, or by trial where payloads are few, and by part of the motion.
+
+    Parameters
+    ----------
+    rows : sequence of Rows
+        One for each signal of each trial.
+    """
+    few = len({trial.meta.payload_kg for trial, *_ in rows}) < LEAST_GROUPS
+    by_load: dict[Hashable, Group] = {}
+    by_part: dict[Hashable, Group] = {}
+    for trial, seen, residual, jacobian in rows:
+        _add_rows(by_load, trial.name if few else trial.meta.payload_kg, residual, jacobian)
+        part = motion_parts(trial)[seen]
+        for number in np.unique(part):
+            own = part == number
+            _add_rows(by_part, int(number), residual[own], jacobian[own])
+    return by_load, by_part
+
+
+def _add_rows(
+    groups: dict[Hashable, Group], key: Hashable, residual: Array, jacobian: Array
+) -> None:
+    """Add rows to the group of a key."""
+    information, score = jacobian.T @ jacobian, jacobian.T @ residual
+    if key in groups:
+        information, score = information + groups[key].information, score + groups[key].score
+    groups[key] = Group(information, score)
+
+
+def jackknife_variance(
+    groups: Sequence[Group], information: Array, low: Array, high: Array
+) -> Array:
+    """Variance of each parameter by leaving one group out at a time; zero for too few groups.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        All rows, each in one group.
+    information : ndarray, shape (k, k)
+        J'J of all rows and of the priors.
+    low, high : ndarray, shape (k,)
+        Largest change of each parameter down and up: a refit stays within the bounds.
+    """
+    count = len(groups)
+    if count < LEAST_GROUPS:
+        return np.zeros(len(information))
+    changes = np.array(
+        [np.linalg.lstsq(information - g.information, g.score, rcond=1e-12)[0] for g in groups]
+    )
+    changes = np.clip(changes, low, high)
+    scatter = np.sum((changes - changes.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
+    widened = float(student_t.ppf(TWO_SIDED, count - 1)) / 2.0
+    return np.asarray(scatter * max(widened, 1.0) ** 2)
+
+
+def cluster_errors(
+    groupings: Sequence[Mapping[Hashable, Group]], information: Array, low: Array, high: Array
+) -> Array:
+    """Standard errors: curvature and the grouping with the larger variance together.
+
+    Parameters
+    ----------
+    groupings : sequence of mapping
+        Ways to group all rows.
+    information, low, high
+        As for `jackknife_variance`. A parameter without room on one side is at a bound: it is
+        left out, and has the error of the curvature alone.
+    """
+    curvature = np.diag(np.linalg.pinv(information, hermitian=True))
+    free = np.flatnonzero((low < 0) & (high > 0))
+    largest = np.zeros(len(information))
+    for groups in groupings:
+        own = [Group(g.information[np.ix_(free, free)], g.score[free]) for g in groups.values()]
+        variance = jackknife_variance(own, information[np.ix_(free, free)], low[free], high[free])
+        largest[free] = np.maximum(largest[free], variance)
+    return np.asarray(np.sqrt(curvature + largest))
