@@ -66,8 +66,9 @@ class MarkerPlay:
             Angles of the joints.
         """
         cos, sin = math.cos(joint_rad[0]), math.sin(joint_rad[0])
-        turn = self.lean_rad[0] * np.array([0.0, 1.0, 0.0])
-        if len(self.lean_rad) == 2:  # the second axis, -x, is carried by the first joint
-            turn = turn + self.lean_rad[1] * np.array([-cos, 0.0, sin])
-        once = np.cross(turn, markers_m)
-        return np.asarray(markers_m + once + 0.5 * np.cross(turn, once))
+        # Rotation vector; the second axis, -x, is carried by the first joint.
+        x, y, z = 0.0, self.lean_rad[0], 0.0
+        if len(self.lean_rad) == 2:
+            x, z = -cos * self.lean_rad[1], sin * self.lean_rad[1]
+        turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(markers_m + markers_m @ (turn + 0.5 * turn @ turn).T)
