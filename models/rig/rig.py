@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import Final, Protocol
+from typing import Protocol
 
 from models.rig.rig_parameters import RigParameters
 from models.rig.trial_case import DOWN
@@ -76,13 +75,6 @@ class Rig(Protocol):
         ...
 
 
-_ENGINES: Final = {
-    "mujoco": ("models.rig.hinged.mujoco_rig", "MujocoRig"),
-    "cosserat": ("models.rig.cosserat.cosserat_rig", "CosseratRig"),
-}
-"""Module and class of each engine; a module is loaded when its engine is built."""
-
-
 def build_rig(
     parameters: RigParameters,
     dof: int,
@@ -105,7 +97,11 @@ def build_rig(
     gravity : sequence of float, shape (3,)
         Direction of gravity in the world frame; its length does not matter.
     """
-    module, name = _ENGINES[parameters.structure.engine]
-    engine = getattr(import_module(module), name)
-    rig: Rig = engine(parameters, dof, payload_kg, eccentricity_m, gravity)
-    return rig
+    # An engine is loaded when it is built: each has a large library of its own.
+    if parameters.structure.engine == "cosserat":
+        from models.rig.cosserat.cosserat_rig import CosseratRig
+
+        return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
+    from models.rig.hinged.mujoco_rig import MujocoRig
+
+    return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)
