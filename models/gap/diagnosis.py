@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
+from models.gap.acceptance import Acceptance
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
@@ -24,6 +25,7 @@ from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.look_alikes import LookAlike, look_alikes_of
 from models.gap.search.null_distribution import NullDistribution
+from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -103,6 +105,15 @@ class Diagnosis:
         d′ of each effect in the first round: after one step, and of the best ones refitted alone.
     rejected : tuple of RejectedEffect
         All others.
+    refused : tuple of RefusedEffect
+        Effects that were taken out again, and refitted values that were undone.
+    left_out : tuple of str
+        What was left out in turn.
+    held_out_given, held_out_improved : dict of str to float
+        Root mean square of each signal's error on what was left out, in its SI unit: of the plant
+        as given, and of the improved plant fitted to the rest.
+    unexplained_fraction : float
+        Geometric mean of their ratios.
     fit_parameters : tuple of FitParameter
         Nuisance, variation of each trial, and effects.
     fitted_values : ndarray, shape (p,)
@@ -131,6 +142,11 @@ class Diagnosis:
     screened: dict[str, float]
     refitted: dict[str, float]
     rejected: tuple[RejectedEffect, ...]
+    refused: tuple[RefusedEffect, ...]
+    left_out: tuple[str, ...]
+    held_out_given: dict[str, float]
+    held_out_improved: dict[str, float]
+    unexplained_fraction: float
     fit_parameters: tuple[FitParameter, ...]
     fitted_values: Array
 
@@ -170,6 +186,8 @@ def diagnose(
     floor = noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
+    accepted = Acceptance(search, result).accepted()
+    report("tested on what was left out")
     consistencies = consistencies_of_named(search, result)
     verdict, left = gap_verdict(search, result, consistencies)
     located, remaining = (
@@ -178,7 +196,7 @@ def diagnose(
     )
     return Diagnosis(
         plant=plant,
-        improved=improved_plant(plant, search, result, trials),
+        improved=improved_plant(plant, search, result, accepted.point, accepted.free, trials),
         settings=settings,
         verdict=verdict,
         gap_left_fraction=left,
@@ -203,8 +221,13 @@ def diagnose(
         screened=result.screened,
         refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},
         rejected=rejected_effects(result, search.null_distribution),
+        refused=tuple(result.refused),
+        left_out=tuple(search.held_out.folds),
+        held_out_given=search.held_out.given.rms(),
+        held_out_improved=accepted.errors.rms(),
+        unexplained_fraction=accepted.errors.fraction_of(search.held_out.given),
         fit_parameters=tuple(parameters),
-        fitted_values=result.after.values,
+        fitted_values=accepted.point.values,
     )
 
 

@@ -14,7 +14,7 @@ from models.gap.search.effect_search import EffectSearch
 from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
 from models.plant.effects import EFFECTS
 
-GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue"]
+GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
 
 
 def consistencies_of_named(
@@ -48,7 +48,8 @@ def gap_verdict(
 
     A named effect is a stand-in where its strength would have to differ from one payload, signal or
     band to the next, where most of the gap is left, or where the gap went into the variation
-    between trials.
+    between trials. Without a learned noise floor nobody knows what noise is: then neither "no gap"
+    nor "closed" nor "reduced" can be said, and the verdict is "no floor".
 
     Parameters
     ----------
@@ -67,7 +68,9 @@ def gap_verdict(
     biased = bool(search.nuisance_bias(result.after))
     if not result.named:
         gap = biased or search.has_gap(result.before)
-        return ("not in the catalogue", 1.0) if gap else ("no gap", 0.0)
+        if gap:
+            return "not in the catalogue", 1.0
+        return ("no gap", 0.0) if search.learned else ("no floor", 1.0)
     residual_before, residual_after = map(search.mean_residual, (result.before, result.after))
     clearly = residual_after > (1 + settings.unusual_residual) / 2
     unclosed = residual_before > settings.unusual_residual
@@ -76,6 +79,8 @@ def gap_verdict(
         unclosed = left > settings.gap_left_limit_fraction_of_several
     if biased or (clearly and unclosed) or not all(c.holds for c in consistencies.values()):
         return "not in the catalogue", left
+    if not search.learned:
+        return "no floor", left
     return ("reduced" if search.has_gap(result.after) else "closed"), left
 
 

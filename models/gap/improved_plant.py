@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import msgspec
 import numpy as np
 
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.residuals.fit_parameters import FitParameter
+from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.plant.effects import EFFECTS
@@ -16,7 +20,12 @@ from models.trials.trial import TrialSet
 
 
 def improved_plant(
-    plant: Plant, search: EffectSearch, result: SearchResult, trials: TrialSet
+    plant: Plant,
+    search: EffectSearch,
+    result: SearchResult,
+    point: FitPoint,
+    free: Array,
+    trials: TrialSet,
 ) -> Plant:
     """Plant with the named effects and the refitted nuisance, its parentage in the provenance.
 
@@ -30,6 +39,10 @@ def improved_plant(
         After its run.
     result : SearchResult
         Of that run.
+    point : FitPoint
+        Accepted fit.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted there.
     trials : TrialSet
         Where the gap was looked for.
     """
@@ -46,38 +59,64 @@ def improved_plant(
     if not result.named:
         return replace(plant, provenance=origin)
     full = plant.with_effects(*result.named)
-    changed, uncertain = _refitted(full, search, result)
+    changed = written_values(full, search.fit_parameters, point.values, free)
+    uncertain = _standard_errors(full, search, point, free)
     name = f"{plant.name.removesuffix(', gap closed')}, gap closed"
     return replace(full.with_values(changed, uncertain), name=name, provenance=origin)
 
 
-def _refitted(
-    full: Plant, search: EffectSearch, result: SearchResult
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Value and standard error of every parameter that was fitted for all trials."""
-    free, values, settings = search.free(result.named), result.after.values, search.settings
-    covariance = search.estimator.covariance(result.after, free)
-    errors = np.zeros(len(values))
-    dispersion = np.sqrt(search.dispersion(result.after))
-    errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * dispersion
+def written_values(
+    full: Plant, fit_parameters: Sequence[FitParameter], values: Array, free: Array
+) -> dict[str, float]:
+    """Value of every parameter of a plant that was fitted for all trials.
+
+    Parameters
+    ----------
+    full : Plant
+        As given, with the named effects.
+    fit_parameters : sequence of FitParameter
+        Of the residuals.
+    values : ndarray, shape (p,)
+        Their values.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted.
+    """
     changed: dict[str, float] = {}
+    for k, name, weight in _moved(full, fit_parameters, free):
+        q = full.parameters[name]
+        value = changed.get(name, q.value) + weight * values[k]
+        changed[name] = float(np.clip(value, q.low, q.high))
+    return changed
+
+
+def _moved(
+    full: Plant, fit_parameters: Sequence[FitParameter], free: Array
+) -> Iterator[tuple[int, str, float]]:
+    """Number, name of a parameter of the plant, and weight of what was fitted for all trials."""
+    for k, direction in enumerate(fit_parameters):
+        if direction.trial is None and free[k]:
+            for name, weight in direction.parameters.items():
+                if name in full.parameters:
+                    yield k, name, weight
+
+
+def _standard_errors(
+    full: Plant, search: EffectSearch, point: FitPoint, free: Array
+) -> dict[str, float]:
+    """Standard error of every such parameter."""
+    values, settings = point.values, search.settings
+    errors = np.zeros(len(values))
+    covariance = search.estimator.covariance(point, free)
+    dispersion = np.sqrt(search.dispersion(point))
+    errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * dispersion
     uncertain: dict[str, float] = {}
-    for k, direction in enumerate(search.fit_parameters):
-        if direction.trial is not None or not free[k]:
-            continue
-        missed = 0.0
-        if direction.effect:
-            port = EFFECTS[direction.effect].port
+    for k, name, weight in _moved(full, search.fit_parameters, free):
+        missed, effect = 0.0, search.fit_parameters[k].effect
+        if effect:
             by_port, general = (
                 settings.strength_error_fraction_by_port, settings.strength_error_fraction
             )  # fmt: skip
-            missed = by_port.get(port, general) * values[k]
-        for name, weight in direction.parameters.items():
-            if name not in full.parameters:
-                continue
-            q = full.parameters[name]
-            value = changed.get(name, q.value) + weight * values[k]
-            changed[name] = float(np.clip(value, q.low, q.high))
-            parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
-            uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
-    return changed, uncertain
+            missed = by_port.get(EFFECTS[effect].port, general) * values[k]
+        parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
+        uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
+    return uncertain

@@ -168,6 +168,21 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Payload of the swap among these, or none where trials carried more than half of it [assumed].
     """
 
+    # Held-out errors
+    held_out_steps: int = 3
+    """Most steps of the fit without a fold, from the fit of all trials [assumed]."""
+    held_out_time_blocks: int = 2
+    """Parts of the time that are left out in turn where there is one trial [assumed]."""
+    least_held_out_fall_fraction: float = 0.03
+    """Least fall of the held-out error that a further effect must bring where no noise floor is
+    learned [assumed]."""
+    harm_fraction: float = 0.05
+    """Rise of a signal's held-out error, relative to the plant as given, from which a plant is
+    refused (the project's requirement)."""
+    at_bound_fraction: float = 1e-3
+    """Distance from a bound, as a fraction of the range, within which a value is at it [assumed].
+    """
+
     # Strength consistency
     consistency_bands: int = 3
     """Frequency bands, of equal width on a logarithmic scale [assumed]."""

@@ -10,6 +10,7 @@ import msgspec
 from firmware_py.documents import Document, read_document, write_document
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.gap_verdict import GapVerdict
+from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.rejected_effects import RejectedEffect
 from models.gap.settings import GapSettings
 
@@ -164,6 +165,23 @@ class WaterfallStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     floors: float
 
 
+class HeldOutSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Root mean square error of a signal on what was left out, in its SI unit.
+
+    `given` is of the plant as given, `improved` of the improved plant fitted to the rest.
+    """
+
+    given: float
+    improved: float
+
+
+class HeldOutSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors on what was left out in turn, by signal."""
+
+    left_out: tuple[str, ...]
+    signals: dict[str, HeldOutSignal]
+
+
 class GapDocument(Document, frozen=True):
     """Content of `gap.json`; docs/gap.md explains the keys.
 
@@ -195,6 +213,14 @@ class GapDocument(Document, frozen=True):
         Tuned numbers of the run.
     rows_fitted : dict of str to int
         Rows that were fitted of each trial that is too long to be fitted as a whole.
+    refused : tuple of RefusedEffect
+        Effects that were taken out again, and refitted values that were undone; none in documents
+        of earlier versions.
+    held_out : HeldOutSummary
+        Errors on what was left out in turn.
+    unexplained_fraction : float
+        Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
+        that of the plant as given: 1 where nothing was named.
     """
 
     VERSION: ClassVar[int] = 2
@@ -216,6 +242,9 @@ class GapDocument(Document, frozen=True):
     waterfall: tuple[WaterfallStep, ...]
     settings: GapSettings
     rows_fitted: dict[str, int] = msgspec.field(default_factory=dict)
+    refused: tuple[RefusedEffect, ...] = ()
+    held_out: HeldOutSummary | None = None
+    unexplained_fraction: float | None = None
 
 
 def read_gap_document(path: Path) -> GapDocument:

@@ -15,7 +15,12 @@ from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words, symbol_of
 from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
-from models.gap.report.gap_words import goal_not_followed_in_words, nuisance_bias_in_words
+from models.gap.report.gap_words import (
+    goal_not_followed_in_words,
+    nuisance_bias_in_words,
+    refusals_in_words,
+    verdict_in_words,
+)
 from models.gap.report.localisation_maps import localisation_maps
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
@@ -77,10 +82,10 @@ def gap_lead(document: GapDocument) -> list[Part]:
     for more in (goal_not_followed_in_words(document), nuisance_bias_in_words(document)):
         said += f" {more[0].upper() + more[1:]}." if more else ""
     tip_m = [_tip_m(getattr(document, when)) for when in ("before", "after")]
-    if document.named and tip_m[0]:
+    if any(row.kept for row in document.named) and tip_m[0]:
         before, after = (LENGTH.significant(value) for value in tip_m)
         said += f" The tip error of the plant is {before} RMS before and {after} RMS after."
-    return [Paragraph(Markup("<b>{}</b> {}").format(_verdict(document), said), "lead")]
+    return [Paragraph(Markup("<b>{}</b> {}").format(verdict_in_words(document), said), "lead")]
 
 
 def gap_sections(
@@ -122,11 +127,40 @@ def gap_sections(
             ],
         ),
     ]  # fmt: skip
+    if document.refused:
+        result.append(Section("refused", "What was refused", _refused(document)))
     if document.waterfall:
         result.append(Section("waterfall", "What each step removes", [_waterfall(document)]))
     result.append(_compared(document, before, after, trials))
     result.append(Section("others", "Effects not named", [_rejected(document)]))
     return result
+
+
+def _refused(document: GapDocument) -> list[Part]:
+    """Sentences on what was refused, and the held-out errors of what was written."""
+    kept = any(row.kept for row in document.named)
+    written = (
+        "The plant that was written is the best one without it."
+        if kept
+        else "The plant that was written is the plant as given, unchanged."
+    )
+    parts: list[Part] = [Paragraph(text) for text in refusals_in_words(document)]
+    parts.append(Paragraph(written))
+    if document.held_out is None:
+        return parts
+    units = {s: row.unit for s, row in document.before["fitted"].items()}
+    rows: list[list[Cell]] = []
+    for signal, row in document.held_out.signals.items():
+        unit = error_unit(units.get(signal, "1"))
+        ratio = FRACTION.text(row.improved / row.given) if row.given else ""
+        rows.append(
+            [signal_in_words(signal), unit.significant(row.given), unit.significant(row.improved),
+             ratio]
+        )  # fmt: skip
+    caption = f"Left out in turn: {', '.join(document.held_out.left_out)}."
+    head = ["held-out RMS error", "plant as given", "plant as written", "ratio"]
+    parts.append(Table("", head, rows, caption))
+    return parts
 
 
 def _waterfall(document: GapDocument) -> Figure:
@@ -146,17 +180,6 @@ def _tip_m(errors: Mapping[str, Mapping[str, SignalGap]]) -> float:
     """Root mean square distance of the tip, over the last trials; zero where there is no tip."""
     rows = errors.get("held_out", errors["fitted"])
     return float(np.sqrt(sum(rows[axis].rms ** 2 for axis in TIP if axis in rows)))
-
-
-def _verdict(document: GapDocument) -> str:
-    names = ", ".join(_words(r.effect) for r in document.named if r.kept)
-    return {
-        "no gap": "No gap.",
-        "closed": f"Closed by {names}.",
-        "reduced": f"Reduced by {names}; a residual above the noise floor is left.",
-        "not in the catalogue": "The missing effect is not in the catalogue."
-        + (f" {names.capitalize()} explains a part of it only." if names else ""),
-    }[document.verdict]
 
 
 def _words(name: str) -> str:

@@ -12,6 +12,8 @@ from models.gap.diagnosis import Diagnosis, Inclusion
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
+    HeldOutSignal,
+    HeldOutSummary,
     LocatedRegion,
     MappedRegion,
     NamedEffect,
@@ -88,6 +90,15 @@ def gap_document(
         waterfall=tuple(WaterfallStep(step, floors) for step, floors in waterfall),
         settings=found.settings,
         rows_fitted=found.rows_fitted,
+        refused=found.refused,
+        held_out=HeldOutSummary(
+            found.left_out,
+            {
+                s: HeldOutSignal(given, found.held_out_improved[s])
+                for s, given in found.held_out_given.items()
+            },
+        ),
+        unexplained_fraction=round(found.unexplained_fraction, 4),
     )  # fmt: skip
 
 

@@ -39,6 +39,42 @@ def own_error_in_words(document: GapDocument) -> str:
     return where and f"the plant's own error is not known, so not subtracted, for: {where}"
 
 
+def verdict_in_words(document: GapDocument) -> str:
+    """Verdict as one or two sentences."""
+    names = ", ".join(r.effect.replace("_", " ") for r in document.named if r.kept)
+    if document.verdict == "no floor":
+        return (f"Reduced by {names}. " if names else "Nothing was named. ") + unexplained_in_words(
+            document
+        )
+    return {
+        "no gap": "No gap.",
+        "closed": f"Closed by {names}.",
+        "reduced": f"Reduced by {names}; a residual above the noise floor is left.",
+        "not in the catalogue": "The missing effect is not in the catalogue."
+        + (f" {names.capitalize()} explains a part of it only." if names else ""),
+    }[document.verdict]
+
+
+def unexplained_in_words(document: GapDocument) -> str:
+    """Fraction of the error that is unexplained, where no noise floor tells it from noise."""
+    left = 1.0 if document.unexplained_fraction is None else document.unexplained_fraction
+    return (
+        "There is no noise floor, because no trial of the plant was repeated: "
+        f"{left:.0%} of the plant's error is unexplained, and how much of that is noise is unknown."
+    )
+
+
+def refusals_in_words(document: GapDocument) -> list[str]:
+    """One sentence for each effect or value that was refused."""
+    result = []
+    for row in document.refused:
+        if row.effect:
+            result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
+        else:
+            result.append(f"{row.reason}; it was put back to the plant as given.")
+    return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
+
+
 def gap_in_words(document: GapDocument) -> str:
     """Text for the console.
 
@@ -48,6 +84,8 @@ def gap_in_words(document: GapDocument) -> str:
         Of a diagnosis.
     """
     lines = [f"verdict: {document.verdict}", document.sentence]
+    if document.verdict == "no floor":
+        lines.append(unexplained_in_words(document))
     notes = (
         goal_not_followed_in_words(document), nuisance_bias_in_words(document),
         rows_fitted_in_words(document), own_error_in_words(document),
@@ -55,6 +93,9 @@ def gap_in_words(document: GapDocument) -> str:
     lines += [text for text in notes if text]
     for row in document.named:
         lines += _named_in_words(row)
+    lines += refusals_in_words(document)
+    if document.refused and not any(row.kept for row in document.named):
+        lines.append("The plant that was written is the plant as given, unchanged.")
     if document.verdict in ("reduced", "not in the catalogue"):
         lines.append("remaining gap: " + document.remaining.sentence)
     part = "held_out" if "held_out" in document.before else "fitted"
@@ -74,7 +115,8 @@ def _named_in_words(row: NamedEffect) -> list[str]:
         f"{name} = {q.value:.4g} ± {q.error or 0:.2g} {q.unit}"
         for name, q in row.parameters.items()
     )
-    lines = [f"named: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
+    word = "named" if row.kept else "named, then taken out"
+    lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
     if row.separated_by:
         others = ", ".join(c.effect for c in row.look_alikes)
         lines.append(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.search.refused_effect import RefusedEffect
 
 
 @dataclass
@@ -28,6 +29,8 @@ class Candidate:
     held_out_gain, held_out_error : float
         Fall of the cost on trials left out and its standard error; not a number before
         cross-validation.
+    held : frozenset of int
+        Fit parameters of its own that keep their first value because they ended at a bound.
     """
 
     effects: tuple[str, ...]
@@ -37,6 +40,7 @@ class Candidate:
     predicted: float = 0.0
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
+    held: frozenset[int] = frozenset()
 
     @property
     def score(self) -> float:
@@ -72,6 +76,8 @@ class SearchResult:
         Effects that these trials could not show at any strength within bounds.
     chosen : list of Candidate
         Included in each round.
+    refused : list of RefusedEffect
+        Candidates whose strength ended at a bound, and what the acceptance takes out.
     """
 
     before: FitPoint
@@ -81,3 +87,4 @@ class SearchResult:
     screened: dict[str, float] = field(default_factory=dict)
     unexcited: list[str] = field(default_factory=list)
     chosen: list[Candidate] = field(default_factory=list)
+    refused: list[RefusedEffect] = field(default_factory=list)

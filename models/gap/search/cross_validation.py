@@ -41,6 +41,15 @@ def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedMo
     )
 
 
+def held_out_gain(
+    estimator: GaussNewton, without: FittedModel, with_: FittedModel
+) -> tuple[float, float]:
+    """Sum of `held_out_gains` and its standard error; the parameters are the same."""
+    gains = held_out_gains(estimator, without, with_)
+    deviation = float(np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
+    return float(gains.sum()), float(np.sqrt(len(gains))) * deviation
+
+
 def left_out_folds(trials: Sequence[Trial]) -> list[list[int]]:
     """Indices of the trials that are left out together."""
     for condition in ("payload_kg", "conditions", "motion", "trial"):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -24,9 +25,11 @@ from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
+from models.gap.search.bounded_candidate import bounded_candidate
 from models.gap.search.candidate import Candidate, SearchResult
-from models.gap.search.cross_validation import held_out_gains
+from models.gap.search.cross_validation import held_out_gain
 from models.gap.search.dead_zone_effects import strength_ladder, unexcited_effects
+from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import null_distribution_of
 from models.gap.search.strength_consistency import strength_consistency_of
 from models.plant.effects import EFFECTS
@@ -53,6 +56,8 @@ class EffectSearch:
         As given, and with a floor that allows for the error of an effect's equation.
     of : dict of str to ndarray of bool
         Fit parameters of each effect.
+    held : ndarray of bool, shape (p,)
+        Fit parameters that keep the plant's value because they ended at a bound.
     """
 
     def __init__(
@@ -73,6 +78,7 @@ class EffectSearch:
             if any(q.effect == e for q in self.fit_parameters)
         }
         self.absent = [e for e in catalogue if e not in self.of]
+        self.held = np.zeros(len(self.fit_parameters), dtype=bool)
 
     def search(self) -> SearchResult:
         """Run the whole search."""
@@ -94,21 +100,40 @@ class EffectSearch:
             if not found.named:
                 found.screened = {e: c.separation for (e,), c in screen.items()}
             best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)
-            best = best[: self.settings.refitted_candidates]
+            best = best[: self._most_refitted()]
             refitted = [self._refit(c, here, found.named) for c in best]
             refitted.sort(key=lambda c: c.score, reverse=True)
             found.rounds.append(refitted)
             choice = self._accept(refitted, here, found)
-            if choice is None and self.has_gap(here):
+            if choice is None and (self.has_gap(here) or not (self.learned or found.named)):
                 choice = self._pairs(here, found)
             if choice is None:
                 break
             found.named += list(choice.effects)
+            self.held[list(choice.held)] = True
             found.chosen.append(choice)
             found.after = self._settled(choice, here, self.free(found.named))
             choice.gain = here.cost - found.after.cost
-            self._delete(found)
+            if self.learned:
+                self._delete(found)
+            elif len(found.chosen) == 1:
+                found.after = self._flatten(found.after, found.named)
         return found
+
+    @cached_property
+    def held_out(self) -> HeldOut:
+        """Parts of the trials that are left out in turn; first used after the nuisance fit."""
+        return HeldOut(self.estimator)
+
+    @property
+    def learned(self) -> bool:
+        """Whether the noise floor was measured on repetitions."""
+        return self.first.floor.learned
+
+    def _most_refitted(self) -> int:
+        """Candidates that are refitted; all of a rigid load, which is simulated in no time."""
+        rigid = self.estimator.residuals.plant.load != "link"
+        return len(self.of) if rigid and not self.learned else self.settings.refitted_candidates
 
     def _candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
@@ -121,7 +146,7 @@ class EffectSearch:
         free = self.base.copy()
         for effect in effects:
             free |= self.of[effect]
-        return free
+        return np.asarray(free & ~self.held)
 
     def _screen(
         self, here: FitPoint, others: Sequence[FitPoint], found: SearchResult
@@ -195,49 +220,66 @@ class EffectSearch:
     def _accept(
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
     ) -> Candidate | None:
-        """Best candidate that passes threshold and cross-validation.
+        """Best candidate that passes threshold, bounds and cross-validation.
 
-        The threshold grows with what is left beside a candidate, as in an F-test.
-
-        An error of the equations before does not shift every trial in the same way: a candidate
-        that removes a nuisance bias need not stand out beside it.
+        Without a learned floor it is the one with the least held-out error, and a further effect
+        needs no threshold (`models.gap.search.held_out_errors`).
         """
         if not refitted:
             return None
-        settings = self.settings
+        passed: list[tuple[float, Candidate]] = []
+        least_score = self.settings.acceptable_score_fraction * refitted[0].score
+        without = None if self.learned else self.held_out.errors(here, self.free(found.named))
+        for candidate in refitted:
+            further = bool(found.named) and without is not None
+            enough = candidate.score >= least_score
+            if not further and not (enough and self._stands_out(candidate, here, found)):
+                continue
+            free = self._free_of(candidate, found)
+            bounded = bounded_candidate(self.estimator, candidate, here, free, found.refused)
+            if not bounded:
+                continue
+            fits = (here, self.free(found.named)), (bounded.point, self._free_of(bounded, found))
+            bounded.held_out_gain, bounded.held_out_error = held_out_gain(self.estimator, *fits)
+            if not further and bounded.held_out_gain <= bounded.held_out_error:
+                continue
+            if without is None:
+                return bounded
+            errors = self.held_out.errors(*fits[1])
+            if lowers_held_out_error(errors, without, self.learned, self.settings):
+                passed.append((errors.fraction_of(self.held_out.given), bounded))
+        return min(passed, key=lambda row: row[0])[1] if passed else None
+
+    def _free_of(self, candidate: Candidate, found: SearchResult) -> Array:
+        """Fit parameters of a candidate beside what is named."""
+        free = self.free([*found.named, *candidate.effects])
+        free[list(candidate.held)] = False
+        return free
+
+    def _stands_out(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> bool:
+        """Whether a candidate passes its threshold, also beside the error of earlier equations.
+
+        The threshold grows with what is left beside a candidate, as in an F-test. An error of the
+        equations before does not shift every trial in the same way: a candidate that removes a
+        nuisance bias need not stand out beside it.
+        """
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
-        fraction = settings.inconsistent_further_effect_fraction
+        fraction = self.settings.inconsistent_further_effect_fraction
         doubted = max(missed, sum((fraction * c.separation) ** 2 for c in linear))
-        biased = self.nuisance_bias(here)
-        least_score = settings.acceptable_score_fraction * refitted[0].score
-        for candidate in (c for c in refitted if c.score >= least_score):
-            left = max(self.mean_residual(candidate.point), 1.0)
-            beyond = 2 * candidate.gain - left * candidate.least**2
-            removes_bias = biased and not self.nuisance_bias(candidate.point)
-            free = self.free([*found.named, *candidate.effects])
-            if beyond <= (0.0 if removes_bias else missed):
-                continue
-            if beyond <= doubted and not removes_bias and not self._consistent(candidate, free):
-                continue
-            gains = held_out_gains(
-                self.estimator, (here, self.free(found.named)), (candidate.point, free)
-            )
-            candidate.held_out_gain = float(gains.sum())
-            deviation = float(np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
-            candidate.held_out_error = float(np.sqrt(len(gains))) * deviation
-            if candidate.held_out_gain > candidate.held_out_error:
-                return candidate
-        return None
+        left = max(self.mean_residual(candidate.point), 1.0)
+        beyond = 2 * candidate.gain - left * candidate.least**2
+        if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
+            return beyond > 0
+        if beyond <= missed:
+            return False
+        return beyond > doubted or self._consistent(candidate, self._free_of(candidate, found))
 
     def _consistent(self, candidate: Candidate, free: Array) -> bool:
         """Whether each strength of a candidate is the same everywhere."""
-        return all(
-            strength_consistency_of(
-                self.estimator, candidate.point, free, self.of[e], EFFECTS[e].port
-            ).holds
-            for e in candidate.effects
-        )
+        own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
+        fit = self.estimator, candidate.point, free
+        return all(strength_consistency_of(*fit, *row).holds for row in own)
 
     def _missed(self, chosen: Candidate) -> float:
         """Fraction of a choice's d′ that its equations may miss."""
@@ -284,6 +326,15 @@ class EffectSearch:
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
         floor = self.first.floor.widened(residuals.groups, residuals.trials, gap, self.settings)
         self.estimator = GaussNewton(residuals, floor)
+
+    def _flatten(self, point: FitPoint, named: Sequence[str]) -> FitPoint:
+        """Fit in SI units: once the first effect is named, no spectrum tells what is noise."""
+        residuals = self.estimator.residuals
+        floor = flattened(self.first.floor, residuals.groups, point.rows)
+        self.estimator = GaussNewton(residuals, floor)
+        self.held_out = HeldOut(self.estimator)
+        start, steps = self.estimator.at(point.values), self.settings.nuisance_fit_steps
+        return self.estimator.fit(start, self.free(named), steps)
 
     def _delete(self, found: SearchResult) -> None:
         """Delete effects that are no longer needed beside what came later."""

@@ -42,12 +42,15 @@ def rejected_effects(
     null_distribution : NullDistribution
         What each effect needs.
     """
+    refused = {e: f"refused: {r.reason}" for r in result.refused for e in r.effect.split(" + ")}
     refitted = {e: c for r in result.rounds for c in r for e in c.effects}
     rows = []
     for effect, size in sorted(result.screened.items(), key=lambda row: -row[1]):
         if effect in result.named:
             continue
-        if effect in result.unexcited:
+        if effect in refused:
+            reason = refused[effect]
+        elif effect in result.unexcited:
             reason = UNEXCITED
         elif effect in refitted and not np.isnan(refitted[effect].held_out_gain):
             reason = "its gain does not hold on trials left out"

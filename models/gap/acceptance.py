@@ -1,0 +1,211 @@
+"""Acceptance of the improved plant: what is refused, and the best plant without it.
+
+The effect search decides by the whitened cost. What is written must also hold in SI units, on
+trials that no value was fitted to, by simulation (`models.gap.search.held_out_errors`):
+
+1. No fitted value is at a bound, and no sum is impossible (`models.plant.physical_limits`). A
+   strength that is takes its effect along; any other value is put back to that of the plant as
+   given.
+2. Every named effect lowers the held-out error.
+3. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
+   as given.
+
+What fails is taken out, the rest is fitted again and tested again, down to the plant as given. The
+nuisance is written as refitted only where that too lowers the held-out error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.improved_plant import written_values
+from models.gap.residuals.spectrum import Array
+from models.gap.search.bounded_candidate import strength_names
+from models.gap.search.candidate import SearchResult
+from models.gap.search.effect_search import EffectSearch
+from models.gap.search.held_out_errors import HeldOutErrors, lowers_held_out_error
+from models.gap.search.refused_effect import (
+    OffendingValue,
+    RefusalKind,
+    RefusedEffect,
+    impossible_values,
+    refusal_of_value,
+    values_at_bounds,
+)
+
+
+@dataclass(frozen=True)
+class AcceptedFit:
+    """Fit that the improved plant is written from.
+
+    Attributes
+    ----------
+    point : FitPoint
+        Values of all fit parameters.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted; none for the plant as given.
+    errors : HeldOutErrors
+        Of this fit, each part left out in turn.
+    """
+
+    point: FitPoint
+    free: Array
+    errors: HeldOutErrors
+
+
+class Acceptance:
+    """Tests of a search's result; takes out of it what fails.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run; `named`, `after` and `refused` are changed.
+    """
+
+    def __init__(self, search: EffectSearch, result: SearchResult) -> None:
+        self.search, self.result, self.settings = search, result, search.settings
+        self.held_out, self.residuals = search.held_out, search.estimator.residuals
+        self.nuisance = np.array([q.kind == "nuisance" for q in search.fit_parameters])
+        self._errors: dict[bytes, HeldOutErrors] = {}
+
+    def accepted(self) -> AcceptedFit:
+        """Best fit that passes."""
+        while self.result.named:
+            if self._refuses_values():
+                continue
+            fits = sorted((self._as_fitted(), self._nuisance_undone()), key=self._fraction)
+            failing = [self._failing(fit) for fit in fits]
+            for fit, rows in zip(fits, failing, strict=True):
+                if not rows:
+                    return fit
+            self._refuse(fits[0], failing[0])
+        given = self.search.first.start()
+        return AcceptedFit(given, np.zeros_like(self.nuisance), self.held_out.given)
+
+    def _fraction(self, fit: AcceptedFit) -> float:
+        return fit.errors.fraction_of(self.held_out.given)
+
+    def _as_fitted(self) -> AcceptedFit:
+        free = self.search.free(self.result.named)
+        return self._fit(self.result.after, free)
+
+    def _nuisance_undone(self) -> AcceptedFit:
+        """Effects and variation alone, the nuisance as in the plant as given."""
+        free = self.search.free(self.result.named) & ~self.nuisance
+        return self._fit(self._refitted(self.result.after.values, free), free)
+
+    def _fit(self, point: FitPoint, free: Array) -> AcceptedFit:
+        key = point.values.tobytes() + free.tobytes()
+        if key not in self._errors:
+            self._errors[key] = self.held_out.errors(point, free)
+        return AcceptedFit(point, free, self._errors[key])
+
+    def _refitted(self, values: Array, free: Array) -> FitPoint:
+        """Fit from some values; what is common to all trials and not free is zero."""
+        fixed = np.array([q.trial is None for q in self.search.fit_parameters]) & (free == 0)
+        start = self.search.estimator.at(np.where(fixed, 0.0, values))
+        steps = self.settings.candidate_fit_steps
+        relative = self.settings.waterfall_relative_fall
+        return self.search.estimator.fit(start, free, steps, relative)
+
+    def _refuses_values(self) -> bool:
+        """Whether a value or a sum was refused, and the rest refitted."""
+        point, free = self.result.after, self.search.free(self.result.named)
+        plant, parameters = self.residuals.plant, self.search.fit_parameters
+        rows: list[tuple[RefusalKind, OffendingValue]] = [
+            ("at a bound", row)
+            for row in values_at_bounds(plant, parameters, point, free, self.settings)
+        ]
+        full = plant.with_effects(*self.result.named)
+        written = full.with_values(written_values(full, parameters, point.values, free))
+        payloads_kg = [t.meta.payload_kg for t in self.residuals.trials]
+        rows += [
+            ("impossible", row)
+            for row in impossible_values(plant, written, payloads_kg, parameters, free)
+        ]
+        if not rows:
+            return False
+        kind, first = rows[0]
+        effects = [
+            e for e in self.result.named
+            if any(parameters[k].effect == e for k in first.index)
+            and (kind == "impossible" or first.name in strength_names(self.search.estimator, (e,)))
+        ]  # fmt: skip
+        self.result.refused.append(refusal_of_value(" + ".join(effects), kind, first))
+        if effects:
+            self._take_out(effects)
+        else:
+            self.search.held[list(first.index)] = True
+            free = self.search.free(self.result.named)
+            self.result.after = self._refitted(point.values, free)
+        return True
+
+    def _failing(self, fit: AcceptedFit) -> list[RefusedEffect]:
+        """Effects that do not lower the held-out error, and signals whose error rises too much."""
+        found = []
+        for effect in self.result.named:
+            without = self._without(effect, fit)
+            if not lowers_held_out_error(
+                fit.errors, without.errors, self.search.learned, self.settings
+            ) or self._fraction(fit) >= min(1.0, self._fraction(without)):
+                rest = " + ".join(e for e in self.result.named if e != effect)
+                beside = f" beside {rest.replace('_', ' ')}" if rest else ""
+                value = fit.errors.fraction_of(without.errors)
+                value = value if rest else max(value, self._fraction(fit))
+                found.append(
+                    RefusedEffect(
+                        effect=effect, kind="held-out error", name="", value=value, limit=1.0,
+                        unit="1",
+                        reason=f"it does not lower the error on what was left out{beside}: "
+                        f"{value:.1%} of the error without it",
+                    )
+                )  # fmt: skip
+        limit = 1 + self.settings.harm_fraction
+        for signal, ratio in fit.errors.ratios(self.held_out.given).items():
+            if ratio > limit:
+                found.append(
+                    RefusedEffect(
+                        effect="", kind="rise of a signal", name=signal, value=ratio, limit=limit,
+                        unit="1",
+                        reason=f"the held-out error of {signal} would be {ratio:.1%} of that of "
+                        "the plant as given",
+                    )
+                )  # fmt: skip
+        return found
+
+    def _without(self, effect: str, fit: AcceptedFit) -> AcceptedFit:
+        """Fit of the same kind without one effect."""
+        free: Array = fit.free & ~self.search.of[effect]
+        if np.any(free & ~self.search.base):
+            return self._fit(self._refitted(fit.point.values, free), free)
+        if np.any(free & self.nuisance):
+            return self._fit(self.result.before, free)
+        return AcceptedFit(fit.point, free, self.held_out.given)
+
+    def _refuse(self, fit: AcceptedFit, failing: list[RefusedEffect]) -> None:
+        """Take out the effect without which the held-out error is least."""
+        blamed = [row for row in failing if row.effect]
+        names = [row.effect for row in blamed] or list(self.result.named)
+        worst = min(names, key=lambda e: self._fraction(self._without(e, fit)))
+        row = next((r for r in failing if r.effect in ("", worst)), failing[0])
+        if not row.effect:
+            row = RefusedEffect(
+                effect=worst, kind=row.kind, reason=row.reason, name=row.name, value=row.value,
+                limit=row.limit, unit=row.unit,
+            )  # fmt: skip
+        self.result.refused.append(row)
+        self._take_out([worst])
+
+    def _take_out(self, effects: list[str]) -> None:
+        """Name the rest only, refitted."""
+        self.result.named = [e for e in self.result.named if e not in effects]
+        free = self.search.free(self.result.named)
+        if not self.result.named:
+            self.result.after = self.result.before
+            return
+        self.result.after = self._refitted(self.result.after.values, free)

@@ -1,0 +1,83 @@
+"""Residuals of some rows of some trials, with the simulations of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.gap.residuals.residuals import Residuals
+from models.gap.residuals.spectrum import Array
+
+
+@dataclass(frozen=True)
+class SquaredError:
+    """Sum of the squared errors of a signal, in its SI unit squared, over `rows` samples."""
+
+    sum: float
+    rows: int
+
+
+class PartialResiduals(Residuals):
+    """Residuals in which only the given rows count; trials without any are left out.
+
+    Parameters
+    ----------
+    whole : Residuals
+        Of all trials; its compiled models are shared.
+    counted : mapping of int to ndarray, shape (n,)
+        1 for each row that counts, 0 otherwise, by index of the trial.
+    derivatives : callable
+        From values to the derivatives of `whole`, as `Residuals.jacobian`: one run of all trials
+        serves every part of them.
+    """
+
+    def __init__(
+        self,
+        whole: Residuals,
+        counted: Mapping[int, Array],
+        derivatives: Callable[[Array], list[Array]],
+    ) -> None:
+        vars(self).update(vars(whole))
+        self._derivatives = derivatives
+        self._parts = [
+            [a for a, k in enumerate(g.trials) if k in counted and counted[k].any()]
+            for g in whole.groups
+        ]
+        kept = [(g, part) for g, part in zip(whole.groups, self._parts, strict=True) if part]
+        self.groups = [replace(g, trials=tuple(g.trials[a] for a in part)) for g, part in kept]
+        self._follows = [
+            rows * counted.get(k, np.zeros(len(rows))) for k, rows in enumerate(whole._follows)
+        ]
+
+    def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
+        """As `Residuals.jacobian`, cut out of the derivatives of all trials."""
+        slopes = [s[part] for s, part in zip(self._derivatives(values), self._parts, strict=True)
+                  if part]  # fmt: skip
+        cut = [
+            np.moveaxis(self.as_counted(g, np.moveaxis(s, -1, 0)), 0, -1)
+            for g, s in zip(self.groups, slopes, strict=True)
+        ]
+        return self.residuals(values), cut
+
+    def squared_errors(self, values: Array) -> dict[str, SquaredError]:
+        """Raw errors by signal, over the rows that count and where something was measured.
+
+        Parameters
+        ----------
+        values : ndarray, shape (p,)
+            Of all fit parameters.
+        """
+        total: dict[str, SquaredError] = {}
+        for group in self.groups:
+            for k in group.trials:
+                y, counts = self._run(k, values), self._follows[k] > 0
+                for signal in group.signals:
+                    error = y[:, self._outputs.index(signal)] - self._measured[k][signal]
+                    error = error[counts & np.isfinite(self._measured[k][signal])]
+                    known = total.get(signal, SquaredError(0.0, 0))
+                    total[signal] = SquaredError(
+                        known.sum + float(error @ error), known.rows + len(error)
+                    )
+        return total

@@ -1,0 +1,274 @@
+"""Errors on trials that no value was fitted to, in SI units, by simulation.
+
+Payloads, other conditions and motions are left out in turn; repetitions where the trials differ in
+none of these, halves of the time where there is one trial. Around a fit of all trials a few
+Gauss–Newton steps without the fold, priors kept, give the values that the other trials would have
+given. With these the fold is simulated as the plant file would simulate it: without any variation
+of the trial, without shift of the frame. The errors are compared with those of the plant as given.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.residuals.partial_residuals import PartialResiduals, SquaredError
+from models.gap.residuals.residuals import Residuals, TrialGroup
+from models.gap.residuals.spectrum import Array
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.plant import Plant
+from models.trials.trial import Trial
+
+LEAST_SQUARE = 1e-300
+"""Least mean square: a ratio of errors that are exactly zero is 1."""
+
+Fold = dict[int, Array]
+"""Rows that are left out together, 1 each, by index of the trial."""
+
+
+def held_out_folds(
+    trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
+) -> dict[str, list[Fold]]:
+    """Folds by what is left out.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All of them.
+    settings : GapSettings
+        Tuned numbers.
+    """
+    found: dict[str, list[Fold]] = {}
+    for words, key in (
+        ("payloads", lambda t: t.meta.payload_kg),
+        ("conditions", lambda t: sorted(t.meta.conditions.items())),
+        ("motions", lambda t: (t.meta.motion, t.meta.amplitude_rad, t.meta.period_s)),
+    ):
+        folds = _by_value(trials, key)
+        if len(folds) > 1:
+            found[words] = folds
+    if found:
+        return found
+    if len(trials) > 1:
+        return {"repetitions": _by_value(trials, lambda t: t.name)}
+    edges = np.linspace(0, len(trials[0]), settings.held_out_time_blocks + 1).astype(int)
+    place = np.arange(len(trials[0]))
+    blocks = [
+        {0: ((place >= a) & (place < b)).astype(np.float64)} for a, b in itertools.pairwise(edges)
+    ]
+    return {"parts of the time": blocks}
+
+
+def _by_value(trials: Sequence[Trial], key: Callable[[Trial], object]) -> list[Fold]:
+    folds: dict[str, Fold] = {}
+    for k, trial in enumerate(trials):
+        folds.setdefault(str(key(trial)), {})[k] = np.ones(len(trial))
+    return list(folds.values())
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of a model on what it was not fitted to.
+
+    Attributes
+    ----------
+    folds : tuple of dict of str to SquaredError
+        By fold and signal.
+    """
+
+    folds: tuple[Mapping[str, SquaredError], ...]
+
+    def rms(self) -> dict[str, float]:
+        """Root mean square of each signal over all folds, in its SI unit."""
+        result = {}
+        for signal in dict.fromkeys(s for fold in self.folds for s in fold):
+            parts = [fold[signal] for fold in self.folds if signal in fold]
+            rows = sum(p.rows for p in parts)
+            if rows:
+                result[signal] = float(np.sqrt(sum(p.sum for p in parts) / rows))
+        return result
+
+    def ratios(self, other: HeldOutErrors) -> dict[str, float]:
+        """Root mean square of each signal over that of another model."""
+        ours, theirs = self.rms(), other.rms()
+        return {s: _ratio(ours[s] ** 2, theirs[s] ** 2) for s in ours}
+
+    def fraction_of(self, other: HeldOutErrors) -> float:
+        """Geometric mean of `ratios`: below one where errors are smaller than the other's."""
+        return float(np.exp(np.mean(np.log(list(self.ratios(other).values())))))
+
+    def falls_from(self, other: HeldOutErrors) -> Array:
+        """Logarithm of the other's errors over these, mean over signals, by fold."""
+        return np.array(
+            [
+                -np.mean([np.log(_ratio(own[s].sum, rest[s].sum)) for s in own if own[s].rows])
+                for own, rest in zip(self.folds, other.folds, strict=True)
+            ]
+        )
+
+
+def _ratio(own: float, other: float) -> float:
+    """Ratio of roots of two squares; a model that does not stay finite is infinitely worse."""
+    if not np.isfinite(own):
+        return 1e6
+    return float(np.sqrt((own + LEAST_SQUARE) / (other + LEAST_SQUARE)))
+
+
+class HeldOut:
+    """Left-out parts of the trials of a search, each with an estimator of all others.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of all trials.
+
+    Attributes
+    ----------
+    folds : dict of str to list of Fold
+        See `held_out_folds`.
+    given : HeldOutErrors
+        Of the plant as given.
+    """
+
+    def __init__(self, estimator: GaussNewton) -> None:
+        self.estimator, self.residuals = estimator, estimator.residuals
+        self.settings = estimator.settings
+        self.folds = held_out_folds(self.residuals.trials, self.settings)
+        self._known: tuple[bytes, list[Array]] = (b"", [])
+        self._parts = [self._part(fold) for folds in self.folds.values() for fold in folds]
+        self.given = self._errors([np.zeros(len(self.residuals.fit_parameters))] * len(self._parts))
+
+    def errors(self, point: FitPoint, free: Array) -> HeldOutErrors:
+        """Errors on each fold of a model that was fitted to all others.
+
+        Parameters
+        ----------
+        point : FitPoint
+            Fit of the model to all trials.
+        free : ndarray of bool, shape (p,)
+            Fit parameters that were fitted.
+        """
+        values = [self._refitted(rest, point, free) for rest, _ in self._parts]
+        plant = self.residuals.plant
+        written = [is_written(plant, self.residuals, k, free) for k in range(len(point.values))]
+        return self._errors([v * written for v in values])
+
+    def _part(self, fold: Fold) -> tuple[GaussNewton, PartialResiduals]:
+        """Estimator without a fold, and residuals of the fold."""
+        every = {k: np.ones(len(t)) for k, t in enumerate(self.residuals.trials)}
+        rest = {k: rows - fold.get(k, 0 * rows) for k, rows in every.items()}
+        remaining = PartialResiduals(self.residuals, rest, self._derivatives)
+        own = PartialResiduals(self.residuals, fold, self._derivatives)
+        return GaussNewton(remaining, self.estimator.floor), own
+
+    def _derivatives(self, values: Array) -> list[Array]:
+        """Derivatives of all trials; those of the last values are kept."""
+        key = values.tobytes()
+        if self._known[0] != key:
+            self._known = key, self.residuals.jacobian(values)[1]
+        return self._known[1]
+
+    def _refitted(self, rest: GaussNewton, point: FitPoint, free: Array) -> Array:
+        """Values after a few steps without a fold, the derivatives updated by secants."""
+        here = rest.linearise(rest.at(point.values))
+        for _ in range(self.settings.held_out_steps):
+            step, predicted = rest.step(here, free)
+            better = None
+            if predicted >= self.settings.converged_cost_fall / 2:
+                better = rest.search(here, step)
+            if better is None:
+                break
+            here = better
+        return here.values
+
+    def _errors(self, values: Sequence[Array]) -> HeldOutErrors:
+        rows = [own.squared_errors(v) for (_, own), v in zip(self._parts, values, strict=True)]
+        return HeldOutErrors(tuple(rows))
+
+
+def is_written(plant: Plant, residuals: Residuals, k: int, free: Array) -> bool:
+    """Whether a fit parameter changes the plant that would be written.
+
+    The variation of a trial, a shift of the mocap frame and its clock are no parameters of a plant
+    that does not have the effect.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    residuals : Residuals
+        Of the fit.
+    k : int
+        Number of the fit parameter.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted: the effects among them would be added.
+    """
+    q = residuals.fit_parameters[k]
+    if q.trial is not None:
+        return False
+    if q.effect:
+        return True
+    added = {
+        name
+        for other, fitted in zip(residuals.fit_parameters, free, strict=True)
+        if fitted and other.effect
+        for name in other.parameters
+    }
+    return any(name in plant.parameters or name in added for name in q.parameters)
+
+
+def lowers_held_out_error(
+    with_: HeldOutErrors, without: HeldOutErrors, learned: bool, settings: GapSettings
+) -> bool:
+    """Whether an effect lowers the errors on what it was not fitted to.
+
+    With a learned floor d′ has already told the effect from noise: any fall is enough. Without one
+    the mean fall over the folds must exceed its standard error (the one-standard-error rule of
+    Breiman et al. 1984) and a least fraction.
+
+    Parameters
+    ----------
+    with_, without : HeldOutErrors
+        Of the fits with the effect and without it.
+    learned : bool
+        Whether the noise floor is learned.
+    settings : GapSettings
+        Tuned numbers.
+    """
+    fraction = with_.fraction_of(without)
+    if learned:
+        return fraction < 1
+    falls = with_.falls_from(without)
+    error = float(np.std(falls, ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else 0.0
+    return fraction < 1 - settings.least_held_out_fall_fraction and float(np.mean(falls)) > error
+
+
+def flattened(floor: NoiseFloor, groups: Sequence[TrialGroup], rows: Sequence[Array]) -> NoiseFloor:
+    """Floor with the power of a residual and the same at every frequency.
+
+    A fit against it lowers the error in SI units. Without a learned floor the spectrum of the
+    residual says little about noise: it discounts the slow errors, which are the largest.
+
+    Parameters
+    ----------
+    floor : NoiseFloor
+        Whose signals and frequencies are kept.
+    groups : sequence of TrialGroup
+        Of the residuals.
+    rows : list of ndarray, shape (trials, signals, K)
+        Residual spectra by group.
+    """
+    noise = {}
+    for signal, spectrum in floor.noise.items():
+        own = [
+            r[:, g.signals.index(signal)].ravel()
+            for g, r in zip(groups, rows, strict=True)
+            if signal in g.signals
+        ]
+        noise[signal] = np.full_like(spectrum, np.mean(np.concatenate(own) ** 2))
+    return replace(floor, noise=noise, formulation={})

@@ -1,0 +1,176 @@
+"""Refusals: fitted values at a bound, sums that no real body has, effects that do not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
+from models.gap.residuals.spectrum import Array
+from models.gap.settings import GapSettings
+from models.plant.physical_limits import impossible_sums
+from models.plant.plant import Plant
+
+
+@dataclass(frozen=True)
+class OffendingValue:
+    """Fitted value at a bound, or a sum beyond its limit.
+
+    Attributes
+    ----------
+    index : tuple of int
+        Fit parameters that are to blame.
+    name, unit : str
+        Parameter of the plant or variation, or the sum in words; its SI unit.
+    value, limit : float
+        Of it, and the bound or limit.
+    said : str
+        The same as one sentence.
+    """
+
+    index: tuple[int, ...]
+    name: str
+    unit: str
+    value: float
+    limit: float
+    said: str
+
+
+def values_at_bounds(
+    plant: Plant,
+    fit_parameters: Sequence[FitParameter],
+    point: FitPoint,
+    free: Array,
+    settings: GapSettings,
+) -> list[OffendingValue]:
+    """Fitted values of nuisance and effects that ended at a bound away from the plant as given.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    fit_parameters : sequence of FitParameter
+        Of the residuals.
+    point : FitPoint
+        Where the fit ended.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted.
+    settings : GapSettings
+        Tuned numbers.
+    """
+    known = plant_with_every_effect(plant).parameters
+    found = []
+    for k, q in enumerate(fit_parameters):
+        value = float(point.values[k])
+        if q.trial is not None or not free[k] or not np.isfinite(q.high - q.low):
+            continue
+        near = settings.at_bound_fraction * (q.high - q.low)
+        if abs(value) <= near or min(value - q.low, q.high - value) > near:
+            continue
+        bound, side = (q.low, "lower") if value - q.low <= near else (q.high, "upper")
+        name = next(iter(q.parameters), q.name)
+        first = known.get(name) if q.name != "synchronisation" else None
+        weight = q.parameters.get(name, 1.0) if first else 1.0
+        start, unit = (first.value, first.unit) if first else (0.0, "s")
+        limit = start + weight * bound
+        said = f"{q.name} ended at its {side} bound of {limit:.4g}" + (
+            f" {unit}" if unit != "1" else ""
+        )
+        found.append(OffendingValue((k,), q.name, unit, start + weight * value, limit, said))
+    return found
+
+
+def impossible_values(
+    given: Plant,
+    written: Plant,
+    payloads_kg: Sequence[float],
+    fit_parameters: Sequence[FitParameter],
+    free: Array,
+) -> list[OffendingValue]:
+    """Sums that the plant to be written violates and the plant as given does not.
+
+    Parameters
+    ----------
+    given, written : Plant
+        As given, and with the fitted values.
+    payloads_kg : sequence of float
+        Declared payloads of the trials, kg.
+    fit_parameters : sequence of FitParameter
+        Of the residuals.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that were fitted.
+    """
+    before = {
+        row.what
+        for row in impossible_sums({n: q.value for n, q in given.parameters.items()}, payloads_kg)
+    }
+    found = []
+    values = {n: q.value for n, q in written.parameters.items()}
+    for row in impossible_sums(values, payloads_kg):
+        index = tuple(
+            k for k, q in enumerate(fit_parameters)
+            if free[k] and q.trial is None and set(row.parameters) & set(q.parameters)
+        )  # fmt: skip
+        if row.what in before or not index:
+            continue
+        parts = " and ".join(row.parameters)
+        said = f"{parts} make a {row.what} of {row.value:.4g} {row.unit}, which cannot be"
+        found.append(OffendingValue(index, row.what, row.unit, row.value, 0.0, said))
+    return found
+
+
+RefusalKind = Literal["at a bound", "impossible", "held-out error", "rise of a signal"]
+"""A value ended at a bound; a sum that no real body has; the effect does not lower the held-out
+error; some signal's held-out error would rise by more than `GapSettings.harm_fraction`."""
+
+
+class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Effect that was taken out again, or a refitted value that was undone.
+
+    Attributes
+    ----------
+    effect : str
+        Name, or several joined by " + "; empty where the value is nuisance, which then keeps the
+        value of the plant as given.
+    kind : str
+        See `RefusalKind`.
+    reason : str
+        One sentence without its full stop.
+    name : str
+        Parameter, sum or signal that is to blame; empty for all signals together.
+    value, limit : float
+        Of it; a held-out error is a fraction of that without the effect or of the plant as given.
+    unit : str
+        Their SI unit.
+    """
+
+    effect: str
+    kind: RefusalKind
+    reason: str
+    name: str
+    value: float
+    limit: float
+    unit: str
+
+
+def refusal_of_value(effect: str, kind: RefusalKind, found: OffendingValue) -> RefusedEffect:
+    """Refusal because of a fitted value.
+
+    Parameters
+    ----------
+    effect : str
+        Effect that is refused; empty for nuisance.
+    kind : str
+        See `RefusalKind`.
+    found : OffendingValue
+        The value.
+    """
+    return RefusedEffect(
+        effect=effect, kind=kind, reason=found.said, name=found.name, value=found.value,
+        limit=found.limit, unit=found.unit,
+    )  # fmt: skip

@@ -1,0 +1,136 @@
+"""Sums of plant parameters that cannot be negative: masses, friction, stiffness, limits.
+
+Every parameter has bounds of its own (`models.plant.parameter`). Two of them can still add up to
+something that no body has: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares such
+sums once, for all plants; a sum whose parameters a plant does not have is ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Final
+
+__all__ = ["LIMITS", "ImpossibleSum", "PhysicalLimit", "impossible_sums"]
+
+JOINTS: Final = ("1", "2")
+
+
+@dataclass(frozen=True)
+class PhysicalLimit:
+    """Sum that must be larger than zero, or at least zero.
+
+    Attributes
+    ----------
+    what : str
+        The sum in words.
+    unit : str
+        Its SI unit.
+    weights : dict of str to float
+        Weight of each parameter; names are patterns in which {j} is a joint and * anything.
+    constant : float
+        Added to the sum.
+    with_payload : bool
+        Whether the declared payload of a trial, in kg, is added.
+    may_vanish : bool
+        Whether zero is possible.
+    """
+
+    what: str
+    unit: str
+    weights: Mapping[str, float]
+    constant: float = 0.0
+    with_payload: bool = False
+    may_vanish: bool = True
+
+
+@dataclass(frozen=True)
+class ImpossibleSum:
+    """Sum beyond its limit.
+
+    Attributes
+    ----------
+    what, unit : str
+        See `PhysicalLimit`.
+    value : float
+        The sum.
+    parameters : tuple of str
+        Names of its parameters.
+    """
+
+    what: str
+    unit: str
+    value: float
+    parameters: tuple[str, ...]
+
+
+LIMITS: Final = (
+    PhysicalLimit("mass at the tip with payload", "kg",
+                  {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}, with_payload=True),
+    PhysicalLimit("friction at standstill of joint {j}", "N.m",
+                  {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}),
+    PhysicalLimit("viscous friction of joint {j}", "N.m.s/rad", {"viscous_friction_{j}_*": 1}),
+    PhysicalLimit("friction per torque of joint {j}", "1", {"load_dependent_friction_{j}": 1}),
+    PhysicalLimit("root stiffness of plane {j}", "N.m/rad", {"root_stiffness_{j}_nm_rad": 1},
+                  may_vanish=False),
+    PhysicalLimit("span stiffness of plane {j}", "N.m/rad", {"span_stiffness_{j}_nm_rad": 1},
+                  may_vanish=False),
+    PhysicalLimit("stiffness left on the weak side of plane {j}", "1",
+                  {"directional_stiffness_{j}": -1}, constant=1, may_vanish=False),
+    PhysicalLimit("stiffness left on the other side of plane {j}", "1",
+                  {"directional_stiffness_{j}": 1}, constant=1, may_vanish=False),
+    PhysicalLimit("stiffness left at 0.1 rad of bend", "1", {"softening_share": -1}, constant=1,
+                  may_vanish=False),
+    PhysicalLimit("stiffness left after 10 s", "1", {"leak_share": -1}, constant=1,
+                  may_vanish=False),
+    PhysicalLimit("current limit of joint {j}", "A",
+                  {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}, may_vanish=False),
+    PhysicalLimit("torque per ampere of joint {j}, relative", "1",
+                  {"torque_constant_drift_{j}": -1}, constant=1, may_vanish=False),
+    PhysicalLimit("measured per true current of joint {j}", "1", {"current_scale_{j}": 1},
+                  constant=1, may_vanish=False),
+)  # fmt: skip
+"""Sums that no real body goes below. Each follows from what its parameters mean
+(`models.plant.effects`)."""
+
+
+def impossible_sums(
+    values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
+) -> list[ImpossibleSum]:
+    """Sums of `LIMITS` that some values violate, with the least payload.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        Every parameter of a plant, in its unit.
+    payloads_kg : iterable of float
+        Declared payloads, kg.
+
+    Examples
+    --------
+    >>> plant = {"tip_mass_kg": 0.144, "unmodelled_payload_kg": -0.2}
+    >>> [(row.what, round(row.value, 3)) for row in impossible_sums(plant, [0.0, 1.0])]
+    [('mass at the tip with payload', -0.056)]
+    >>> impossible_sums(plant, [1.0])
+    []
+    """
+    least_payload_kg = min(payloads_kg, default=0.0)
+    found = []
+    for limit in LIMITS:
+        many = any("{j}" in pattern for pattern in limit.weights)
+        for joint in JOINTS if many else ("",):
+            weights = {
+                name: weight
+                for pattern, weight in limit.weights.items()
+                for name in values
+                if fnmatchcase(name, pattern.replace("{j}", joint))
+            }
+            if not weights:
+                continue
+            value = limit.constant + sum(w * values[name] for name, w in weights.items())
+            value += least_payload_kg if limit.with_payload else 0.0
+            if value < 0 or (value == 0 and not limit.may_vanish):
+                what = limit.what.replace("{j}", joint)
+                found.append(ImpossibleSum(what, limit.unit, value, tuple(weights)))
+    return found
