@@ -1,0 +1,163 @@
+"""Coverage of identified parameters: estimates and standard errors beside the truth of the rigs.
+
+    python -m bench.identified_parameters --rigs default drive --draws 20 --out build/coverage
+
+Each draw varies the rig's stiffness, mass and damping as the benchmark of the gap workflow does
+(`bench.gap.cases.NUISANCE`), runs payloads of 0, 1 and 2 kg with one joint and identifies the
+plant. Parameters that rig and plant both have are compared. One file per draw in OUT; a rerun does
+what is missing and prints all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bench.gap.cases import NUISANCE
+from firmware_py.console import Progress
+from firmware_py.motion import Motion
+from models.plant.identification.identification import identify
+from models.plant.parameter import bound_reached
+from models.plant.plant import read_plant
+from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.trial_files import TrialSet
+
+PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
+
+SAME_AS_IN_RIG: Final = {
+    "coulomb_friction_1_nm": "servo.coulomb_friction_nm",
+    "viscous_friction_1_nm_s_rad": "servo.viscous_friction_nm_s_rad",
+    "load_dependent_friction_1": "servo.load_friction_share",
+    "position_gain_1_per_s": "servo.position_gain_per_s",
+    "rotor_inertia_1_kg_m2": "servo.inertia_kg_m2",
+    "link_mass_kg": "link.mass_kg",
+    "tip_mass_kg": "link.tip_mass_kg",
+    "prebend_1_rad": "stiffness.prebend_rad",
+    "directional_stiffness_1": "stiffness.directional_share",
+    "creep_share_1": "memory.relaxing_share",
+}
+"""Parameters of the plant that are parameters of the rig."""
+
+INTERPOLATION: Final = {"held": 0.0, "interpolated": 1.0}
+"""Shape of the goal; a profile has no counterpart."""
+
+
+def shared_truth(p: RigParameters) -> dict[str, float]:
+    """True values of the plant's parameters in a rig.
+
+    Parameters
+    ----------
+    p : RigParameters
+        Of the rig.
+    """
+    truth = {own: p[name] for own, name in SAME_AS_IN_RIG.items()}
+    bandwidth, constant = p["servo.velocity_bandwidth_rad_s"], p["servo.torque_constant_nm_a"]
+    truth["velocity_gain_1_a_s_rad"] = bandwidth * p["servo.inertia_kg_m2"] / constant
+    truth["velocity_integral_time_1_s"] = 1.0 / p["servo.velocity_integral_rad_s"]
+    if p.structure.goal in INTERPOLATION:
+        truth["goal_interpolation_1"] = INTERPOLATION[p.structure.goal]
+    return truth
+
+
+def identify_draw(rig: str, draw: int) -> dict[str, Any]:
+    """Identify the plant on one draw of a rig.
+
+    Parameters
+    ----------
+    rig : str
+        Name of its structure.
+    draw : int
+        Number of the draw; it seeds everything.
+
+    Returns
+    -------
+    dict
+        Parameters with value, error, truth and bound; errors of the fitted trials.
+    """
+    rng = np.random.default_rng([20, draw])
+    own = read_rig(rig)
+    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
+    parameters = own.changed(**{n: own[n] * factor for n, factor in factors.items()})
+    seed = int(rng.integers(2**31))
+    trials = TrialSet(
+        tuple(run_case(parameters, TrialCase(Motion(), m, 1, seed)) for m in PAYLOADS_KG)
+    )
+    found, truth = identify(read_plant(), trials), shared_truth(parameters)
+    return {
+        "rig": rig, "draw": draw, "tip_rms_m": found.held_out.tip_rms_m,
+        "parameters": {
+            q.name: {
+                "value": q.value, "error": q.error, "truth": truth[q.name],
+                "bound": bound_reached(q),
+            }
+            for q in found.fitted if q.name in truth
+        },
+    }  # fmt: skip
+
+
+def coverage_table(results: Iterable[Mapping[str, Any]]) -> str:
+    """Text of one row per rig and parameter: covered draws, median ratio, errors, bounds.
+
+    Parameters
+    ----------
+    results : iterable of mapping
+        Of `identify_draw`.
+    """
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
+    for result in results:
+        for name, row in result["parameters"].items():
+            groups[result["rig"], name].append(row)
+    lines = [
+        f"{'rig':10s}{'parameter':30s}{'covered':>9s}{'truth':>9s}{'median':>9s}{'error':>9s}"
+        f"{'within 25 %':>13s}{'at a bound':>12s}"
+    ]
+    total: dict[str, list[bool]] = defaultdict(list)
+    for (rig, name), rows in groups.items():
+        covered = [abs(r["value"] - r["truth"]) <= 2 * r["error"] for r in rows]
+        near = [abs(r["value"] - r["truth"]) <= 0.25 * abs(r["truth"]) for r in rows]
+        bound = sum(r["bound"] is not None for r in rows)
+        total[rig] += covered
+        middle = [float(np.median([r[key] for r in rows])) for key in ("truth", "value", "error")]
+        lines.append(
+            f"{rig:10s}{name:30s}{sum(covered):>6d}/{len(rows)}"
+            + "".join(f"{value:9.3g}" for value in middle)
+            + f"{sum(near):>11d}/{len(rows)}{bound:>12d}"
+        )
+    lines += [f"{rig}: {np.mean(c):.0%} of {len(c)} inside two errors" for rig, c in total.items()]
+    return "\n".join(lines)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.identified_parameters", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--rigs", nargs="+", default=["default"], help="names of structures")
+    parser.add_argument("--draws", type=int, default=4, help="draws of each rig")
+    parser.add_argument("--out", type=Path, required=True, help="directory of the results")
+    args = parser.parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    wanted = [(draw, rig) for draw in range(args.draws) for rig in args.rigs]
+    progress = Progress("bench.identified_parameters", len(wanted))
+    results = []
+    for draw, rig in wanted:
+        path = args.out / f"{rig}_{draw}.json"
+        if not path.exists():
+            path.write_text(json.dumps(identify_draw(rig, draw), indent=1))
+        results.append(json.loads(path.read_text()))
+        progress.step(path.stem)
+    print(coverage_table(results))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,30 @@
+"""Table of identified parameters beside the truth of a rig."""
+
+import pytest
+
+from bench.identified_parameters import coverage_table, shared_truth
+from models.plant.plant import read_plant
+from models.rig.rig_parameters import read_rig
+
+
+def test_the_truth_is_that_of_the_rigs_equations():
+    truth = shared_truth(read_rig("default"))
+    assert truth["viscous_friction_1_nm_s_rad"] == 2.0
+    assert truth["goal_interpolation_1"] == 0.0
+    # The velocity loop's bandwidth is k_t k_v / J.
+    loop = truth["velocity_gain_1_a_s_rad"] * 6.83 / truth["rotor_inertia_1_kg_m2"]
+    assert loop == pytest.approx(150.0)
+    assert shared_truth(read_rig("drive"))["goal_interpolation_1"] == 1.0
+    assert "goal_interpolation_1" not in shared_truth(read_rig("profile"))
+    assert truth.keys() <= read_plant().parameters.keys()
+
+
+def test_the_table_counts_covered_near_and_bound():
+    def result(value, error, bound):
+        row = {"value": value, "error": error, "truth": 2.0, "bound": bound}
+        return {"rig": "x", "parameters": {"viscous": row}}
+
+    text = coverage_table([result(2.1, 0.1, None), result(5.0, 1.0, "upper")])
+    assert "1/2" in text.splitlines()[1]
+    assert text.splitlines()[1].endswith("1")
+    assert "50% of 2" in text
