@@ -73,7 +73,7 @@ def gap_document(
         ),
         nuisance_bias=found.nuisance_bias,
         goal_not_followed_at_row=unused,
-        sentence=location_sentence(found.located, found.settings),
+        sentence=_place(found, found.located),
         located=_located(found.located, MOST_LOCATED),
         map=tuple(
             MappedRegion(c.signal, c.factor, c.level, round(c.floors, 3), c.significant)
@@ -83,7 +83,7 @@ def gap_document(
         before=before,
         after=after,
         remaining=RemainingGap(
-            location_sentence(found.remaining, found.settings),
+            _place(found, found.remaining),
             _located(found.remaining, MOST_REMAINING),
         ),
         rejected=found.rejected,
@@ -100,6 +100,13 @@ def gap_document(
         ),
         unexplained_fraction=round(found.unexplained_fraction, 4),
     )  # fmt: skip
+
+
+def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:
+    """Place of a gap in words; without a learned floor nothing can be called noise."""
+    if not found.floor.learned and not any(region.significant for region in regions):
+        return "No part of the trials stands out from the spectrum of the residual itself."
+    return location_sentence(regions, found.settings)
 
 
 def noise_floor_rms(found: Diagnosis) -> dict[str, SignalFloor]:

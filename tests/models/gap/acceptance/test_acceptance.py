@@ -56,6 +56,7 @@ def test_without_repetitions_the_verdict_is_no_floor_with_the_unexplained_fracti
     assert document.unexplained_fraction == pytest.approx(found.unexplained_fraction, abs=1e-3)
     text = gap_in_words(document)
     assert "verdict: no floor" in text
+    assert "within the noise floor" not in text
     assert f"{found.unexplained_fraction:.0%} of the plant's error is unexplained" in text
 
 
