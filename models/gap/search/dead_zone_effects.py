@@ -49,6 +49,34 @@ def unexcited_effects(
     return result
 
 
+def distant_strengths(estimator: GaussNewton, here: FitPoint, own: Array) -> list[FitPoint]:
+    """Points at some strengths of an effect far from zero.
+
+    A plant that was identified without an effect may have made up for it: excessive damping looks
+    like a low-pass of the sensor. Then no step from zero lowers the cost, although a far one does.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of the trials.
+    here : FitPoint
+        Values of the other fit parameters.
+    own : ndarray of bool, shape (p,)
+        Fit parameters of the effect, its strength first.
+    """
+    at = int(np.flatnonzero(own)[0])
+    strength = estimator.residuals.fit_parameters[at]
+    result = []
+    for fraction in estimator.settings.distant_bound_fractions:
+        for bound in {strength.low, strength.high} - {0.0}:
+            values = here.values.copy()
+            values[at] = fraction * bound
+            point = estimator.at(values)
+            if point.cost < np.inf:
+                result.append(estimator.carry(here, point))
+    return result
+
+
 def strength_ladder(
     estimator: GaussNewton, here: FitPoint, effect: str, own: Array
 ) -> list[FitPoint]:

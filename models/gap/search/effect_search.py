@@ -28,7 +28,11 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import bounded_candidate
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.cross_validation import held_out_gain
-from models.gap.search.dead_zone_effects import strength_ladder, unexcited_effects
+from models.gap.search.dead_zone_effects import (
+    distant_strengths,
+    strength_ladder,
+    unexcited_effects,
+)
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import null_distribution_of
 from models.gap.search.strength_consistency import strength_consistency_of
@@ -163,6 +167,8 @@ class EffectSearch:
                     tried.append(self.estimator.search(start, step) or start)
             if effect in found.unexcited and effect not in self.absent:
                 tried += strength_ladder(self.estimator, here, effect, self.of[effect])
+            elif self.estimator.residuals.plant.load != "link":
+                tried += distant_strengths(self.estimator, here, self.of[effect])
             point = min(tried, key=lambda p: p.cost)
             result[effect,] = self._candidate((effect,), point, here, predicted)
         self.report(f"{len(result)} effects screened")
