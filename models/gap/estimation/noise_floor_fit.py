@@ -24,7 +24,7 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.residuals import Residuals, trial_group_key
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.identification.simulation_fit import SCALE
+from models.plant.identification.simulation_fit import usual_error
 from models.plant.plant import Plant
 from models.plant.provenance import FloorRecord
 from models.trials.trial import Trial
@@ -99,7 +99,9 @@ def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
     """Floor before anything is known of the signals."""
     units = {v.name: v.unit for v in residuals.model.outputs}
     signals = list(dict.fromkeys(s for g in residuals.groups for s in g.signals))
-    return flat_floor(signals, {s: SCALE[units[s]] for s in signals}, residuals.settings)
+    measured = {s: [t.columns[s] for t in residuals.trials if s in t.columns] for s in signals}
+    scale = {s: usual_error(units[s], measured[s]) for s in signals}
+    return flat_floor(signals, scale, residuals.settings)
 
 
 def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoint:

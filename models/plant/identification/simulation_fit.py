@@ -85,6 +85,22 @@ def _balanced_index(trial: Trial) -> Array:
         return np.asarray(np.nanmean(strain.reshape(len(trial), 4, 4), axis=2).mean(axis=1))
 
 
+def usual_error(unit: str, measured: Sequence[Array]) -> float:
+    """Error of a signal to expect before a first fit, in its unit.
+
+    Parameters
+    ----------
+    unit : str
+        Of the signal.
+    measured : sequence of ndarray, shape (n,)
+        The signal in each trial.
+    """
+    if unit in SCALE:
+        return SCALE[unit]
+    square = float(np.nanmean(np.concatenate(measured) ** 2)) if measured else 0.0
+    return EFFORT_FRACTION * max(square**0.5, 1e-9)
+
+
 def row_weights(trial: Trial, signal: str) -> Array:
     """Square root of the weight of each row of a signal.
 
@@ -247,13 +263,8 @@ class Objective:
         """
         outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
         unit = next(v.unit for v in outputs if v.name == signal)
-        default = SCALE[unit] if unit in SCALE else self._effort_scale(signal)
+        default = usual_error(unit, [m[signal] for m in self._measured if signal in m])
         return max(self._scale.get(signal, default), LEAST_SCALE.get(unit, 0.5) * default)
-
-    def _effort_scale(self, signal: str) -> float:
-        """`EFFORT_FRACTION` of a signal's RMS over all trials."""
-        rows = [m[signal] for m in self._measured if signal in m]
-        return EFFORT_FRACTION * max(float(np.sqrt(np.nanmean(np.concatenate(rows) ** 2))), 1e-9)
 
     def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
         """Residual and Jacobian of each signal of a trial."""
