@@ -49,11 +49,14 @@ def unexcited_effects(
     return result
 
 
-def distant_strengths(estimator: GaussNewton, here: FitPoint, own: Array) -> list[FitPoint]:
-    """Points at some strengths of an effect far from zero.
+def strengths_far_from_zero(
+    estimator: GaussNewton, here: FitPoint, effect: str, own: Array, unexcited: bool
+) -> list[FitPoint]:
+    """Points at strengths of an effect to which no step from zero leads.
 
     A plant that was identified without an effect may have made up for it: excessive damping looks
-    like a low-pass of the sensor. Then no step from zero lowers the cost, although a far one does.
+    like a low-pass of the sensor. Then a far strength lowers the cost, although no step does; it is
+    tried where the plant is not the link. An effect with a dead zone gets a ladder.
 
     Parameters
     ----------
@@ -61,9 +64,22 @@ def distant_strengths(estimator: GaussNewton, here: FitPoint, own: Array) -> lis
         Of the trials.
     here : FitPoint
         Values of the other fit parameters.
+    effect : str
+        Its name.
     own : ndarray of bool, shape (p,)
-        Fit parameters of the effect, its strength first.
+        Its fit parameters, the strength first.
+    unexcited : bool
+        Whether its derivatives vanish at zero.
     """
+    if unexcited:
+        return strength_ladder(estimator, here, effect, own)
+    if estimator.residuals.plant.load == "link":
+        return []
+    return _distant_strengths(estimator, here, own)
+
+
+def _distant_strengths(estimator: GaussNewton, here: FitPoint, own: Array) -> list[FitPoint]:
+    """Points at some fractions of an effect's bounds."""
     at = int(np.flatnonzero(own)[0])
     strength = estimator.residuals.fit_parameters[at]
     result = []

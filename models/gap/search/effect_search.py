@@ -28,11 +28,7 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import bounded_candidate
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.cross_validation import held_out_gain
-from models.gap.search.dead_zone_effects import (
-    distant_strengths,
-    strength_ladder,
-    unexcited_effects,
-)
+from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcited_effects
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import null_distribution_of
 from models.gap.search.strength_consistency import strength_consistency_of
@@ -165,10 +161,10 @@ class EffectSearch:
                 predicted = max(predicted, here.cost - start.cost + fall)
                 if start.cost - fall < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
-            if effect in found.unexcited and effect not in self.absent:
-                tried += strength_ladder(self.estimator, here, effect, self.of[effect])
-            elif self.estimator.residuals.plant.load != "link":
-                tried += distant_strengths(self.estimator, here, self.of[effect])
+            unexcited = effect in found.unexcited
+            tried += strengths_far_from_zero(
+                self.estimator, here, effect, self.of[effect], unexcited
+            )
             point = min(tried, key=lambda p: p.cost)
             result[effect,] = self._candidate((effect,), point, here, predicted)
         self.report(f"{len(result)} effects screened")

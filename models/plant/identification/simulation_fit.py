@@ -97,8 +97,8 @@ def usual_error(unit: str, measured: Sequence[Array]) -> float:
     """
     if unit in SCALE:
         return SCALE[unit]
-    square = float(np.nanmean(np.concatenate(measured) ** 2)) if measured else 0.0
-    return EFFORT_FRACTION * max(square**0.5, 1e-9)
+    rms = float(np.sqrt(np.nanmean(np.concatenate(measured) ** 2))) if measured else 0.0
+    return EFFORT_FRACTION * max(rms, 1e-9)
 
 
 def row_weights(trial: Trial, signal: str) -> Array:
