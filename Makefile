@@ -59,7 +59,7 @@ help:
 	@echo "make claims     measures the figures that the documentation states and prints them beside"
 	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
-	@echo "make bench-real DATA=DIR  recordings of two other machines: which effects their plants lack"
+	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
 	@echo "make lock       renews requirements/ from pyproject.toml"
 	@echo "make clean      removes what was built (keeps .venv)"

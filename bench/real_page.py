@@ -17,7 +17,6 @@ from models.plant.identification.evaluation import Comparison, compare_with_tria
 from models.plant.plant import read_plant
 from models.shared.html_page import render_page
 from models.shared.page_parts import (
-    NO_VALUE,
     Figure,
     LegendEntry,
     Panel,
@@ -31,6 +30,7 @@ from models.shared.svg_drawing import Drawing
 from models.trials.trial_files import read_trials
 
 SHOWN_ROWS: Final = 400
+SHOWN_SIGNALS: Final = ("angle_1_rad", "position_1_m", "deflection_1_rad")
 UNITS: Final = {unit.name: unit for unit in (ANGLE_ERROR, LENGTH)}
 MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
@@ -64,12 +64,14 @@ def _system(name: str, system: dict[str, Any], out: Path) -> Section:
     """Named effects, fits and trials of one system."""
     rounds = "; ".join(" + ".join(names) or "nothing more" for names in system["rounds"])
     shown = UNITS[system["unit"]]
+    left_out = list(next(iter(system["fits"].values())).get("left_out_by", {}))
     fits = Table(
         MEASURE[system["measure"]],
-        ("fit", shown.label("all trials"), shown.label("condition left out")),
+        ("fit", shown.label("all trials"),
+         *(shown.label(f"each {what} left out in turn") for what in left_out)),
         [
             (label, shown.number(row["all"]),
-             shown.number(row["left_out"]) if "left_out" in row else NO_VALUE)
+             *(shown.number(row["left_out_by"][what]) for what in left_out))
             for label, row in system["fits"].items()
         ],
     )  # fmt: skip
@@ -95,7 +97,7 @@ def _panels(comparisons: list[Comparison]) -> list[Panel]:
     panels = []
     for c in comparisons:
         every = max(1, len(c.trial) // SHOWN_ROWS)
-        (signal,) = (s for s in c.simulated if s in ("angle_1_rad", "position_1_m"))
+        signal = next(s for s in c.simulated if s in SHOWN_SIGNALS)
         unit = signal_unit(signal)
         with Drawing(2.2) as (drawing, ax):
             for values, colour, width in (

@@ -50,7 +50,7 @@ def unexcited_effects(
 
 
 def strengths_far_from_zero(
-    estimator: GaussNewton, here: FitPoint, effect: str, own: Array, unexcited: bool
+    estimator: GaussNewton, here: FitPoint, effect: str, own: Array, flat: bool
 ) -> list[FitPoint]:
     """Points at strengths of an effect to which no step from zero leads.
 
@@ -68,10 +68,10 @@ def strengths_far_from_zero(
         Its name.
     own : ndarray of bool, shape (p,)
         Its fit parameters, the strength first.
-    unexcited : bool
+    flat : bool
         Whether its derivatives vanish at zero.
     """
-    if unexcited:
+    if flat:
         return strength_ladder(estimator, here, effect, own)
     if estimator.residuals.plant.load == "link":
         return []

@@ -161,10 +161,8 @@ class EffectSearch:
                 predicted = max(predicted, here.cost - start.cost + fall)
                 if start.cost - fall < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
-            unexcited = effect in found.unexcited
-            tried += strengths_far_from_zero(
-                self.estimator, here, effect, self.of[effect], unexcited
-            )
+            flat = effect in found.unexcited
+            tried += strengths_far_from_zero(self.estimator, here, effect, self.of[effect], flat)
             point = min(tried, key=lambda p: p.cost)
             result[effect,] = self._candidate((effect,), point, here, predicted)
         self.report(f"{len(result)} effects screened")
