@@ -132,8 +132,8 @@ class EffectSearch:
 
     def _most_refitted(self) -> int:
         """Candidates that are refitted; all of a rigid load, which is simulated in no time."""
-        rigid = self.estimator.residuals.plant.load != "link"
-        return len(self.of) if rigid and not self.learned else self.settings.refitted_candidates
+        few = self.learned or self.estimator.residuals.plant.load == "link"
+        return self.settings.refitted_candidates if few else len(self.of)
 
     def _candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
@@ -220,11 +220,7 @@ class EffectSearch:
     def _accept(
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
     ) -> Candidate | None:
-        """Best candidate that passes threshold, bounds and cross-validation.
-
-        Without a learned floor it is the one with the least held-out error, and a further effect
-        needs no threshold (`models.gap.search.held_out_errors`).
-        """
+        """Best candidate that passes; without a learned floor that of the least held-out error."""
         if not refitted:
             return None
         passed: list[tuple[float, Candidate]] = []
@@ -232,11 +228,14 @@ class EffectSearch:
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
-            enough = candidate.score >= least_score
-            if not further and not (enough and self._stands_out(candidate, here, found)):
+            if further:  # the gain exceeds the number of its parameters (Akaike 1974)
+                enough = candidate.gain > sum(int(self.of[e].sum()) for e in candidate.effects)
+            else:
+                enough = candidate.score >= least_score and self._stands_out(candidate, here, found)
+            own = self._free_of(candidate, found)
+            if not enough:
                 continue
-            free = self._free_of(candidate, found)
-            bounded = bounded_candidate(self.estimator, candidate, here, free, found.refused)
+            bounded = bounded_candidate(self.estimator, candidate, here, own, found.refused)
             if not bounded:
                 continue
             fits = (here, self.free(found.named)), (bounded.point, self._free_of(bounded, found))
@@ -265,15 +264,14 @@ class EffectSearch:
         """
         missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
-        fraction = self.settings.inconsistent_further_effect_fraction
-        doubted = max(missed, sum((fraction * c.separation) ** 2 for c in linear))
+        doubt = self.settings.inconsistent_further_effect_fraction
+        doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
         left = max(self.mean_residual(candidate.point), 1.0)
         beyond = 2 * candidate.gain - left * candidate.least**2
         if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
             return beyond > 0
-        if beyond <= missed:
-            return False
-        return beyond > doubted or self._consistent(candidate, self._free_of(candidate, found))
+        free = self._free_of(candidate, found)
+        return beyond > missed and (beyond > doubted or self._consistent(candidate, free))
 
     def _consistent(self, candidate: Candidate, free: Array) -> bool:
         """Whether each strength of a candidate is the same everywhere."""
