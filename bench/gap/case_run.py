@@ -234,11 +234,18 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
         Of a case.
     """
     given, improved = found.plant.parameters, found.improved.parameters
-    return [
+    refitted = {
         name
-        for name, q in improved.items()
-        if (name not in given or q.value != given[name].value) and q.value in (q.low, q.high)
-    ]
+        for q in found.fit_parameters
+        for name in q.parameters
+        if q.trial is None and name in improved
+    }
+    return sorted(
+        name
+        for name in refitted
+        if (name not in given or improved[name].value != given[name].value)
+        and improved[name].value in (improved[name].low, improved[name].high)
+    )
 
 
 def required_noise_floor(plant: Plant) -> NoiseFloor:
