@@ -12,6 +12,9 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
 
 What fails is taken out, the rest is fitted again and tested again, down to the plant as given. The
 nuisance is written as refitted only where that too lowers the held-out error.
+
+A stand-in for an effect that the catalogue lacks fits the motion that it was found on. It is
+written only where other motions were left out and it passed there.
 """
 
 from __future__ import annotations
@@ -84,6 +87,30 @@ class Acceptance:
                 if not rows:
                     return fit
             self._refuse(fits[0], failing[0])
+        return self._as_given()
+
+    def without_stand_ins(self, accepted: AcceptedFit) -> AcceptedFit:
+        """Plant as given in place of a fit whose effects stand in for another.
+
+        Parameters
+        ----------
+        accepted : AcceptedFit
+            Of the verdict "not in the catalogue".
+        """
+        if not self.search.learned or "motions" in self.held_out.folds:
+            return accepted
+        self.result.refused += [
+            RefusedEffect(
+                effect=effect, kind="stand-in", name="", value=0.0, limit=0.0, unit="1",
+                reason="it stands in for an effect that the catalogue lacks, and no other motion "
+                "was left out that could show whether it holds there",
+            )
+            for effect in self.result.named
+        ]  # fmt: skip
+        self.result.named, self.result.after = [], self.result.before
+        return self._as_given()
+
+    def _as_given(self) -> AcceptedFit:
         given = self.search.first.start()
         return AcceptedFit(given, np.zeros_like(self.nuisance), self.held_out.given)
 

@@ -186,10 +186,14 @@ def diagnose(
     floor = noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
-    accepted = Acceptance(search, result).accepted()
+    acceptance = Acceptance(search, result)
+    accepted = acceptance.accepted()
     report("tested on what was left out")
     consistencies = consistencies_of_named(search, result)
     verdict, left = gap_verdict(search, result, consistencies)
+    if verdict == "not in the catalogue":
+        accepted = acceptance.without_stand_ins(accepted)
+        left = left if result.named else 1.0
     located, remaining = (
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
         for p in (result.before, result.after)

@@ -6,6 +6,8 @@ from typing import Final
 
 import msgspec
 
+from models.plant.parameter import AT_BOUND
+
 __all__ = ["DEFAULT_SETTINGS", "GapSettings"]
 
 
@@ -183,7 +185,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     harm_fraction: float = 0.05
     """Rise of a signal's held-out error, relative to the plant as given, from which a plant is
     refused (the project's requirement)."""
-    at_bound_fraction: float = 1e-3
+    at_bound_fraction: float = AT_BOUND
     """Distance from a bound, as a fraction of the range, within which a value is at it [assumed].
     """
 

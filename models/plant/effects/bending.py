@@ -150,9 +150,10 @@ class Hysteresis(Effect):
     name = "hysteresis"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=3.0,
                   role="effect", description="Bouc-Wen fraction of the root's stiffness",
-                  source='docs/sources.md, "The link"'),
+                  source='docs/sources.md, "The link"; the root stands for the whole link',
+                  prior_deviation=0.25),
     )  # fmt: skip
     shared = (
         Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.005, high=0.1,
@@ -190,9 +191,9 @@ class Creep(Effect):
     name = "creep"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
+        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=2.0, role="effect",
                   description="relaxing fraction of the stiffness",
-                  source='docs/sources.md, "The link": 6 to 10 %'),
+                  source='docs/sources.md, "The link": 6 to 10 %', prior_deviation=0.25),
     )  # fmt: skip
     shared = (
         Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",

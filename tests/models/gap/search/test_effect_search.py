@@ -134,6 +134,8 @@ def test_an_effect_that_hides_in_the_variation_of_the_trials_is_missed(plant, hi
     trials = hidden(payload_offset_share=offset)
     found = diagnosed(plant, trials)
     assert found.verdict == "not in the catalogue"
+    assert found.named == ()
+    assert found.improved.parameters == plant.parameters, "a stand-in seen on one motion only"
     loaded = [t for t in trials if t.meta.payload_kg > 0]
     each = offset * trials[0].meta.link_length_m / DEFAULT_SETTINGS.eccentricity_variation_m
     expected = each * len(loaded) / np.sqrt(len(trials))
