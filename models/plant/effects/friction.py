@@ -78,7 +78,7 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
                   role="effect", description="extra friction near standstill",
                   source="assumed absent"),
-        Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.03, high=1.0,
+        Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.01, high=1.0,
                   role="effect", description="rate at which it has faded to 37 %",
                   source="assumed: a fifth of the study's peak rate"),
         Parameter(name="stribeck_load_{j}", unit="1", value=0.0, low=0.0, high=1.0,
