@@ -286,6 +286,11 @@ build/real/%.json: models/plant/examples/%_identified.json | $(READY)
 	  --map models/plant/examples/$*.map.toml --out build/real/$* >&2 || exit 2; done
 	$(BIN)/python -m models evaluate build/real/$* --plant $< --json > $@
 
+# A plant identified on the second engine of the rig.
+build/rod/plant.json: models/plant/nominal.toml | $(READY)
+	$(BIN)/python -m models simulate --rig cosserat --out build/rod/trials --dof 1 2 --payloads 0 2 --seed 1
+	$(BIN)/python -m models identify build/rod/trials --plant $< --out $@
+
 # The page of gap-demo as numbers.
 $(GAP)/figures.json: $(GAP)/report.html
 	$(BIN)/python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --json > $@

@@ -50,7 +50,7 @@ def marked_groups(text: str) -> list[str]:
 
 def documents(root: Path = ROOT) -> list[Path]:
     """Files that may hold tables of figures."""
-    return [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
 
 
 def redraw_documents(root: Path = ROOT) -> list[Path]:
