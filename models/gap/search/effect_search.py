@@ -228,8 +228,8 @@ class EffectSearch:
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
-            if further:  # the gain exceeds the number of its parameters (Akaike 1974)
-                enough = candidate.gain > sum(int(self.of[e].sum()) for e in candidate.effects)
+            if further:  # held-out errors alone let small effects in that fit one fold
+                enough = candidate.separation >= candidate.least
             else:
                 enough = candidate.score >= least_score and self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
