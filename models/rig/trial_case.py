@@ -16,6 +16,10 @@ STUDY_PRESSURE_PA: Final = 41_300.0
 DOWN: Final = (0.0, 0.0, -1.0)
 """Direction of gravity where the robot is upright."""
 
+FOLDED_RAD: Final = 0.8
+"""Bend of a hinge or section beyond which the link has folded and the trial is refused
+[assumed]."""
+
 
 @dataclass(frozen=True)
 class TrialCase:

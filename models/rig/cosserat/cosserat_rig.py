@@ -13,17 +13,13 @@ from models.rig.forms.marker_play import MarkerPlay
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_servo import RigServo
 from models.rig.rig_structure import DEFAULT_STRUCTURE
-from models.rig.trial_case import DOWN
+from models.rig.trial_case import DOWN, FOLDED_RAD
 from models.shared.kinematics import Array
 
 __all__ = ["CosseratRig"]
 
 SECTIONS: Final = 8
 """Sections of the span; halving their length moves the first mode by less than 1 %."""
-
-FOLDED_RAD: Final = 0.8
-"""Bend of a section beyond which the link has folded and the trial is refused."""
-
 
 HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
 """Choices of a structure that are those of the MuJoCo link; the rod has forms of its own."""

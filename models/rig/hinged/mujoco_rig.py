@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import mujoco
 import numpy as np
 
@@ -12,13 +10,10 @@ from models.rig.hinged.bending_law import BendLaw
 from models.rig.hinged.mujoco_link import Load, build_mujoco_link
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_servo import RigServo
-from models.rig.trial_case import DOWN
+from models.rig.trial_case import DOWN, FOLDED_RAD
 from models.shared.kinematics import Array
 
 __all__ = ["MujocoRig"]
-
-FOLDED_RAD: Final = 0.8
-"""Bend of a hinge beyond which the link has folded and the trial is refused."""
 
 
 class MujocoRig:

@@ -22,6 +22,8 @@ def emulator():
             "--plant", str(NOMINAL), "--ids", "1", "2", "--baud", "1000000",
         ],
         stdout=subprocess.PIPE, text=True,
+        # A shell that runs the tests in the background passes on that SIGINT is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     yield process.stdout.readline().strip()
     process.send_signal(signal.SIGINT)

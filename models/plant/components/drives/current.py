@@ -7,9 +7,9 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.drives.drive_protocol import (
-    SI_UNIT_OF,
     friction_speed_parameter,
     start_offset_parameter,
+    start_rate_parameter,
 )
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
@@ -29,7 +29,6 @@ class Current:
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Torque constant and inertia at the output, and the motion at the start."""
-        angle = scope.suffix["angle"]
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
@@ -43,10 +42,7 @@ class Current:
                           description="distance in which dry friction reverses",
                           source="assumed"),
                 start_offset_parameter(scope, j),
-                Parameter(name=f"start_joint_rate_{j}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-                          value=0.0, low=-100.0, high=100.0,
-                          description="rate at the start; of a trial, as measured",
-                          source="at rest"),
+                start_rate_parameter(scope, j),
                 friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)

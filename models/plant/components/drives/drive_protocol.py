@@ -90,6 +90,16 @@ def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
     )  # fmt: skip
 
 
+def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
+    """Return the rate at the start, for a joint whose trial may begin in motion."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_joint_rate_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
+        value=0.0, low=-100.0, high=100.0,
+        description="rate at the start; of a trial, as measured", source="at rest",
+    )  # fmt: skip
+
+
 def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
     """Return the speed that regularises the dry friction of a drive."""
     angle = scope.suffix["angle"]

@@ -6,7 +6,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.components.drives.drive_protocol import SI_UNIT_OF, friction_speed_parameter
+from models.plant.components.drives.drive_protocol import (
+    friction_speed_parameter,
+    start_rate_parameter,
+)
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 
@@ -25,8 +28,7 @@ class Measured:
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Inertia on the joint's side, bandwidth of the motion, rate at the start."""
-        angle = scope.suffix["angle"]
-        rotary = angle == "rad"
+        rotary = scope.suffix["angle"] == "rad"
         result = [
             Parameter(name="follow_rate_per_s", unit="1/s", value=200.0, low=20.0, high=2000.0,
                       description="bandwidth that follows the measured coordinate",
@@ -38,10 +40,7 @@ class Measured:
                 Parameter(name=inertia, unit="kg.m2" if rotary else "kg", value=0.0, low=0.0,
                           high=1e3, description="inertia between the force sensor and the load",
                           source="assumed none"),
-                Parameter(name=f"start_joint_rate_{j}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-                          value=0.0, low=-100.0, high=100.0,
-                          description="rate at the start; of a trial, as measured",
-                          source="at rest"),
+                start_rate_parameter(scope, j),
                 friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)
