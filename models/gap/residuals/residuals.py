@@ -26,7 +26,7 @@ from models.plant.identification.simulation_fit import measured_signals, row_wei
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
 from models.plant.simulation.long_trials import shortened
-from models.plant.simulation.sensitivity import sensitivity_model
+from models.plant.simulation.sensitivity import SensitiveModel, run_sensitive_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial
 
@@ -117,7 +117,7 @@ class Residuals:
         self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._plain = CompiledModel(self.model)
-        self._sensitive = CompiledModel(sensitivity_model(model, moved, substep_s))
+        self._sensitive = SensitiveModel(self.model, moved)
         self._outputs = names(model.outputs)
         self._base = [trial_parameters(model, t) for t in trials]
         self._low = np.array([v.minimum for v in model.parameters])
@@ -203,15 +203,17 @@ class Residuals:
 
         A derivative that overflows says nothing and counts as zero.
         """
-        y = run_trial(self._sensitive, self.trials[k], self._parameters(k, values))
-        count, group = len(self._outputs), next(g for g in self.groups if k in g.trials)
+        y, slopes = run_sensitive_trial(
+            self._sensitive, self.trials[k], self._parameters(k, values)
+        )
+        group = next(g for g in self.groups if k in g.trials)
         spectra = np.empty((len(group.signals), group.coefficients, len(self.fit_parameters)))
         for b, signal in enumerate(group.signals):
             o = self._outputs.index(signal)
-            slope = (y[:, count + o :: count] @ self._moved + self._by_output[o]) * self._acts[k]
+            slope = (slopes[:, o] @ self._moved + self._by_output[o]) * self._acts[k]
             spectra[b] = self._coefficients(k, signal, slope, group.coefficients)
         spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0
-        return y[:, :count] + self._by_output @ (values * self._acts[k]), spectra
+        return y + self._by_output @ (values * self._acts[k]), spectra
 
     def _spectra(self, g: TrialGroup, runs: Sequence[Array]) -> Array:
         rows = np.empty((len(g.trials), len(g.signals), g.coefficients))

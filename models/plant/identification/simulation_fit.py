@@ -23,14 +23,9 @@ from models.plant.effects import PULLEY_M
 from models.plant.identification.cluster_errors import cluster_errors, grouped_rows
 from models.plant.parameter import AT_BOUND
 from models.plant.plant import ModelKind, Plant
-from models.plant.simulation.compiled_model import (
-    Array,
-    CompiledModel,
-    run_trial,
-    trial_parameters,
-)
+from models.plant.simulation.compiled_model import Array, trial_parameters
 from models.plant.simulation.long_trials import shortened
-from models.plant.simulation.sensitivity import sensitivity_model
+from models.plant.simulation.sensitivity import SensitiveModel, run_sensitive_trial
 from models.plant.step_model import names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
@@ -182,15 +177,14 @@ class Objective:
     ) -> None:
         self.plant, self.free = plant, tuple(free)
         self._signals, self._scale = tuple(signals), dict(scale or {})
-        self._models: dict[int, tuple[CompiledModel, list[str]]] = {}
+        self._models: dict[int, SensitiveModel] = {}
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
             same = [t for t in trials if t.meta.dof == dof]
             used += shortened(same, model, max_substep_s or model.max_substep_s)
             own = [name for name in self.free if name in names(model.parameters)]
-            compiled = CompiledModel(sensitivity_model(model, own, max_substep_s))
-            self._models[dof] = (compiled, own)
+            self._models[dof] = SensitiveModel(model, own, max_substep_s)
         self.trials = tuple(used)
         self._measured = [measured_signals(t) for t in used]
         chosen = [plant.parameters[name] for name in self.free]
@@ -261,7 +255,7 @@ class Objective:
         With less a signal that hardly moves (the end effector across a single joint's plane)
         would outweigh all others.
         """
-        outputs = (v for model, _ in self._models.values() for v in model.model.outputs)
+        outputs = (v for compiled in self._models.values() for v in compiled.model.outputs)
         unit = next(v.unit for v in outputs if v.name == signal)
         default = usual_error(unit, [m[signal] for m in self._measured if signal in m])
         return max(self._scale.get(signal, default), LEAST_SCALE.get(unit, 0.5) * default)
@@ -269,22 +263,21 @@ class Objective:
     def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
         """Residual and Jacobian of each signal of a trial."""
         trial, measured = self.trials[index], self._measured[index]
-        compiled, own = self._models[trial.meta.dof]
-        model = compiled.model
+        compiled = self._models[trial.meta.dof]
+        model, own = compiled.model, compiled.wrt
         known = names(model.parameters)
         p = trial_parameters(model, trial)
         columns = [self.free.index(name) for name in own]
         p[[known.index(name) for name in own]] = values[columns]
-        y = run_trial(compiled, trial, p)
-        count = len(model.outputs) // (1 + len(own))
+        y, slopes = run_sensitive_trial(compiled, trial, p)
         result: dict[str, tuple[Array, Array]] = {}
-        for k, signal in enumerate(names(model.outputs[:count])):
+        for k, signal in enumerate(names(model.outputs)):
             if signal not in measured or not signal.startswith(self._signals):
                 continue
             factor = row_weights(trial, signal) / self.scale(signal) / CORRELATED_SAMPLES**0.5
             residual = (y[:, k] - measured[signal]) * factor
             jacobian = np.zeros((len(y), len(self.free)))
-            jacobian[:, columns] = y[:, count + k :: count] * factor[:, None]
+            jacobian[:, columns] = slopes[:, k] * factor[:, None]
             seen = np.isfinite(measured[signal])
             result[signal] = (residual[seen], jacobian[seen])
         return result

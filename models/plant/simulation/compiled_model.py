@@ -24,6 +24,7 @@ __all__ = [
     "CompiledModel",
     "model_inputs",
     "run_trial",
+    "trial_inputs",
     "trial_parameters",
 ]
 
@@ -186,11 +187,28 @@ def model_inputs(model: StepModel, trial: Trial) -> Array:
     return np.column_stack([columns[name] for name in names(model.inputs)])
 
 
-def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> Array:
-    """Outputs of a model at every row of a trial, shape (n, len(outputs)).
+def trial_inputs(model: StepModel, trial: Trial) -> tuple[Array, Array]:
+    """Inputs at the start (len(inputs),) and of each step between two rows (n - 1, len(inputs)).
 
     A twin is driven by the goal that was sent after a row until the next; a model driven by
     measurement takes the sample at the end of each step.
+
+    Parameters
+    ----------
+    model, trial
+        As for `model_inputs`.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    u = model_inputs(model, trial)
+    return u[0], u[1:] if model.inputs_at_end else u[:-1]
+
+
+def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> Array:
+    """Outputs of a model at every row of a trial, shape (n, len(outputs)); see `trial_inputs`.
 
     Parameters
     ----------
@@ -206,8 +224,6 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     InputError
         If a column is missing.
     """
-    u = model_inputs(compiled.model, trial)
+    first, u = trial_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p
-    return compiled.simulate(
-        u[1:] if compiled.model.inputs_at_end else u[:-1], trial.step_s, p, compiled.start(u[0], p)
-    )
+    return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))

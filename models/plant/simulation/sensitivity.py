@@ -2,120 +2,141 @@
 
 from __future__ import annotations
 
-import dataclasses
+import ctypes
+import tempfile
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
 
-import casadi as ca
 import numpy as np
 
-from models.plant.step_model import Array, StepModel, Variable, names, runge_kutta
+from models.plant.simulation.compiled_model import trial_inputs, trial_parameters
+from models.plant.simulation.sensitivity_c import write_sensitivity_c
+from models.plant.step_model import Array, StepModel, names
+from models.shared.c_compiler import compile_library
+from models.trials.trial import Trial
 
-__all__ = ["sensitivity_model"]
+__all__ = ["SensitiveModel", "run_sensitive_trial"]
+
+_DRIVER: Final = Path(__file__).with_name("run_sensitive.c")
+_CPU_INFO: Final = Path("/proc/cpuinfo")
+_POINTER: Final = ctypes.POINTER(ctypes.c_double)
 
 
-def sensitivity_model(
-    model: StepModel, wrt: list[str], max_substep_s: float | None = None
-) -> StepModel:
-    """Model extended by the exact derivatives of its run with respect to some parameters.
+class SensitiveModel:
+    """A `StepModel` compiled to run whole trials with the exact derivatives of the run.
 
-    The states are x and S = dx/dp (column by column), the outputs y and dy/dp; S follows the
-    variational equation Ṡ = f_x S + f_p, integrated by the same Runge–Kutta steps, so it is the
-    derivative of the discrete run, not an approximation of one of the continuous run. Of S only the
-    entries are states that can differ from zero: a parameter of a sensor moves no state.
+    The slope S = dx/dp follows the variational equation Ṡ = f_x S + f_p, integrated by the same
+    Runge–Kutta steps, so it is the derivative of the discrete run, not an approximation of one of
+    the continuous run. The outputs are those of `CompiledModel`, bit by bit.
 
     Parameters
     ----------
     model : StepModel
         With its `rate`.
-    wrt : list of str
+    wrt : sequence of str
         Names of parameters.
     max_substep_s : float, optional
         Other longest sub-step, for a model that is not stiff.
+
+    Attributes
+    ----------
+    model : StepModel
+        With that longest sub-step.
+    wrt : tuple of str
+        As given.
 
     Raises
     ------
     ValueError
         If the model has no `rate`.
     """
-    if model.rate is None:
-        raise ValueError(f"{model.name} has no rate")
-    index = [names(model.parameters).index(name) for name in wrt]
-    nx, nw = len(model.states), len(wrt)
-    moved = _reached(model, model.rate, index)
-    z = ca.MX.sym("z", nx + moved.nnz())
-    u, p = ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
-    h = ca.MX.sym("h")
-    x, slope = z[:nx], ca.MX(moved, z[nx:])
 
-    def extend(function: Any, what: str, *time: Any) -> Any:
-        """Result of a function, and its derivatives along the run."""
-        value, by_x, by_p = _derivatives(function)(x, u, p, *time)
-        along = by_x @ slope + by_p[:, index]
-        dense = ca.Sparsity.dense(*along.shape)
-        stacked = ca.vertcat(value, _entries(along, dense if what == "output" else moved))
-        return ca.Function(f"{what}_{nw}", [z, u, p, *time], [stacked])
+    def __init__(
+        self, model: StepModel, wrt: Sequence[str], max_substep_s: float | None = None
+    ) -> None:
+        if model.rate is None:
+            raise ValueError(f"{model.name} has no rate")
+        self.model = replace(model, max_substep_s=max_substep_s or model.max_substep_s)
+        self.wrt = tuple(wrt)
+        known = names(model.parameters)
+        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
+            directory = Path(scratch)
+            source = write_sensitivity_c(model, [known.index(n) for n in wrt], directory)
+            path = compile_library(
+                [source, _DRIVER],
+                directory / "model.so",
+                include=[directory],
+                flags=_vector_flags(),
+            )
+            self._library = ctypes.CDLL(str(path))
 
-    started = ca.jacobian(model.initial(u, p), p)[:, index]
-    initial = ca.vertcat(model.initial(u, p), _entries(started, moved))
-    rate = extend(model.rate, "rate")
-    return dataclasses.replace(
-        model,
-        name=f"{model.name}_sensitivity",
-        states=model.states + _derivatives_of(model.states, wrt, moved),
-        outputs=model.outputs + _derivatives_of(model.outputs, wrt),
-        initial=ca.Function("initial", [u, p], [initial]),
-        begin=extend(model.begin, "begin", h),
-        flow=runge_kutta("flow", rate),
-        finish=extend(model.finish, "finish", h),
-        output=extend(model.output, "output"),
-        rate=rate,
-        max_substep_s=max_substep_s or model.max_substep_s,
-    )
+    def simulate(
+        self, u: Array, step_s: float, p: Array | None = None, first: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs and their derivatives at the start and after each step.
 
+        Parameters
+        ----------
+        u, step_s, p
+            As for `StepModel.simulate`.
+        first : ndarray, shape (len(inputs),), optional
+            Inputs at the start; by default those of the first step.
 
-def _reached(model: StepModel, rate: Any, index: Sequence[int]) -> Any:
-    """Sparsity (states, parameters) of the derivatives that can differ from zero at some time."""
-    nx, shape = len(model.states), (len(model.states), len(index))
-    step, found = np.zeros((nx, nx)), np.zeros(shape)
-    for function in (rate, model.begin, model.finish):
-        step += _pattern(function.jac_sparsity(0, 0))
-        found += _pattern(function.jac_sparsity(0, 2))[:, index]
-    found += _pattern(model.initial.jac_sparsity(0, 1))[:, index]
-    while True:
-        further = np.sign(found + step @ found)
-        if np.array_equal(further, found):
-            break
-        found = further
-    rows, columns = np.nonzero(found.T)[::-1]
-    return ca.Sparsity.triplet(*shape, rows.tolist(), columns.tolist())
+        Returns
+        -------
+        y : ndarray, shape (n + 1, len(outputs))
+            Row k is the output at k * step_s.
+        slope : ndarray, shape (n + 1, len(outputs), len(wrt))
+            Its derivatives.
 
-
-def _pattern(sparsity: Any) -> Array:
-    return np.asarray(ca.DM(sparsity, 1), dtype=np.float64).reshape(sparsity.shape)
-
-
-def _entries(matrix: Any, sparsity: Any) -> Any:
-    """Entries of a matrix that a pattern holds, column by column, as a vector."""
-    return ca.vec(ca.project(matrix, sparsity).nz[:])  # of a single row they are a row
+        Raises
+        ------
+        MemoryError
+            If the library runs out of memory.
+        """
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        p = np.ascontiguousarray(self.model.parameter_values() if p is None else p, np.float64)
+        first = np.ascontiguousarray(u[0] if first is None else first, dtype=np.float64)
+        y = np.empty((len(u) + 1, len(self.model.outputs)))
+        slope = np.empty((*y.shape, len(self.wrt)))
+        times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
+        pointers = [a.ctypes.data_as(_POINTER) for a in (first, u, p, y, slope)]
+        if self._library.run_sensitive(ctypes.c_long(len(u)), *times, *pointers):
+            raise MemoryError(f"{self.model.name}: run_sensitive")
+        return y, slope
 
 
-def _derivatives_of(
-    variables: Sequence[Variable], wrt: Sequence[str], pattern: Any = None
-) -> tuple[Variable, ...]:
-    """Derivatives of variables, parameter by parameter; with a pattern only those that it holds."""
-    return tuple(
-        dataclasses.replace(v, name=f"{v.name}_by_{w}", unit="1")
-        for k, w in enumerate(wrt)
-        for i, v in enumerate(variables)
-        if pattern is None or pattern.has_nz(i, k)
-    )
+def run_sensitive_trial(
+    sensitive: SensitiveModel, trial: Trial, p: Array | None = None
+) -> tuple[Array, Array]:
+    """Outputs of a model at every row of a trial, and their derivatives.
+
+    Parameters
+    ----------
+    sensitive : SensitiveModel
+        Of a plant.
+    trial, p
+        As for `models.plant.simulation.compiled_model.run_trial`.
+
+    Returns
+    -------
+    y : ndarray, shape (n, len(outputs))
+        As of `models.plant.simulation.compiled_model.run_trial`.
+    slope : ndarray, shape (n, len(outputs), len(wrt))
+        Its derivatives.
+
+    Raises
+    ------
+    InputError
+        If a column is missing.
+    """
+    first, u = trial_inputs(sensitive.model, trial)
+    p = trial_parameters(sensitive.model, trial) if p is None else p
+    return sensitive.simulate(u, trial.step_s, p, first)
 
 
-def _derivatives(function: Any) -> Any:
-    """Value and sparse derivatives by the first and third argument of an SX function."""
-    arguments = [ca.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
-    value = ca.cse(function(*arguments))
-    x, p = arguments[0], arguments[2]
-    results = ca.cse([value, ca.jacobian(value, x), ca.jacobian(value, p)])
-    return ca.Function(f"{function.name()}_derivatives", arguments, results)
+def _vector_flags() -> tuple[str, ...]:
+    """Options of the compiler for this processor's vectors; they change no bit of the results."""
+    return ("-mavx2",) if _CPU_INFO.is_file() and " avx2 " in _CPU_INFO.read_text() else ()

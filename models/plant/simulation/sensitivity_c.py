@@ -1,0 +1,132 @@
+"""C code of the derivatives of a `StepModel`: values, entries of sparse Jacobians, their places.
+
+A function of the model becomes a C function with three results: the value, and the entries of its
+derivatives by the states and by the chosen parameters, row after row. Constant tables in `tables.h`
+tell the place of each entry; `run_sensitive.c` reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from models.plant.step_model import StepModel
+
+BLOCK: Final = 8
+"""Columns that `run_sensitive.c` adds at once: two registers of AVX, four of SSE2."""
+
+FUNCTIONS: Final = ("initial", "begin", "rate", "finish", "output")
+
+
+def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> Path:
+    """Write `sensitivity.c`, `sensitivity.h` and `tables.h`.
+
+    Parameters
+    ----------
+    model : StepModel
+        With its `rate`.
+    index : sequence of int
+        Indices of the chosen parameters.
+    directory : Path
+        Of the files.
+
+    Returns
+    -------
+    Path
+        The C file.
+    """
+    derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
+    states, columns = _reached(derived)
+    generator = ca.CodeGenerator("sensitivity.c", {"with_header": True, "mex": False})
+    tables = {
+        "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
+        "CHOSEN": len(index), "ROWS": max(1, len(states)), "COLUMNS": len(columns),
+        "BLOCKS": max(1, -(-len(columns) // BLOCK)), "BLOCK": BLOCK,
+    }  # fmt: skip
+    lines = [f"#define N_{name} {size}" for name, size in tables.items()]
+    lines.append(_table("CHOSEN", columns))
+    most = np.ones(3, dtype=int)
+    for what, own in derived.items():
+        rows = own.rows(what, states)
+        by_x = own.by_x[rows, states if own.by_x.size2() else []].T
+        by_p = own.by_p[rows, columns if what != "output" else range(len(index))].T
+        function = ca.Function(
+            f"sensitivity_{what}", own.arguments, ca.cse([own.value, by_x.nz[:], by_p.nz[:]])
+        )
+        generator.add(function)
+        most = np.maximum(most, [function.numel_out(k) for k in range(3)])
+        place = rows if what == "output" else [states.index(i) for i in rows]
+        lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
+    lines += [
+        f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
+    ]
+    generator.generate(f"{directory}/")
+    (directory / "tables.h").write_text("\n".join(lines) + "\n")
+    return directory / "sensitivity.c"
+
+
+class _Derivatives:
+    """Value of a function of a model, and its derivatives by states and chosen parameters."""
+
+    def __init__(self, function: Any, index: Sequence[int]) -> None:
+        sizes = [function.size1_in(k) for k in range(function.n_in())]
+        self.arguments = [ca.SX.sym(f"i{k}", size) for k, size in enumerate(sizes)]
+        self.value = ca.densify(function(*self.arguments))
+        *before, p = self.arguments[: min(3, len(sizes))]
+        x = before[0] if len(before) == 2 else ca.SX(0, 1)  # the initial state depends on no state
+        self.by_x = ca.jacobian(self.value, x)
+        self.by_p = ca.jacobian(self.value, p)[:, list(index)]
+
+    def rows(self, what: str, states: Sequence[int]) -> list[int]:
+        """Rows of the derivatives to compute.
+
+        Left out are the rates that are always zero, and in `begin` and `finish` the states that
+        they do not change.
+        """
+        if what == "output":
+            return list(range(self.value.size1()))
+        if what == "initial":
+            return list(states)
+        if what == "rate":
+            both = _pattern(ca.horzcat(self.by_x, self.by_p))
+            return [i for i in states if both[i].any()]
+        x = self.arguments[0]
+        return [i for i in states if not ca.is_equal(self.value[i], x[i])]
+
+
+def _reached(derived: dict[str, _Derivatives]) -> tuple[list[int], list[int]]:
+    """States whose derivatives can differ from zero at some time, and parameters that move any."""
+    found = np.array(_pattern(derived["initial"].by_p))
+    step = np.eye(len(found), dtype=bool)
+    for what in ("begin", "rate", "finish"):
+        step |= _pattern(derived[what].by_x)
+        found |= _pattern(derived[what].by_p)
+    while not np.array_equal(further := step @ found, found):
+        found = further
+    return np.flatnonzero(found.any(axis=1)).tolist(), np.flatnonzero(found.any(axis=0)).tolist()
+
+
+def _pattern(matrix: Any) -> NDArray[np.bool_]:
+    return np.asarray(ca.DM(matrix.sparsity(), 1), dtype=bool).reshape(matrix.shape)
+
+
+def _tables(label: str, place: Sequence[int], by_x: Any, by_p: Any) -> list[str]:
+    """Jacobian of `run_sensitive.c`; the patterns are those of the transposes."""
+    tables = {
+        "ROW": place, "X_START": by_x.colind(), "X_PLACE": by_x.row(),
+        "P_START": by_p.colind(), "P_PLACE": by_p.row(),
+    }  # fmt: skip
+    return [
+        *(_table(f"{label}_{name}", values) for name, values in tables.items()),
+        f"static const Jacobian {label} = {{{len(place)}, "
+        + ", ".join(f"{label}_{name}" for name in tables) + "};",
+    ]  # fmt: skip
+
+
+def _table(name: str, values: Sequence[int]) -> str:
+    return f"static const int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};"

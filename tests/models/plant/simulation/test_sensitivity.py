@@ -1,0 +1,102 @@
+"""The sensitive run is the plain one, and its slopes are the derivatives of that run."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from models.plant.plant import read_plant
+from models.plant.simulation import sensitivity
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.step_model import names
+
+STEP_S = 0.017
+
+CHOSEN = {
+    "twin": ["velocity_gain_1_a_s_rad", "root_stiffness_1_nm_rad", "creep_time_s"],
+    "driven": ["link_mass_kg", "edge_gain", "hysteresis_yield_rad", "coulomb_friction_1_nm"],
+    "observer": ["root_stiffness_1_nm_rad", "edge_gain"],
+}
+
+
+@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+def test_slopes_are_finite_differences_of_the_run(bench, unit):
+    model = read_plant().step_model(1, unit)
+    wrt = CHOSEN[unit]
+    u, plain = bench.inputs(model, 80), CompiledModel(model)
+    y, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    assert np.array_equal(y, plain.simulate(u, STEP_S))
+    for k, name in enumerate(wrt):
+        middle = model.parameter_values()[names(model.parameters).index(name)]
+        step = 1e-6 * (abs(middle) or 1.0)
+        ends = [
+            plain.simulate(u, STEP_S, model.parameter_values({name: middle + side * step}))
+            for side in (1, -1)
+        ]
+        difference = (ends[0] - ends[1]) / (2 * step)
+        slope = slopes[:, :, k]
+        assert np.abs(slope).max() > 0
+        assert np.allclose(slope, difference, atol=1e-4 * np.abs(slope).max()), name
+
+
+def rolled_out_jacobian(model, wrt, u, p):
+    """Derivatives of the outputs by casadi's own jacobian of the unrolled run, by columns."""
+    q = ca.MX.sym("p", len(p))
+    x, rows = model.initial(u[0], q), []
+    rows.append(model.output(x, u[0], q))
+    for row in u:
+        x = model.begin(x, row, q, STEP_S)
+        for _ in range(model.substeps(STEP_S)):
+            x = model.flow(x, row, q, STEP_S / model.substeps(STEP_S))
+        x = model.finish(x, row, q, STEP_S)
+        rows.append(model.output(x, row, q))
+    index = [names(model.parameters).index(name) for name in wrt]
+    whole = ca.jacobian(ca.vertcat(*rows), q)[:, index]
+    values = np.asarray(ca.DM(ca.Function("whole", [q], [whole])(p)))
+    return values.reshape(len(rows), -1, len(wrt))
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit):
+    model = replace(read_plant().step_model(dof, unit), max_substep_s=STEP_S / 3)
+    wrt, u, p = CHOSEN[unit], bench.inputs(model, 6), model.parameter_values()
+    expected = rolled_out_jacobian(model, wrt, u, p)
+    _, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    scale = np.abs(expected).max(axis=(0, 1))
+    assert (scale > 0).all()
+    assert (np.abs(slopes - expected) <= 1e-10 * scale).all()
+
+
+def test_the_width_of_the_vectors_changes_no_bit(bench, monkeypatch):
+    model = read_plant().step_model(1, "twin")
+    u, runs = bench.inputs(model, 40), []
+    for flags in sensitivity._vector_flags(), ():
+        monkeypatch.setattr(sensitivity, "_vector_flags", lambda flags=flags: flags)
+        runs.append(SensitiveModel(model, CHOSEN["twin"]).simulate(u, STEP_S))
+    assert np.array_equal(runs[0][0], runs[1][0]) and np.array_equal(runs[0][1], runs[1][1])
+
+
+@pytest.mark.parametrize("wrt", [[], ["current_bias_1_a"]])
+def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
+    model = bench.plant("current_bias").step_model(1, "twin")
+    u = bench.inputs(model, 10)
+    y, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    assert slopes.shape == (*y.shape, len(wrt))
+    current = names(model.outputs).index("current_1_a")
+    assert (slopes[:, current] == 1).all() and (np.delete(slopes, current, axis=1) == 0).all()
+
+
+def test_another_longest_substep_is_that_of_the_run(bench):
+    model = read_plant().step_model(1, "twin")
+    u = bench.inputs(model, 10)
+    y, _ = SensitiveModel(model, [], 0.003).simulate(u, STEP_S)
+    coarse = CompiledModel(replace(model, max_substep_s=0.003))
+    assert np.array_equal(y, coarse.simulate(u, STEP_S))
+
+
+def test_a_model_without_a_rate_is_refused():
+    with pytest.raises(ValueError, match="has no rate"):
+        SensitiveModel(replace(read_plant().step_model(1, "twin"), rate=None), [])
