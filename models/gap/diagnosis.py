@@ -25,6 +25,7 @@ from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.look_alikes import LookAlike, look_alikes_of
 from models.gap.search.null_distribution import NullDistribution
+from models.gap.search.posterior import Hypothesis, posterior_of
 from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.search.strength_consistency import StrengthConsistency
@@ -99,6 +100,8 @@ class Diagnosis:
         Effects in order of inclusion, those deleted again left out.
     inclusions : tuple of Inclusion
         All of them.
+    hypotheses : tuple of Hypothesis
+        Sets of effects that may be missing, by their probability.
     strength_consistency : dict of str to StrengthConsistency
         Of each named effect without a dead zone.
     screened, refitted : dict of str to float
@@ -138,6 +141,7 @@ class Diagnosis:
     remaining: tuple[GapRegion, ...]
     named: tuple[str, ...]
     inclusions: tuple[Inclusion, ...]
+    hypotheses: tuple[Hypothesis, ...]
     strength_consistency: dict[str, StrengthConsistency]
     screened: dict[str, float]
     refitted: dict[str, float]
@@ -186,6 +190,7 @@ def diagnose(
     floor = noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
+    hypotheses = posterior_of(search, result)
     acceptance = Acceptance(search, result)
     accepted = acceptance.accepted()
     report("tested on what was left out")
@@ -221,6 +226,7 @@ def diagnose(
         remaining=tuple(remaining),
         named=tuple(result.named),
         inclusions=_inclusions(result, settings),
+        hypotheses=hypotheses,
         strength_consistency=consistencies,
         screened=result.screened,
         refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},

@@ -150,6 +150,17 @@ class NamedEffect(
     separated_by: SeparatingMotion | None = None
 
 
+class HypothesisRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Set of effects that may be missing, and its probability; nothing is missing if it is empty.
+
+    `parameters` holds the fitted values by the name of the plant's parameter, nuisance included.
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    parameters: dict[str, float]
+
+
 class SignalGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Root mean square error of a signal in its SI unit, and in noise floors where there is one."""
 
@@ -218,6 +229,8 @@ class GapDocument(Document, frozen=True):
         of earlier versions.
     held_out : HeldOutSummary
         Errors on what was left out in turn.
+    hypotheses : tuple of HypothesisRecord
+        Sets of effects that may be missing, by their probability.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.
@@ -245,6 +258,7 @@ class GapDocument(Document, frozen=True):
     refused: tuple[RefusedEffect, ...] = ()
     held_out: HeldOutSummary | None = None
     unexplained_fraction: float | None = None
+    hypotheses: tuple[HypothesisRecord, ...] = ()
 
 
 def read_gap_document(path: Path) -> GapDocument:

@@ -9,11 +9,13 @@ import msgspec
 import numpy as np
 
 from models.gap.diagnosis import Diagnosis, Inclusion
+from models.gap.improved_plant import written_values
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
     HeldOutSignal,
     HeldOutSummary,
+    HypothesisRecord,
     LocatedRegion,
     MappedRegion,
     NamedEffect,
@@ -30,6 +32,7 @@ from models.gap.report.gap_json import (
 from models.gap.report.separating_motion import separating_motion
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
+from models.gap.search.posterior import Hypothesis
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
@@ -99,7 +102,14 @@ def gap_document(
             },
         ),
         unexplained_fraction=round(found.unexplained_fraction, 4),
+        hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
     )  # fmt: skip
+
+
+def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
+    full = found.plant.with_effects(*hypothesis.effects)
+    values = written_values(full, found.fit_parameters, hypothesis.values, hypothesis.free)
+    return HypothesisRecord(hypothesis.effects, round(hypothesis.probability, 4), values)
 
 
 def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:

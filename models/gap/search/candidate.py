@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,6 +79,8 @@ class SearchResult:
         Included in each round.
     refused : list of RefusedEffect
         Candidates whose strength ended at a bound, and what the acceptance takes out.
+    explored : dict of frozenset of str to FitPoint
+        Best fit of each set of effects that was tried, against the same floor.
     """
 
     before: FitPoint
@@ -88,3 +91,10 @@ class SearchResult:
     unexcited: list[str] = field(default_factory=list)
     chosen: list[Candidate] = field(default_factory=list)
     refused: list[RefusedEffect] = field(default_factory=list)
+    explored: dict[frozenset[str], FitPoint] = field(default_factory=dict)
+
+    def explore(self, effects: Sequence[str], point: FitPoint) -> None:
+        """Keep a fit of a set of effects where it is the best so far."""
+        key = frozenset(effects)
+        if key not in self.explored or point.cost < self.explored[key].cost:
+            self.explored[key] = point

@@ -101,7 +101,7 @@ class EffectSearch:
                 found.screened = {e: c.separation for (e,), c in screen.items()}
             best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)
             best = best[: self._most_refitted()]
-            refitted = [self._refit(c, here, found.named) for c in best]
+            refitted = [self._refit(c, here, found) for c in best]
             refitted.sort(key=lambda c: c.score, reverse=True)
             found.rounds.append(refitted)
             choice = self._accept(refitted, here, found)
@@ -113,11 +113,12 @@ class EffectSearch:
             self.held[list(choice.held)] = True
             found.chosen.append(choice)
             found.after = self._settled(choice, here, self.free(found.named))
+            found.explore(found.named, found.after)
             choice.gain = here.cost - found.after.cost
             if self.learned:
                 self._delete(found)
             elif len(found.chosen) == 1:
-                found.after = self._flatten(found.after, found.named)
+                self._flatten(found)
         return found
 
     @cached_property
@@ -131,7 +132,7 @@ class EffectSearch:
         return self.first.floor.learned
 
     def _most_refitted(self) -> int:
-        """Candidates that are refitted; all of a rigid load, which is simulated in no time."""
+        """Candidates that are refitted; all of a rigid load, simulated in no time."""
         few = self.learned or self.estimator.residuals.plant.load == "link"
         return self.settings.refitted_candidates if few else len(self.of)
 
@@ -164,17 +165,18 @@ class EffectSearch:
             flat = effect in found.unexcited
             tried += strengths_far_from_zero(self.estimator, here, effect, self.of[effect], flat)
             point = min(tried, key=lambda p: p.cost)
+            found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)
         self.report(f"{len(result)} effects screened")
         return result
 
-    def _refit(self, candidate: Candidate, here: FitPoint, named: Sequence[str]) -> Candidate:
+    def _refit(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign.
 
         The present fit is among the starts, so the cost of a nested model never rises.
         """
         settings = self.settings
-        free = self.free([*named, *candidate.effects])
+        free = self.free([*found.named, *candidate.effects])
         starts = [candidate.point]
         mirrored = candidate.point.values.copy()
         own = self.free(candidate.effects) & ~self.base
@@ -186,13 +188,11 @@ class EffectSearch:
             for start in starts
             if start.cost < np.inf
         ]
-        point = self.estimator.fit(
-            min([here, *first], key=lambda p: p.cost),
-            free,
-            settings.candidate_fit_steps,
-            settings.candidate_relative_fall,
-        )
+        steps, relative = settings.candidate_fit_steps, settings.candidate_relative_fall
+        best = min([here, *first], key=lambda p: p.cost)
+        point = self.estimator.fit(best, free, steps, relative)
         self.report(" + ".join(candidate.effects))
+        found.explore([*found.named, *candidate.effects], point)
         return self._candidate(candidate.effects, point, here)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
@@ -314,7 +314,7 @@ class EffectSearch:
         for _, pair, step in predicted[: self.settings.refitted_pairs]:
             point = self.estimator.search(here, step) or here
             candidate = self._candidate(pair, point, here)
-            refitted.append(self._refit(candidate, here, found.named))
+            refitted.append(self._refit(candidate, here, found))
         refitted.sort(key=lambda c: c.score, reverse=True)
         return self._accept(refitted, here, found)
 
@@ -325,14 +325,15 @@ class EffectSearch:
         floor = self.first.floor.widened(residuals.groups, residuals.trials, gap, self.settings)
         self.estimator = GaussNewton(residuals, floor)
 
-    def _flatten(self, point: FitPoint, named: Sequence[str]) -> FitPoint:
+    def _flatten(self, found: SearchResult) -> None:
         """Fit in SI units: once the first effect is named, no spectrum tells what is noise."""
         residuals = self.estimator.residuals
-        floor = flattened(self.first.floor, residuals.groups, point.rows)
+        floor = flattened(self.first.floor, residuals.groups, found.after.rows)
         self.estimator = GaussNewton(residuals, floor)
         self.held_out = HeldOut(self.estimator)
-        start, steps = self.estimator.at(point.values), self.settings.nuisance_fit_steps
-        return self.estimator.fit(start, self.free(named), steps)
+        start, steps = self.estimator.at(found.after.values), self.settings.nuisance_fit_steps
+        found.after = self.estimator.fit(start, self.free(found.named), steps)
+        found.explored = {frozenset(found.named): found.after}
 
     def _delete(self, found: SearchResult) -> None:
         """Delete effects that are no longer needed beside what came later."""

@@ -1,0 +1,62 @@
+"""Posterior over sets of effects: sums to one, follows the scores, spreads where they are alike."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.search.candidate import SearchResult
+from models.gap.search.null_distribution import NullDistribution
+from models.gap.search.posterior import posterior_of
+
+
+@dataclass
+class Search:
+    """What the posterior needs of a search."""
+
+    learned: bool = True
+    null_distribution: NullDistribution = field(
+        default_factory=lambda: NullDistribution(threshold=4.5, explained=2.0)
+    )
+
+    def free(self, effects):
+        return np.zeros(3, dtype=bool)
+
+
+def point(cost):
+    return FitPoint(np.zeros(3), cost, [])
+
+
+def found(none, **costs):
+    """Search result with fits of single effects, by their d′."""
+    before = point(none)
+    result = SearchResult(before, before)
+    for effect, separation in costs.items():
+        result.explore([effect], point(none - separation**2 / 2))
+    return {h.effects: h.probability for h in posterior_of(Search(), result)}
+
+
+def test_probabilities_sum_to_one_and_follow_the_separation():
+    rows = found(500.0, creep=12.0, hysteresis=11.0, backlash=3.0)
+    assert sum(rows.values()) == pytest.approx(1.0, abs=0.01)
+    assert next(iter(rows)) == ("creep",)
+    assert rows["creep",] > rows["hysteresis",]
+
+
+def test_without_a_gap_nothing_is_most_probable():
+    rows = found(500.0, creep=2.0, hysteresis=3.0)
+    assert next(iter(rows)) == () and rows[()] > 0.9
+
+
+@pytest.mark.parametrize("separation", [8.0, 30.0, 100.0])
+def test_effects_of_one_score_share_their_probability(separation):
+    rows = found(1e4, creep=separation, hysteresis=separation)
+    assert rows["creep",] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_large_gap_separates_no_better_than_its_equation_allows():
+    """An error of a fraction of the gap is as large as the difference of two effects' gains."""
+    near = found(1e4, creep=100.0, hysteresis=99.0)
+    assert near["creep",] < 0.8
+    assert found(1e4, creep=100.0, hysteresis=80.0)["creep",] > 0.99
