@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "sensitivity.h"
+#include "sensitivity_initial.h"
 
 /* Places of the entries of a sparse Jacobian, row after row. Entries x_start[k] to x_start[k + 1]
  * belong to row[k]; x_place is the row of S that an entry multiplies, p_place a column. */

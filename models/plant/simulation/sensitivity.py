@@ -63,9 +63,9 @@ class SensitiveModel:
         known = names(model.parameters)
         with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
             directory = Path(scratch)
-            source = write_sensitivity_c(model, [known.index(n) for n in wrt], directory)
+            sources = write_sensitivity_c(model, [known.index(n) for n in wrt], directory)
             path = compile_library(
-                [source, _DRIVER],
+                [*sources, _DRIVER],
                 directory / "model.so",
                 include=[directory],
                 flags=_vector_flags(),

@@ -20,11 +20,15 @@ from models.plant.step_model import StepModel
 BLOCK: Final = 8
 """Columns that `run_sensitive.c` adds at once: two registers of AVX, four of SSE2."""
 
+_NOT_OPTIMISED: Final = "#pragma clang optimize off\n"
+"""Before the derivatives of `initial`, which are long and evaluated once in a run. Measured on the
+link with every effect and one joint: a third of the compiler's processor time."""
+
 FUNCTIONS: Final = ("initial", "begin", "rate", "finish", "output")
 
 
-def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> Path:
-    """Write `sensitivity.c`, `sensitivity.h` and `tables.h`.
+def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> list[Path]:
+    """Write `sensitivity.c` and `sensitivity_initial.c` with their headers, and `tables.h`.
 
     Parameters
     ----------
@@ -37,12 +41,15 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
 
     Returns
     -------
-    Path
-        The C file.
+    list of Path
+        The C files.
     """
     derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
     states, columns = _reached(derived)
-    generator = ca.CodeGenerator("sensitivity.c", {"with_header": True, "mex": False})
+    generators = {
+        name: ca.CodeGenerator(name, {"with_header": True, "mex": False})
+        for name in ("sensitivity_initial.c", "sensitivity.c")
+    }
     tables = {
         "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
         "CHOSEN": len(index), "ROWS": max(1, len(states)), "COLUMNS": len(columns),
@@ -58,16 +65,19 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         function = ca.Function(
             f"sensitivity_{what}", own.arguments, ca.cse([own.value, by_x.nz[:], by_p.nz[:]])
         )
-        generator.add(function)
+        generators["sensitivity_initial.c" if what == "initial" else "sensitivity.c"].add(function)
         most = np.maximum(most, [function.numel_out(k) for k in range(3)])
         place = rows if what == "output" else [states.index(i) for i in rows]
         lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
     lines += [
         f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
     ]
-    generator.generate(f"{directory}/")
     (directory / "tables.h").write_text("\n".join(lines) + "\n")
-    return directory / "sensitivity.c"
+    for generator in generators.values():
+        generator.generate(f"{directory}/")
+    sources = [directory / name for name in generators]
+    sources[0].write_text(_NOT_OPTIMISED + sources[0].read_text())
+    return sources
 
 
 class _Derivatives:
