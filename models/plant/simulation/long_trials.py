@@ -25,7 +25,7 @@ __all__ = ["shortened"]
 
 MOST_OF_TRIAL: Final = 3e6
 """State updates in one simulation of a trial: 20 800 rows of the link with every effect and one
-joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.9 s of processor time for the exact
+joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the exact
 derivatives of the former, of which a diagnosis takes about twenty."""
 
 MOST_OF_ALL: Final = 10e6
