@@ -100,6 +100,8 @@ class Scope:
         Jump of the goal at the begin of the step, where the goal has a shape within it.
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
+    mean_acceleration : dict by joint
+        Mean of an imposed acceleration over the step that ends.
     holding_torque : dict by joint
         Drive torque that balances the load at the start.
     friction_direction : dict by joint
@@ -147,6 +149,7 @@ class Scope:
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)
+    mean_acceleration: dict[int, Expr] = field(default_factory=dict)
     holding_torque: dict[int, Expr] = field(default_factory=dict)
     friction_direction: dict[int, Expr] = field(default_factory=dict)
     current: dict[int, Expr] = field(default_factory=dict)

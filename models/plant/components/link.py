@@ -57,6 +57,9 @@ class Link:
             Parameter(name="base_offset_m", unit="m", value=0.06, low=0.0, high=1.0,
                       description="base plate above the joint axes",
                       source='docs/sources.md, "The link": assumed'),
+            Parameter(name="base_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
+                      description="mass at the base plate, where the link begins",
+                      source="assumed none: weigh the plate"),
             Parameter(name="link_length_m", unit="m", value=0.95, low=0.05, high=10.0,
                       description="length of the link", source="paper, fig. 2"),
             Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
@@ -221,6 +224,7 @@ class Link:
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         payload_m = tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0)
         return [
+            (scope.p("base_mass_kg"), plate_m),
             *rod_points(mass_kg * position, plate_m, hinge_m),
             *rod_points(mass_kg * (1 - position), hinge_m, tip_m),
             (scope.p("tip_mass_kg"), tip_m),

@@ -8,6 +8,11 @@ a/ω², 0.1 mrad in the study). The current is the one that the motion needs::
     k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
 
 with friction F of the plant's effects and the bends' acceleration b̈ from their own equations.
+
+A ramp bends at the samples only, so that the filter's q̈ is a saw-tooth: with ω h = 2, as in the
+study, it has decayed to nothing where the current is sampled. The bends take up the saw-tooth,
+but the rotor would seem to have no inertia. Its J q̈ therefore has the mean of q̈ over the step,
+which is the change of q̇ per step.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from typing import Final
 import casadi as ca
 
 from models.plant.components.drives.drive_protocol import SI_UNIT_OF, Drive
+from models.plant.components.drives.goal_shape import declare_step_length
 from models.plant.components.lagrange import solve_symmetric
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium
@@ -57,8 +63,7 @@ def compose_driven(
     declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable())
     apply_measured_motion(scope, drive, load, effects)
-    step_s = scope.state(Variable("step_s", "s", nominal=0.017), 1.0)
-    scope.states[step_s.name()].begin = scope.step_s
+    step_s = declare_step_length(scope)
     outputs: dict[str, tuple[Variable, Expr]] = {}
     for j in scope.joints:
         sampled = drive.sampled_current(scope, j, step_s)
@@ -69,10 +74,18 @@ def compose_driven(
 
 
 def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
-    """Add the measured angles as inputs; set angle, rate and acceleration as filtered."""
+    """Add the measured angles as inputs; set angle, rate and acceleration as filtered.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the plant's parameters declared.
+    effects : sequence of Effect
+        Those of the sensors are applied.
+    """
     apply_effects(scope, ("sensor",), effects)
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
-    unit = SI_UNIT_OF[angle]
+    unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
     for j in scope.joints:
         name = f"{COORDINATE_NAME[angle]}_{j}_{angle}"
         sample = scope.input(Variable(name, unit, 0.0, f"measured, joint {j}"))
@@ -81,9 +94,12 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
         slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))
         joint = scope.state(Variable(f"joint_{j}_{angle}", unit, nominal=0.5), true)
         rate = scope.state(Variable(f"joint_rate_{j}_{angle}_s", f"{unit}/s"))
+        before = scope.state(Variable(f"joint_rate_before_{j}_{angle}_s", f"{unit}/s"))
         scope.start[j], scope.angle[j], scope.rate[j] = true, joint, rate
         scope.acceleration[j] = omega**2 * (ramp - joint) + 2 * omega * (slope - rate)
         states = scope.states
+        scope.mean_acceleration[j] = (rate - before) / step_s
+        states[before.name()].begin = rate
         states[slope.name()].begin = (true - ramp) / scope.step_s
         states[ramp.name()].rate = slope
         states[ramp.name()].finish = true
@@ -119,6 +135,6 @@ def apply_measured_motion(
     set_initial_equilibrium(scope, force)
     needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
     for index, j in enumerate(scope.joints):
-        torque = needed[index] + drive.reflected_inertia(scope, j) * scope.acceleration[j]
+        torque = needed[index] + drive.reflected_inertia(scope, j) * scope.mean_acceleration[j]
         torque += scope.friction[j] - scope.joint_torque[j]
         scope.current[j] = torque / drive.torque_constant(scope, j)

@@ -101,11 +101,16 @@ class Cascade:
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
         """Current as it is sampled; the staircase of the goal makes the current a saw-tooth.
 
-        In a steady motion the goal jumps by (1 − λ) q̇h in each step. Sampled at the end, the
-        current is below its mean in proportion to the rate, like negative viscous friction.
+        The goal jumps by (1 − λ) ġh in each step. The joint lags behind it, k_p (goal − q) = q̇, so
+        that ġ = q̇ + q̈ / k_p; a held goal is late by half a step, and its last jump by one and a
+        half. Sampled at the end, the current is below its mean in proportion to ġ, like negative
+        viscous friction and inertia.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
-        jump = gain * scope.p("position_gain_{j}_per_s", joint) * step_s * scope.rate[joint]
+        follow_per_s = scope.p("position_gain_{j}_per_s", joint)
+        lead_s = 1 / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
+        goal_rate = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
+        jump = gain * follow_per_s * step_s * goal_rate
         held = 1 - scope.p("goal_interpolation_{j}", joint)
         above_mean = sawtooth_above_mean(scope, joint, step_s, self._decay_s(scope, joint))
         return scope.current[joint] + held * jump * above_mean

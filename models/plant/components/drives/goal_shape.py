@@ -38,6 +38,10 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
         Parameter(name=f"current_phase_{j}", unit="1", value=1.0, low=0.02, high=1.0,
                   role="nuisance", description="phase of the step at which the current is sampled",
                   source="assumed: read before the next goal is sent", prior_deviation=1.0),
+        Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
+                  role="nuisance", description="time after which a goal takes effect",
+                  source="assumed at once; docs/sources.md, \"Control tables\": 1 to 26 ms",
+                  prior_deviation=0.004),
         Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
                   description="speed limit of the goal's profile; 100 is none",
                   source="docs/sources.md, \"Control tables\": profile velocity, 0 is none"),
@@ -74,7 +78,7 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
     scope.states[change.name()].begin = wanted
     scope.states[shaped.name()].begin = shaped + held * wanted
     scope.states[shaped.name()].rate = (1 - held) * change / step_s
-    scope.goal[joint] = shaped
+    scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
     scope.goal_jump[joint] = held * change
 
 
@@ -91,8 +95,8 @@ def sawtooth_above_end(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) ->
         Length of the step; time constant of the velocity loop.
     """
     left = ca.exp(-step_s / decay_s)
-    phase = scope.p("current_phase_{j}", joint)
-    return (ca.exp(-phase * step_s / decay_s) - left) / (1 - left)
+    since_jump_s = scope.p("current_phase_{j}", joint) * step_s - scope.p("goal_delay_{j}_s", joint)
+    return (ca.exp(-since_jump_s / decay_s) - left) / (1 - left)
 
 
 def sawtooth_above_mean(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
+from scipy.interpolate import CubicSpline
 
 from models.plant.components.drives.cascade import Cascade
 from models.plant.components.drives.drive_protocol import declare_goal
@@ -86,6 +87,18 @@ def test_the_goal_within_a_step_is_the_one_of_an_independent_integration(pendulu
     np.testing.assert_allclose(y["current_1_a"][1:], current_a, atol=2e-3)
 
 
+@pytest.mark.parametrize("interpolation", [0.0, 1.0])
+def test_a_goal_that_takes_effect_late_moves_the_joint_late(pendulum, interpolation):
+    """The joint is 4 mrad late; the goal's curvature within a step is left out, 0.08 mrad."""
+    goal, delay_s = sinusoid(200), STEP_S / 5
+    y = run(pendulum, goal, goal_interpolation_1=interpolation, goal_delay_1_s=delay_s)
+    on_time = run(pendulum, goal, goal_interpolation_1=interpolation)
+    settled = slice(60, 200)
+    times_s = STEP_S * np.arange(201)
+    expected = CubicSpline(times_s, on_time["angle_1_rad"])(times_s - delay_s)
+    np.testing.assert_allclose(y["angle_1_rad"][settled], expected[settled], atol=1e-4)
+
+
 @pytest.mark.parametrize("interpolation, phase", [(0.0, 0.7), (0.0, 0.4), (0.5, 0.4), (1.0, 0.2)])
 def test_the_current_is_sampled_at_its_phase(pendulum, interpolation, phase):
     """A line between two ends of steps leaves out the ripple of a goal whose slope has kinks."""
@@ -146,13 +159,12 @@ def test_the_defaults_are_the_cascade_without_a_shape():
 def test_the_sawtooth_has_no_mean_over_the_phases():
     scope = Scope((1,))
     scope.declare(Cascade().parameters(scope))
-    phase = scope.p("current_phase_{j}", 1)
+    phase, delay_s = scope.p("current_phase_{j}", 1), scope.p("goal_delay_{j}_s", 1)
     step_s, decay_s = ca.SX.sym("h"), ca.SX.sym("decay")
-    above = ca.Function(
-        "above", [phase, step_s, decay_s], [sawtooth_above_mean(scope, 1, step_s, decay_s)]
-    )
+    sampled = sawtooth_above_mean(scope, 1, step_s, decay_s)
+    above = ca.Function("above", [phase, delay_s, step_s, decay_s], [sampled])
     for decay in (0.002, 0.007, 0.03):
-        mean = quad(lambda at, tau=decay: float(above(at, STEP_S, tau)), 0.0, 1.0)[0]
+        mean = quad(lambda at, tau=decay: float(above(at, 0.0, STEP_S, tau)), 0.0, 1.0)[0]
         assert mean == pytest.approx(0.0, abs=1e-9)
 
 
@@ -174,7 +186,10 @@ def test_interpolation_and_phase_come_back_from_noisy_runs(synthetic, interpolat
 
 def test_a_file_without_a_shape_reads_as_one_that_holds_its_goals(tmp_path):
     nominal = read_plant()
-    shape = {n for n in nominal.parameters if "interpolation" in n or "phase" in n}
+    shape = {
+        n for n in nominal.parameters
+        if "interpolation" in n or "phase" in n or "goal_delay" in n
+    }  # fmt: skip
     older = replace(
         nominal, parameters={n: q for n, q in nominal.parameters.items() if n not in shape}
     )
