@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
     progress = Progress("gap", 12)
     found = diagnose(plant, trials, progress.step, args.without)
-    document = gap_document(found, trials, waterfall_steps(found, trials))
+    document = gap_document(found, trials, waterfall_steps(found, found.trials))
     args.out.mkdir(parents=True, exist_ok=True)
     write_gap_document(args.out / "gap.json", document)
     found.improved.write(args.out / "plant.json")

@@ -21,6 +21,7 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
+from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.look_alikes import LookAlike, look_alikes_of
@@ -71,6 +72,8 @@ class Diagnosis:
     ----------
     plant, improved : Plant
         As given, and with the named effects and the nuisance refitted.
+    trials : TrialSet
+        That were looked at: blocks of time of a single one (`models.gap.residuals.time_blocks`).
     settings : GapSettings
         Tuned numbers of this run.
     verdict : str
@@ -125,6 +128,7 @@ class Diagnosis:
 
     plant: Plant
     improved: Plant
+    trials: TrialSet
     settings: GapSettings
     verdict: GapVerdict
     gap_left_fraction: float
@@ -185,6 +189,7 @@ def diagnose(
         If the trials are of one and of two joints, or an effect to leave out is unknown.
     """
     catalogue = _catalogue(plant, leave_out)
+    recorded, trials = trials, in_time_blocks(plant, trials, settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
     floor = noise_floor_for(residuals)
@@ -205,7 +210,8 @@ def diagnose(
     )
     return Diagnosis(
         plant=plant,
-        improved=improved_plant(plant, search, result, accepted.point, accepted.free, trials),
+        improved=improved_plant(plant, search, result, accepted.point, accepted.free, recorded),
+        trials=trials,
         settings=settings,
         verdict=verdict,
         gap_left_fraction=left,

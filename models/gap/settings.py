@@ -177,8 +177,11 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     # Held-out errors
     held_out_steps: int = 3
     """Most steps of the fit without a fold, from the fit of all trials [assumed]."""
-    held_out_time_blocks: int = 2
-    """Parts of the time that are left out in turn where there is one trial [assumed]."""
+    held_out_time_blocks: int = 4
+    """Blocks of time that are left out in turn where there is one trial: few enough that each holds
+    several motions of the recordings at hand, 5 to 6 s [assumed]."""
+    least_block_rows: int = 500
+    """Rows of a block that begins in motion; in shorter trials rows are masked [assumed]."""
     least_held_out_fall_fraction: float = 0.03
     """Least fall of the held-out error that a further effect must bring where no noise floor is
     learned [assumed]."""

@@ -129,7 +129,8 @@ class Plant:
                 "use the twin",
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        return _composed(self.load, self.drive, effects, tuple(self.parameters.items()), dof, kind)
+        values, columns = tuple(self.parameters.items()), tuple(self.signals)
+        return _composed(self.load, self.drive, effects, values, dof, kind, columns)
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -321,9 +322,10 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
 def _composed(
     load: str, drive: str, effects: tuple[type[Effect], ...],
     parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
+    columns: tuple[str, ...],
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; a `StepModel` is immutable, so it can be shared."""
-    scope, held = _scope(load, dof), [effect() for effect in effects]
+    scope, held = _scope(load, dof, columns), [effect() for effect in effects]
     declared = _declared(scope, drive, load, held, observer=kind != "twin")
     known = dict(parameters)
     scope.declare([known[q.name] for q in declared])
@@ -332,8 +334,8 @@ def _composed(
     return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
 
 
-def _scope(load: str, dof: int) -> Scope:
-    return Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[load].suffix))
+def _scope(load: str, dof: int, columns: tuple[str, ...] = ()) -> Scope:
+    return Scope(tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns)
 
 
 def _declared(

@@ -134,10 +134,13 @@ class Scope:
         Errors of the motion capture's frame and clock; the scale's is relative.
     frame_lag_s : SX
         Time of the motion capture's first-order low-pass.
+    columns : tuple of str
+        Columns of a trial that the plant's document declares; none for those of the link.
     """
 
     joints: tuple[int, ...]
     suffix: dict[str, str] = field(default_factory=lambda: dict(ROTARY))
+    columns: tuple[str, ...] = ()
     step_s: Expr = field(default_factory=lambda: ca.SX.sym("step_s"))
     states: dict[str, StateVariable] = field(default_factory=dict)
     inputs: dict[str, tuple[Variable, Expr]] = field(default_factory=dict)

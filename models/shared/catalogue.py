@@ -14,7 +14,15 @@ from typing import Final, Literal, NamedTuple
 
 from firmware_py.errors import InputError
 
-__all__ = ["CATALOGUE", "EffectRow", "Port", "parse_strength", "parse_strengths"]
+__all__ = [
+    "BEYOND_THE_RIG",
+    "CATALOGUE",
+    "EVERY_EFFECT",
+    "EffectRow",
+    "Port",
+    "parse_strength",
+    "parse_strengths",
+]
 
 Port = Literal[
     "command", "servo_torque", "joint_torque", "bend_torque", "stiffness", "mass", "sensor"
@@ -72,6 +80,16 @@ CATALOGUE: Final[dict[str, EffectRow]] = {
     "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo"),
     "sensor_lag": EffectRow("sensor", "s", "low-pass time of the measured current"),
 }
+
+BEYOND_THE_RIG: Final[dict[str, EffectRow]] = {
+    "directional_friction": EffectRow(
+        "servo_torque", "N.m.s/rad", "viscous friction forwards above its mean of both directions"
+    ),
+}
+"""Effects of loads that the rig does not have, so it cannot hide them."""
+
+EVERY_EFFECT: Final[dict[str, EffectRow]] = CATALOGUE | BEYOND_THE_RIG
+"""Every effect that a plant may have."""
 
 
 def parse_strength(argument: str) -> tuple[str, float]:

@@ -26,7 +26,7 @@ from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
 from models.plant.plant import Plant
-from models.shared.catalogue import CATALOGUE
+from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
 from models.shared.gap_charts import (
     BEFORE_AND_AFTER,
     draw_bars,
@@ -192,7 +192,7 @@ def _named(document: GapDocument, hidden: Mapping[str, float] | None) -> Part:
     rows = []
     for entry in document.named:
         effects = entry.effect.split(" + ")
-        meaning = "; ".join(CATALOGUE[e].strength for e in effects if e in CATALOGUE)
+        meaning = "; ".join(EVERY_EFFECT[e].strength for e in effects if e in EVERY_EFFECT)
         values = Markup("<br>").join(
             f"{_words(name)} {q.value:.3g} ± {q.error or 0:.2g} {symbol_of(q.unit)}"
             f" (before: {q.before:.3g})"

@@ -1,7 +1,8 @@
 """Errors on trials that no value was fitted to, in SI units, by simulation.
 
 Payloads, other conditions and motions are left out in turn; repetitions where the trials differ in
-none of these, halves of the time where there is one trial. Around a fit of all trials a few
+none of these, blocks of time where there is one trial (`models.gap.residuals.time_blocks`; of a
+plant that cannot begin in motion, rows of the one simulation). Around a fit of all trials a few
 Gauss–Newton steps without the fold, priors kept, give the values that the other trials would have
 given. With these the fold is simulated as the plant file would simulate it: without any variation
 of the trial, without shift of the frame. The errors are compared with those of the plant as given.
@@ -20,6 +21,7 @@ from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.partial_residuals import PartialResiduals, SquaredError
 from models.gap.residuals.residuals import Residuals, TrialGroup
 from models.gap.residuals.spectrum import Array
+from models.gap.residuals.time_blocks import is_time_block
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import Trial
@@ -52,6 +54,8 @@ def held_out_folds(
         folds = _by_value(trials, key)
         if len(folds) > 1:
             found[words] = folds
+    if len(trials) > 1 and all(is_time_block(t) for t in trials):
+        return {"blocks of time": found["motions"]}
     if found:
         return found
     if len(trials) > 1:
@@ -61,7 +65,7 @@ def held_out_folds(
     blocks = [
         {0: ((place >= a) & (place < b)).astype(np.float64)} for a, b in itertools.pairwise(edges)
     ]
-    return {"parts of the time": blocks}
+    return {"blocks of time": blocks}
 
 
 def _by_value(trials: Sequence[Trial], key: Callable[[Trial], object]) -> list[Fold]:

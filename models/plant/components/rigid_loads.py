@@ -70,7 +70,7 @@ class Mass(RigidLoad):
     """Mass on a straight guide: m q̈ = F."""
 
     kind: ClassVar[str] = "mass"
-    features: ClassVar[tuple[str, ...]] = ()
+    features: ClassVar[tuple[str, ...]] = ("straight guide",)
     suffix: ClassVar[dict[str, str]] = LINEAR
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

@@ -24,7 +24,8 @@ SHORTEST_LAG_S: Final = 2e-3
 LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_",
     "torque_{j}_", "force_{j}_",
 )  # fmt: skip
-"""Beginnings of the names of the outputs that a joint's lag may act on; the first one counts."""
+"""Beginnings of the names of the outputs that a joint's lag may act on; the first one counts that
+the plant's document declares."""
 
 
 def lag_outputs(
@@ -41,7 +42,7 @@ def lag_outputs(
     """
     result = dict(outputs)
     for j, lag in scope.sensor_lag.items():
-        name = lagged_output(outputs, j)
+        name = lagged_output(outputs, j, scope.columns)
         variable, value = outputs[name]
         second = lag.second_share
         shares = [1] if second is None else [1 - second, second]
@@ -52,10 +53,24 @@ def lag_outputs(
     return result
 
 
-def lagged_output(outputs: dict[str, tuple[Variable, Expr]], joint: int) -> str:
-    """Name of the output that a joint's lag acts on (`LAGGED`)."""
+def lagged_output(
+    outputs: dict[str, tuple[Variable, Expr]], joint: int, columns: tuple[str, ...] = ()
+) -> str:
+    """Name of the output that a joint's lag acts on (`LAGGED`).
+
+    Parameters
+    ----------
+    outputs : dict of str to (Variable, SX)
+        Of the model.
+    joint : int
+        Number of the joint.
+    columns : tuple of str
+        Columns that the plant declares. An output that is none of them is not measured, such as
+        the current of a log without it: the lag then acts on the first one that is.
+    """
+    measured = [name for name in outputs if name in columns] or list(outputs)
     beginnings = [pattern.format(j=joint) for pattern in LAGGED]
-    return next(name for start in beginnings for name in outputs if name.startswith(start))
+    return next(name for start in beginnings for name in measured if name.startswith(start))
 
 
 def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:

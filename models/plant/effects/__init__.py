@@ -22,14 +22,14 @@ from models.plant.components.load_protocol import PlantLoad
 from models.plant.effects.order import in_order
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
-from models.shared.catalogue import CATALOGUE, Port
+from models.shared.catalogue import EVERY_EFFECT, Port
 
 __all__ = ["EFFECTS", "Effect", "Need", "applicable", "check_effects"]
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
-Need = Literal["bend", "gear load", "tip", "current", "current limit"]
+Need = Literal["bend", "gear load", "tip", "current", "current limit", "straight guide"]
 """Features that an effect may need and that not every drive and load has."""
 
 
@@ -59,7 +59,7 @@ class Effect:
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if not hasattr(cls, "port"):
-            cls.port = CATALOGUE[cls.name].port
+            cls.port = EVERY_EFFECT[cls.name].port
         EFFECTS[cls.name] = cls
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

@@ -1,4 +1,4 @@
-"""Friction of the drive: dry, viscous, near standstill, at breakaway and by load."""
+"""Friction of the drive: dry, viscous, by direction, near standstill, at breakaway and by load."""
 
 from __future__ import annotations
 
@@ -64,6 +64,30 @@ class ViscousFriction(Effect):
             scope.friction[j] += (
                 scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
             )
+
+
+class DirectionalFriction(Effect):
+    """Viscous friction that differs by direction of travel, (B + a) q̇ for q̇ > 0, else (B − a) q̇.
+
+    Friction coefficients by direction are those of Armstrong-Hélouvry et al. (1994), section 2; a
+    nut or a guide that is loaded from one side has them. Of rotary joints no recording shows it, so
+    it is an effect of straight guides only.
+    """
+
+    name = "directional_friction"
+    needs = ("straight guide",)
+    per_joint = (
+        Parameter(name="directional_friction_{j}_{torque}_s_{angle}", unit="N.m.s/rad", value=0.0,
+                  low=-20.0, high=20.0, role="effect",
+                  description="viscous friction forwards above its mean of both directions",
+                  source="assumed absent"),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Add a friction that opposes one direction and aids the other."""
+        for j in scope.joints:
+            excess = scope.p("directional_friction_{j}_{torque}_s_{angle}", j)
+            scope.friction[j] += excess * scope.rate[j] * friction_direction(scope, j)
 
 
 class StribeckFriction(Effect):

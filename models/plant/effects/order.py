@@ -40,6 +40,7 @@ ORDER: Final[tuple[str, ...]] = (
     "torque_constant_drift",
     "coulomb_friction",
     "viscous_friction",
+    "directional_friction",
     "stribeck_friction",
     "stiction",
     "load_dependent_friction",

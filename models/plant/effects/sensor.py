@@ -115,8 +115,9 @@ class SyncOffset(Effect):
 class SensorLag(Effect):
     """Low-pass of measured signals; the strength is that of the current, 1 / (1 + θ s).
 
-    Where no current is modelled the strength is that of a measured deflection, and where there is
-    none that of the joint's coordinate (`models.plant.composition.output_lag`). A fraction of θ
+    Where no current is modelled or declared as measured the strength is that of a measured
+    deflection, and where there is none that of the joint's coordinate
+    (`models.plant.composition.output_lag`). A fraction of θ
     lies in a second stage where a plant document frees it or gives it; otherwise there is none.
     Lags of the coordinate and of the motion capture are zero unless a document frees or gives them:
     −T of their rate and T² of their acceleration, which leaves (ωT)³. The drive's own loops are not

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from models.plant.simulation.model_c import write_model_c
+from models.plant.simulation.start_of_motion import start_of_motion
 from models.plant.step_model import StepModel, names
 from models.shared.c_compiler import compile_library
 from models.trials.trial import Trial
@@ -31,12 +32,6 @@ __all__ = [
 Array = NDArray[np.float64]
 _DRIVER: Final = Path(__file__).with_name("run_trial.c")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)
-
-START_S: Final = 0.05
-"""Time in which value and rate at the start are measured; a quarter of a period at 5 Hz."""
-
-START_ROWS: Final = 5
-"""Least rows for it."""
 
 
 class CompiledModel:
@@ -133,24 +128,13 @@ def trial_parameters(model: StepModel, trial: Trial) -> Array:
             if position in trial.columns:
                 goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
                 own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
-                own[f"start_joint_rate_{j}_{angle}_s"] = _start(trial, position)[1]
+                own[f"start_joint_rate_{j}_{angle}_s"] = start_of_motion(trial, position)[1]
         deflection = f"deflection_{j}_rad"
         if deflection in trial.columns:
-            start, rate = _start(trial, deflection)
+            start, rate = start_of_motion(trial, deflection)
             own |= {f"start_{deflection}": start, f"start_deflection_rate_{j}_rad_s": rate}
     known = set(names(model.parameters))
     return model.parameter_values({n: v for n, v in own.items() if n in known})
-
-
-def _start(trial: Trial, column: str) -> tuple[float, float]:
-    """Value and rate of a column at the start, by a parabola through its first rows."""
-    rows = min(max(START_ROWS, round(START_S / trial.step_s)), len(trial))
-    time_s, values = trial.time_s[:rows] - trial.time_s[0], trial.columns[column][:rows]
-    seen = np.isfinite(values)
-    if seen.sum() < START_ROWS:
-        return 0.0, 0.0
-    _, rate, value = np.polyfit(time_s[seen], values[seen], 2)
-    return float(value), float(rate)
 
 
 def model_inputs(model: StepModel, trial: Trial) -> Array:

@@ -10,6 +10,7 @@ from models.plant.components.drives.drive_protocol import (
     SI_UNIT_OF,
     friction_speed_parameter,
     start_offset_parameter,
+    start_rate_parameter,
 )
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
@@ -27,7 +28,7 @@ class Force:
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Force (or torque) per volt of each joint."""
+        """Force (or torque) per volt of each joint, and the motion at the start."""
         torque = scope.suffix["torque"]
         result: list[Parameter] = []
         for j in scope.joints:
@@ -37,6 +38,7 @@ class Force:
                           description="force per volt of command",
                           source="EMPS, README of the data"),
                 start_offset_parameter(scope, j),
+                start_rate_parameter(scope, j),
                 friction_speed_parameter(scope, j),
             ]  # fmt: skip
         return tuple(result)

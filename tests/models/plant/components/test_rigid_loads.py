@@ -169,3 +169,23 @@ def test_what_a_document_knows_of_an_effect_holds_once_the_plant_holds_it(plant_
     assert "stribeck_load_1" not in [
         k.name for k in effect_fit_parameters(plant, "stribeck_friction", 1)
     ]
+
+
+def test_directional_friction_is_its_own_viscous_friction_in_each_direction(plant_of):
+    """Terminal speeds under a constant force: F / (B + a) forwards, F / (B − a) backwards."""
+    mean_n_s_m, excess_n_s_m, force_n = 200.0, -40.0, 10.0
+    parameters = {"mass_kg": 50.0, "force_constant_1_n_v": 1.0,
+                  "viscous_friction_1_n_s_m": mean_n_s_m,
+                  "directional_friction_1_n_s_m": excess_n_s_m}  # fmt: skip
+    plant = plant_of("force", "mass", parameters, ["viscous_friction", "directional_friction"])
+    model = plant.step_model(1)
+    for way in (1, -1):
+        u = np.tile([way * force_n, 0.0], (500, 1))
+        speed_m_s = (model.simulate(u, 0.01)[-1, 0] - model.simulate(u, 0.01)[-2, 0]) / 0.01
+        friction_n_s_m = mean_n_s_m + way * excess_n_s_m
+        assert speed_m_s == pytest.approx(way * force_n / friction_n_s_m, rel=1e-6)
+
+
+def test_only_a_straight_guide_has_directional_friction(plant_of):
+    with pytest.raises(InputError, match="straight guide"):
+        plant_of("duty", "pendulum", SERVO).with_effects("directional_friction")

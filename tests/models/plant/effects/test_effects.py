@@ -8,9 +8,10 @@ from models.plant.effects import EFFECTS
 from models.plant.plant import _scope, read_plant
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import names
-from models.shared.catalogue import CATALOGUE
+from models.shared.catalogue import EVERY_EFFECT
 
-ALL = tuple(EFFECTS)
+ALL = tuple(read_plant().applicable())
+"""Effects of the link; those of other loads have tests of their own."""
 UNITS = ("twin", "driven", "observer")
 
 
@@ -20,8 +21,8 @@ def unit_of_strength(name, load="link"):
 
 
 def test_every_name_of_the_catalogue_is_an_effect_with_its_port_and_unit():
-    assert set(EFFECTS) == set(CATALOGUE)
-    for name, row in CATALOGUE.items():
+    assert set(EFFECTS) == set(EVERY_EFFECT)
+    for name, row in EVERY_EFFECT.items():
         assert EFFECTS[name].port == row.port
         assert unit_of_strength(name) == row.unit, name
 

@@ -1,0 +1,68 @@
+"""Blocks of time of a single trial: contiguous parts that begin in motion, each a trial of its own.
+
+Where there is one trial, no payload, motion or repetition can be left out. Rows that are masked in
+the simulation of the whole are hardly left out: a joint that nothing holds carries every error of
+its torque along, so the rows after a masked block say what happened in it. A block that begins at
+its own measured coordinate and rate carries nothing over; this is multiple shooting
+[Bock 1983; Baake et al. 1992] with measured starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.plant import Plant
+from models.plant.step_model import names
+from models.trials.trial import Trial
+from models.trials.trial_files import TrialSet
+
+BLOCK: Final = ", block "
+"""Part of the motion's name of every block."""
+
+
+def in_time_blocks(
+    plant: Plant, trials: TrialSet, settings: GapSettings = DEFAULT_SETTINGS
+) -> TrialSet:
+    """Blocks of a single trial, where the plant can begin in motion; else the trials as they are.
+
+    Parameters
+    ----------
+    plant : Plant
+        Its drive declares a rate at the start if a trial may begin in motion.
+    trials : TrialSet
+        As recorded.
+    settings : GapSettings
+        Tuned numbers: the number of blocks, and the least rows of each.
+    """
+    if len(trials) != 1:
+        return trials
+    trial, count = trials[0], settings.held_out_time_blocks
+    parameters = names(plant.step_model(trial.meta.dof, "twin").parameters)
+    begins_in_motion = any(name.startswith("start_joint_rate_") for name in parameters)
+    if not begins_in_motion or len(trial) < count * settings.least_block_rows:
+        return trials
+    edges = np.linspace(0, len(trial), count + 1).astype(int)
+    return TrialSet(tuple(_block(trial, k, edges) for k in range(count)))
+
+
+def is_time_block(trial: Trial) -> bool:
+    """Whether a trial is a block of another."""
+    return BLOCK in trial.meta.motion
+
+
+def _block(trial: Trial, number: int, edges: NDArray[np.intp]) -> Trial:
+    first, end = edges[number], edges[number + 1]
+    words = f"{BLOCK}{number + 1} of {len(edges) - 1}"
+    meta = msgspec.structs.replace(
+        trial.meta,
+        motion=trial.meta.motion + words,
+        rest_samples=min(trial.meta.rest_samples, int(end) - 1) if number == 0 else 0,
+    )
+    columns = {name: column[first:end] for name, column in trial.columns.items()}
+    return replace(trial, name=trial.name + words, meta=meta, columns=columns)
