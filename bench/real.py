@@ -92,8 +92,10 @@ def name_and_identify(
     out : Path
         Directory of plants and diagnoses.
     """
-    plant, rounds = out / "identified_0.json", []
-    _identify(trials, EXAMPLES / f"{system.name}.toml", plant)
+    plant, rounds = EXAMPLES / f"{system.name}.toml", []
+    if system.identified_first:
+        plant = out / "identified_0.json"
+        _identify(trials, EXAMPLES / f"{system.name}.toml", plant)
     for k in range(1, ROUNDS + 1):
         gap = out / f"gap_{k}"
         if not (gap / "report.html").exists():
