@@ -5,7 +5,7 @@
 Each draw varies the rig's stiffness, mass and damping as the benchmark of the gap workflow does
 (`bench.gap.cases.NUISANCE`), runs payloads of 0, 1 and 2 kg with one joint and identifies the
 plant. Parameters that rig and plant both have are compared. One file per draw in OUT; a rerun does
-what is missing and prints all.
+what is missing, prints all and writes OUT/coverage.json.
 """
 
 from __future__ import annotations
@@ -43,8 +43,12 @@ SAME_AS_IN_RIG: Final = {
     "prebend_1_rad": "stiffness.prebend_rad",
     "directional_stiffness_1": "stiffness.directional_share",
     "creep_share_1": "memory.relaxing_share",
+    "goal_delay_1_s": "servo.dead_time_s",
 }
 """Parameters of the plant that are parameters of the rig."""
+
+RELATIVE: Final = ("viscous_friction_1_nm_s_rad", "link_mass_kg")
+"""Parameters that are to be right within a quarter whatever their standard errors."""
 
 INTERPOLATION: Final = {"held": 0.0, "interpolated": 1.0}
 """Shape of the goal; a profile has no counterpart."""
@@ -64,6 +68,8 @@ def shared_truth(p: RigParameters) -> dict[str, float]:
     truth["velocity_integral_time_1_s"] = 1.0 / p["servo.velocity_integral_rad_s"]
     if p.structure.goal in INTERPOLATION:
         truth["goal_interpolation_1"] = INTERPOLATION[p.structure.goal]
+    else:
+        del truth["goal_delay_1_s"]  # a profile is late by itself
     return truth
 
 
@@ -135,6 +141,69 @@ def coverage_table(results: Iterable[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def coverage_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Fractions and relative errors of each rig, and of all (`all`).
+
+    Parameters
+    ----------
+    results : iterable of mapping
+        Of `identify_draw`.
+
+    Returns
+    -------
+    dict
+        By rig: draws, fraction of values inside two standard errors, and for each of `RELATIVE` the
+        median, the 90 % quantile and the largest of |value / truth − 1|, and the fraction within
+        a quarter.
+    """
+    groups: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for result in results:
+        groups[result["rig"]].append(result["parameters"])
+        groups["all"].append(result["parameters"])
+    summary = {}
+    for rig, draws in groups.items():
+        rows = [row for draw in draws for row in draw.values()]
+        inside = [abs(r["value"] - r["truth"]) <= 2 * r["error"] for r in rows]
+        own = {"draws": float(len(draws)), "inside": float(np.mean(inside))}
+        for name in RELATIVE:
+            found = [draw[name] for draw in draws if name in draw]
+            off = np.array([abs(r["value"] / r["truth"] - 1) for r in found])
+            if len(off):
+                own |= {
+                    f"{name} median": float(np.median(off)),
+                    f"{name} 90 %": float(np.quantile(off, 0.9)),
+                    f"{name} worst": float(np.max(off)),
+                    f"{name} within 25 %": float(np.mean(off <= 0.25)),
+                }
+        summary[rig] = own
+    return summary
+
+
+def summary_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """Markdown table of a summary.
+
+    Parameters
+    ----------
+    summary : mapping
+        Of `coverage_summary`.
+    """
+    lines = [
+        "| rig | draws | inside two errors | "
+        + " | ".join(f"{name}: median, 90 %, worst | within 25 %" for name in RELATIVE) + " |",
+        "|---|" + "---|" * (2 + 2 * len(RELATIVE)),
+    ]  # fmt: skip
+    for rig, own in summary.items():
+        cells = [rig, f"{own['draws']:.0f}", f"{own['inside']:.0%}"]
+        for name in RELATIVE:
+            if f"{name} median" in own:
+                off = (f"{own[f'{name} {what}']:.0%}" for what in ("median", "90 %", "worst"))
+                cells += [", ".join(off), f"{own[f'{name} within 25 %']:.0%}"]
+            else:
+                cells += ["–", "–"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run what is missing and print the table."""
     parser = argparse.ArgumentParser(
@@ -155,7 +224,10 @@ def main(argv: list[str] | None = None) -> int:
             path.write_text(json.dumps(identify_draw(rig, draw), indent=1))
         results.append(json.loads(path.read_text()))
         progress.step(path.stem)
+    summary = coverage_summary(results)
+    (args.out / "coverage.json").write_text(json.dumps(summary, indent=1))
     print(coverage_table(results))
+    print(summary_table(summary))
     return 0
 
 

@@ -2,7 +2,12 @@
 
 import pytest
 
-from bench.identified_parameters import coverage_table, shared_truth
+from bench.identified_parameters import (
+    coverage_summary,
+    coverage_table,
+    shared_truth,
+    summary_table,
+)
 from models.plant.plant import read_plant
 from models.rig.rig_parameters import read_rig
 
@@ -28,3 +33,16 @@ def test_the_table_counts_covered_near_and_bound():
     assert "1/2" in text.splitlines()[1]
     assert text.splitlines()[1].endswith("1")
     assert "50% of 2" in text
+
+
+def test_the_summary_has_the_relative_errors_of_each_rig_and_of_all():
+    def result(rig, mass):
+        row = {"value": mass, "error": 0.1, "truth": 1.0, "bound": None}
+        return {"rig": rig, "parameters": {"link_mass_kg": row}}
+
+    summary = coverage_summary([result("x", 1.1), result("x", 1.5), result("y", 0.9)])
+    assert summary["x"]["inside"] == 0.5 and summary["all"]["draws"] == 3
+    assert summary["x"]["link_mass_kg worst"] == pytest.approx(0.5)
+    assert summary["all"]["link_mass_kg within 25 %"] == pytest.approx(2 / 3)
+    row = summary_table(summary).splitlines()[2]
+    assert row == "| x | 2 | 50% | – | – | 30%, 46%, 50% | 50% |"
