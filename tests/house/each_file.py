@@ -1,7 +1,12 @@
-"""Decorator that runs a test over many files: one test per room, so that the report stays short."""
+"""Syntax trees of the sources, and a decorator that runs a test over many files.
+
+The decorator makes one test per room, so that the report stays short.
+"""
 
 from __future__ import annotations
 
+import ast
+import functools
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -14,6 +19,12 @@ ROOT = Path(__file__).resolve().parents[2]
 def place(path: Path) -> str:
     """Path from the root of the repository."""
     return str(path.relative_to(ROOT))
+
+
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    """Syntax tree of a source; each file is parsed once in a session."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def each_file(paths: Iterable[Path]) -> Callable[[Callable[[Path], None]], Callable[[str], None]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import re
 from pathlib import Path
@@ -51,6 +52,7 @@ def commands():
     return dict(rows)
 
 
+@functools.cache
 def parsers():
     """Command line to its parser."""
     found = {}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ast
+import functools
 import io
 import re
 import tokenize
 from pathlib import Path
 
-from tests.house.each_file import ROOT, each_file
+from tests.house.each_file import ROOT, each_file, tree_of
 
 ROOMS = ("firmware_py", "models", "fmu", "hil", "bench", "tests")
 MARKDOWN = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
@@ -35,6 +36,7 @@ COMMAND = re.compile(r"python -m ((?:firmware_py|models|fmu|hil|bench|tests)[\w.
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
+@functools.cache
 def prose(path: Path) -> str:
     """Text that a person reads, in one line: the whole file, or docstrings and comments of code."""
     text = path.read_text(encoding="utf-8")
@@ -43,7 +45,7 @@ def prose(path: Path) -> str:
         comments = [t.string.lstrip("#") for t in tokens if t.type == tokenize.COMMENT]
         strings = [
             node.value.value
-            for node in ast.walk(ast.parse(text))
+            for node in ast.walk(tree_of(path))
             if isinstance(node, ast.Expr)
             and isinstance(node.value, ast.Constant)
             and isinstance(node.value.value, str)
@@ -54,6 +56,7 @@ def prose(path: Path) -> str:
     return re.sub(r"\s+", " ", text.replace('\\"', '"'))
 
 
+@functools.cache
 def headings(path: Path) -> list[str]:
     return re.findall(r"^#+ (.+?)\s*$", path.read_text(encoding="utf-8"), re.MULTILINE)
 

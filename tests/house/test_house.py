@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ast
-import functools
 import re
 from collections import Counter
 from pathlib import Path
 
-from tests.house.each_file import ROOT, each_file, place
+from tests.house.each_file import ROOT, each_file, place, tree_of
 
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 SOURCE = [p for room in (*ROOMS, "bench") for p in sorted((ROOT / room).rglob("*.py"))]
@@ -42,11 +41,6 @@ VERBS = {
     "refit", "release", "replay", "run", "say", "see", "send", "show", "simulate", "take",
     "tell", "test", "train", "turn", "use", "validate", "write",
 }  # fmt: skip
-
-
-@functools.cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def functions(tree: ast.AST) -> list[ast.FunctionDef]:

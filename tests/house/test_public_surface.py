@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.house.each_file import ROOT, tree_of
+
 PAGE = ROOT / "docs" / "architecture.md"
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 
@@ -25,7 +25,7 @@ def exporting() -> dict[str, set[str]]:
     """Module to the names of its `__all__`, found in the sources."""
     found = {}
     for path in (p for room in ROOMS for p in sorted((ROOT / room).rglob("*.py"))):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in tree_of(path).body:
             targets = getattr(node, "targets", [getattr(node, "target", None)])
             if any(isinstance(t, ast.Name) and t.id == "__all__" for t in targets):
                 parts = path.relative_to(ROOT).with_suffix("").parts

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-from pathlib import Path
 
 import pytest
 
 from hil.document_schemas import DOCUMENTS, main, schema_files
+from tests.house.each_file import ROOT, tree_of
 
-ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("firmware_py", "models", "fmu", "hil")
 REMEDY = "python -m hil.document_schemas docs/schema"
 
@@ -31,7 +30,7 @@ def bases_of_classes():
         node.name: {b.id for b in node.bases if isinstance(b, ast.Name)}
         for room in ROOMS
         for path in (ROOT / room).rglob("*.py")
-        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        for node in tree_of(path).body
         if isinstance(node, ast.ClassDef)
     }
 
