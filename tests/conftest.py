@@ -14,6 +14,7 @@ import pytest
 from models.plant.step_model import StepModel, Variable
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
+from tests.compiler_options import pytest_runtest_protocol  # noqa: F401 (hook of pytest)
 from tests.durations import (  # noqa: F401 (hooks of pytest)
     pytest_addoption,
     pytest_collection_modifyitems,

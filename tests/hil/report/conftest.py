@@ -15,8 +15,9 @@ from fmu.__main__ import main as fmu_main
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
+from hil.__main__ import main as hil_main
 from hil.emulator.twin_fmu import build_twin
-from hil.report import write_gap_report, write_report
+from hil.report import write_report
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
 from models.gap.report.gap_json import GapDocument, SignalFloor
@@ -53,7 +54,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("build")
     (directory / "bundle_1dof").symlink_to(toy_bundle)
     (directory / "bundle_2dof").mkdir()
-    training, held_out = toy_trials(2).split()
+    training, held_out = toy_trials(2, payloads_kg=(0.0, 2.0)).split()
     one, _ = toy_trials(1).split()
     study = run_study(training, name_tests(training, tuple(held_out)), toy_observer(2), one)
     both = TrialSet((*training, *with_phase(training, 1.5708)))
@@ -180,9 +181,10 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
         command(["build", str(toy_bundle), "--plant", str(plant), "--out", str(fmu)])
         for kg, trial in zip(("0", "2"), paths["sealed"], strict=True):
             name = directory / f"fmpy_{variant}_{kg}"
-            said = command(
-                ["simulate", str(fmu), "--trial", str(trial), "--out", str(name), "--json"]
-            )
+            arguments = ["simulate", str(fmu), "--trial", str(trial), "--out", str(name), "--json"]
+            with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
+                patch.setattr("fmu.run_files.draw_run", lambda *_: None)
+                said = command(arguments)
             name.with_suffix(".json").write_text(said)
         for kg in ("0", "2"):
             shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
@@ -191,16 +193,23 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
     return directory
 
 
-def command(arguments):
-    """Output of a command of `fmu`."""
+def command(arguments, main=fmu_main):
+    """Output of a command, of `fmu` by default."""
     with redirect_stdout(io.StringIO()) as said:
-        assert fmu_main(arguments) == 0
+        assert main(arguments) == 0
     return said.getvalue()
 
 
 @pytest.fixture(scope="session")
-def gap_page(gap_build, plant_before):
-    """Path of the page about that directory."""
+def gap_command(gap_build, plant_before):
+    """Path of the page about that directory, and what the command that wrote it printed."""
     out = gap_build / "report.html"
-    write_gap_report(gap_build, plant_before, {"stiffness_softening": 0.2}, out)
-    return out
+    arguments = ["gap", str(gap_build), "--plant", str(plant_before), "--out", str(out),
+                 "--hide", "stiffness_softening=0.2"]  # fmt: skip
+    return out, command(arguments, hil_main)
+
+
+@pytest.fixture(scope="session")
+def gap_page(gap_command):
+    """Path of that page."""
+    return gap_command[0]
