@@ -1,5 +1,6 @@
 """Trials that a plant of our own makes: sensor noise and trial variation put on its simulation."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,7 @@ def hidden(plant):
     Their seed is never that of the noise floor.
     """
 
+    @functools.cache
     def hide(**strengths):
         full = plant.with_effects(*candidate_effects(plant))
         values = {name: full.parameters[name].value + s for name, s in strengths.items()}

@@ -15,13 +15,20 @@ QUICK = ["--amplitude-deg", "5", "--period", "0.5", "--payloads", "0.5", "--tria
 
 
 def run(out, *options):
-    return main(["simulate", "--out", str(out), "--workers", "1", *QUICK, *options])
+    """Exit code of the command, without the overview's drawing, which costs more than a trial."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("models.rig.trial_overview.draw_overview", lambda directory: directory)
+        return command(out, "--workers", "1", *options)
+
+
+def command(out, *options):
+    return main(["simulate", "--out", str(out), *QUICK, *options])
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     out = tmp_path_factory.mktemp("rig")
-    assert run(out, "--dof", "1", "2", "--seed", "3") == DONE
+    assert command(out, "--workers", "1", "--dof", "1", "2", "--seed", "3") == DONE
     return out
 
 
