@@ -1,7 +1,8 @@
 """Compiler options of rooms whose models run briefly: compiling costs them more than running.
 
 Code without optimisation gives the same bits in four times the time and compiles in a third of it.
-The toy FMUs, `models/plant/simulation` and every room that is not listed are compiled as shipped.
+Rooms that are not listed compile as shipped: `models/plant/simulation` compares compiled models
+with interpreted ones, and `tests/test_wheel.py` replays an FMU's golden ticks.
 """
 
 from __future__ import annotations
