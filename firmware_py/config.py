@@ -17,7 +17,9 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
-from firmware_py.motion import GLIDE_S, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
+from firmware_py.motion import GLIDE_S
+from firmware_py.motion_config import MotionConfig
+from firmware_py.motion_document import read_motion_document
 from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
@@ -74,30 +76,6 @@ class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     id: int
     model: str
-
-
-class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[motion]`: the reference motion, see `firmware_py.motion`.
-
-    Attributes
-    ----------
-    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
-        Kind of motion.
-    amplitude_rad : float
-        Largest goal of each joint.
-    period_s : float
-        Time of one cycle of the sinusoid.
-    phase_2_rad : float
-        Phase by which joint 2 leads joint 1.
-    rest_s : float
-        Rest before the motion, the reference of the Deformation Index.
-    """
-
-    kind: Kind = "sinusoid"
-    amplitude_rad: float = STUDY_AMPLITUDE_RAD
-    period_s: float = STUDY_PERIOD_S
-    phase_2_rad: float = 0.0
-    rest_s: float = 1.0
 
 
 class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -201,16 +179,13 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         InputError
             If a parameter of the motion is out of range, or a goal breaks a limit.
         """
-        wanted = self.motion
-        motion = Motion(
-            wanted.kind, wanted.amplitude_rad, wanted.period_s, wanted.phase_2_rad, self.dof
-        )
-        rest = round(wanted.rest_s / self.period_s)
+        motion = self.motion.motion(self.dof)
+        rest = round(self.motion.rest_s / self.period_s)
         goals = motion.table_rad(self.period_s, rest)
         if repeated:
             times_s = motion.duration_s + np.arange(round(GLIDE_S / self.period_s)) * self.period_s
             goals = np.concatenate([goals, motion.goal_rad(times_s)])
-        check_motion(goals, self.limits_in_force, self.period_s, f"motion {wanted.kind}")
+        check_motion(goals, self.limits_in_force, self.period_s, f"motion {motion.name}")
         return goals
 
 
@@ -249,6 +224,12 @@ def read_config(path: Path | str) -> RobotConfig:
         raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
     except msgspec.ValidationError as error:
         raise InputError(path, str(error), "see the commented robot.toml for every key") from None
+    if config.motion.file is not None:
+        if config.motion.design is not None:
+            raise InputError(path, "motion.file and motion.design are given", "leave one out")
+        design = read_motion_document(path.parent / config.motion.file)
+        motion = msgspec.structs.replace(config.motion, design=design)
+        config = msgspec.structs.replace(config, motion=motion)
     check_config(config, path)
     return config
 

@@ -10,6 +10,7 @@ multisine    several harmonics at once, different ones for each joint; slower on
 triangle     one slow cycle at constant speed, four periods long: hysteresis without inertia
 steps        lean, hold, lean, hold: creep
 decay        lean, then step back by a fifth of the lean and hold: free vibration
+designed     a Fourier series from a file, see `firmware_py.motion_document`
 ============ ====================================================================================
 """
 
@@ -24,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.display_units import ANGLE
 from firmware_py.errors import InputError
+from firmware_py.motion_document import MotionDocument, check_motion_document
 from firmware_py.signals import PERIOD_S
 
 __all__ = ["KINDS", "Motion"]
@@ -31,6 +33,7 @@ __all__ = ["KINDS", "Motion"]
 Array = NDArray[np.float64]
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+"""Kinds that a name alone defines."""
 STUDY_PERIOD_S: Final = 256 * PERIOD_S
 """One cycle of the study: 256 steps of 17 ms (the study, section IV-A; docs/sources.md)."""
 STUDY_AMPLITUDE_RAD: Final = float(np.radians(30.0))
@@ -59,7 +62,7 @@ class Motion:
 
     Attributes
     ----------
-    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
+    kind : {"sinusoid", "multisine", "triangle", "steps", "decay", "designed"}
         Kind, see the module's table.
     amplitude_rad : float
         Largest goal of each joint.
@@ -70,6 +73,8 @@ class Motion:
         zero: it is faded in during half a period.
     dof : int
         Number of joints, 1 or 2.
+    design : MotionDocument or None
+        Series of a designed motion, see `Motion.designed`; it sets all other parameters.
 
     Raises
     ------
@@ -77,14 +82,39 @@ class Motion:
         If a parameter is out of range.
     """
 
-    kind: Kind = "sinusoid"
+    kind: Kind | Literal["designed"] = "sinusoid"
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
     dof: int = 1
+    design: MotionDocument | None = None
+
+    @classmethod
+    def designed(cls, design: MotionDocument) -> Motion:
+        """Motion of a document.
+
+        Parameters
+        ----------
+        design : MotionDocument
+            Its series; the period of the motion is its duration, the amplitude its largest goal.
+
+        Raises
+        ------
+        InputError
+            If a value of the document is out of range.
+        """
+        check_motion_document(design, "motion")
+        return cls(
+            "designed", design.amplitude_rad, design.duration_s, 0.0, len(design.joints), design
+        )
+
+    @property
+    def name(self) -> str:
+        """Name in trials and logs: the kind, or the name of the design."""
+        return self.kind if self.design is None else self.design.name
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
+        if self.kind not in KINDS and self.design is None:
             raise InputError("motion", f"{self.kind!r} is unknown", "choose " + ", ".join(KINDS))
         if self.dof not in (1, 2):
             raise InputError("dof", f"is {self.dof}", "choose 1 or 2")
@@ -100,7 +130,7 @@ class Motion:
     @property
     def duration_s(self) -> float:
         """Time from the start to the last goal, without the return to zero."""
-        return _PERIODS[self.kind] * self.period_s
+        return self.period_s if self.kind == "designed" else _PERIODS[self.kind] * self.period_s
 
     def goal_rad(self, time_s: ArrayLike) -> Array:
         """Return the goals at given times.
@@ -127,6 +157,8 @@ class Motion:
         array([0.])
         """
         time_s = np.asarray(time_s, dtype=np.float64)
+        if self.design is not None:
+            return self.design.goal_rad(time_s) + 0.0
         last_s = self.duration_s + (GLIDE_S if self.kind in _RUNS_ON else 0.0)
         clipped_s = np.clip(time_s, 0.0, last_s)
         fade = 1.0 - _ease((time_s - self.duration_s) / GLIDE_S)
@@ -227,7 +259,7 @@ def _harmonic_sum(fraction: Array, harmonics: Sequence[int]) -> Array:
     return np.asarray(-total * _ease(fraction / 0.1) * _ease((1.0 - fraction) / 0.1))
 
 
-_WAVES: Final[dict[Kind, tuple[Callable[[Array], Array], int]]] = {
+_WAVES: Final[dict[str, tuple[Callable[[Array], Array], int]]] = {
     "sinusoid": (_sinusoid, 2),
     "triangle": (_triangle, 1),
     "steps": (_steps, 1),

@@ -44,7 +44,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, help="repeat the motion for this time (default: run it once)"
     )
     parser.add_argument(
-        "--motion", choices=KINDS, help="kind of motion instead of the configured one"
+        "--motion",
+        metavar="KIND|FILE",
+        help=f"motion instead of the configured one: {', '.join(KINDS)}, or a motion file",
     )
     parser.add_argument(
         "--amplitude-deg", type=float, help="amplitude instead of the configured one"
@@ -108,8 +110,10 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     motion = config.motion
     if args.motion is not None:
-        motion = msgspec.structs.replace(motion, kind=args.motion)
+        motion = motion.with_motion(args.motion)
     if args.amplitude_deg is not None:
+        if motion.design is not None:
+            raise InputError("--amplitude-deg", "is given beside a motion file", "leave one out")
         motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
     return msgspec.structs.replace(config, motion=motion)
 
@@ -122,7 +126,7 @@ def _telemetry(
         yield NoTelemetry(), None
         return
     started = datetime.now(UTC)
-    name = f"{started:%Y%m%dT%H%M%SZ}_{config.motion.kind}.mcap"
+    name = f"{started:%Y%m%dT%H%M%SZ}_{config.motion.motion(config.dof).name}.mcap"
     log = (args.log or args.config.parent / config.logs / name) if config.record else None
     live = (config.live.host, config.live.port) if args.live else None
     metadata = log_metadata(config, bundle, started)

@@ -56,7 +56,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
     )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=10.0, help="duration (default: 10)")
-    parser.add_argument("--motion", choices=KINDS, default="sinusoid")
+    parser.add_argument(
+        "--motion", default="sinusoid", metavar="KIND|FILE",
+        help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)",
+    )  # fmt: skip
     parser.add_argument("--amplitude-deg", type=float, default=30.0)
     parser.add_argument("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
     parser.add_argument("--phase-deg", type=float, default=0.0, help="of joint 2")
@@ -81,11 +84,10 @@ def run(args: argparse.Namespace) -> int:
         latency_s=args.latency_ms * 1e-3,
         payload_kg=args.payload_kg,
         motion=MotionConfig(
-            kind=args.motion,
             amplitude_rad=math.radians(args.amplitude_deg),
             period_s=args.period,
             phase_2_rad=math.radians(args.phase_deg),
-        ),
+        ).with_motion(args.motion),
         load=args.load,
         faults=parse_rates(args.faults),
         seed=args.seed,

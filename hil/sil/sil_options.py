@@ -12,7 +12,7 @@ from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.motion import GLIDE_S, Motion
+from firmware_py.motion import GLIDE_S
 from firmware_py.realtime.clock import RealTimeOptions
 from hil.emulator.physics import RigSource
 
@@ -128,8 +128,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
 
 def programme_s(options: SilOptions) -> dict[str, float]:
     """Return the durations that the run repeats, in order: rest, motion, glide back to zero."""
-    m = options.motion
-    motion = Motion(m.kind, m.amplitude_rad, m.period_s, m.phase_2_rad, options.dof)
-    parts_s = {"rest": m.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
+    motion = options.motion.motion(options.dof)
+    parts_s = {"rest": options.motion.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
     period_s = options.period_s  # the loop runs whole slots
     return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}

@@ -41,18 +41,18 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
         columns[name] = np.interp(grid, records["tick"][fresh], values[fresh])
     columns |= {name: np.full(len(grid), np.nan) for name in _MARKERS}
     geometry = result.geometry or {}
-    motion, filled = options.motion, len(grid) - int(fresh.sum())
+    motion, filled = options.motion.motion(options.dof), len(grid) - int(fresh.sum())
     meta = TrialMeta(
         dof=options.dof,
         payload_kg=options.payload_kg,
         pressure_pa=PRESSURE_PA,
         trial=1,
-        motion=motion.kind,
+        motion=motion.name,
         source="sil",
         period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad,
         phase_2_rad=motion.phase_2_rad if options.dof == 2 else 0.0,
-        rest_samples=round(motion.rest_s / options.period_s),
+        rest_samples=round(options.motion.rest_s / options.period_s),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
         base_offset_m=geometry["base_offset_m"],
         link_length_m=geometry["link_length_m"],

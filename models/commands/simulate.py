@@ -13,9 +13,10 @@ import math
 import os
 from pathlib import Path
 
+from firmware_py.config import MotionConfig
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
-from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
+from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from models.rig.conditions_record import (
     RigConditions,
     record_conditions,
@@ -43,7 +44,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add("--trials", type=int, default=2, metavar="N", help="repetitions of each payload (2)")
     add("--seed", type=int, default=0, help="of all variation and noise (0)")
-    add("--motion", choices=KINDS, default="sinusoid", help="reference motion (sinusoid)")
+    add(
+        "--motion", default="sinusoid", metavar="KIND|FILE",
+        help=f"reference motion: {', '.join(KINDS)}, or a motion file (sinusoid)",
+    )  # fmt: skip
     add("--amplitude-deg", type=float, default=30.0, metavar="DEG", help="largest goal (30)")
     add(
         "--period", type=float, default=STUDY_PERIOD_S, metavar="S",
@@ -103,15 +107,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
     _check(args, parameters)
+    motion = MotionConfig(
+        amplitude_rad=math.radians(args.amplitude_deg),
+        period_s=args.period,
+        phase_2_rad=math.radians(args.phase_deg),
+    ).with_motion(args.motion)
     return [
         TrialCase(
-            motion=Motion(
-                kind=args.motion,
-                amplitude_rad=math.radians(args.amplitude_deg),
-                period_s=args.period,
-                phase_2_rad=math.radians(args.phase_deg) if dof == 2 else 0.0,
-                dof=dof,
-            ),
+            motion=motion.motion(dof),
             payload_kg=payload_kg,
             trial=trial,
             seed=args.seed,

@@ -159,7 +159,7 @@ def _trial(
         payload_kg=case.payload_kg,
         pressure_pa=case.pressure_pa,
         trial=case.trial,
-        motion=motion.kind,
+        motion=motion.name,
         source="rig",
         period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad,

@@ -56,12 +56,12 @@ class TrialCase:
             f"dof{m.dof}",
             f"payload{self.payload_kg:g}",
             f"trial{self.trial}",
-            m.kind,
+            m.name,
             f"{math.degrees(m.amplitude_rad):.6g}deg",
         ]
         if m.dof == 2 and m.phase_2_rad:
             parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
-        if m.period_s != STUDY_PERIOD_S:
+        if m.design is None and m.period_s != STUDY_PERIOD_S:
             parts.append(f"period{m.period_s:g}s")
         if self.pressure_pa != STUDY_PRESSURE_PA:
             parts.append(f"{self.pressure_pa:g}pa")

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from firmware_py.log.recording import Recording, read_recording
+from firmware_py.motion import Motion
+from firmware_py.motion_document import MotionDocument
 from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
 from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.series import Series
@@ -67,11 +70,11 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     log : Recording
         Of `dropstitch run`.
     """
-    motion = json.loads(log.metadata.get("config", "{}")).get("motion", {})
+    motion = _motion_conditions(json.loads(log.metadata.get("config", "{}")).get("motion", {}))
     known: dict[str, Scalar | None] = {
         "dof": log.dof,
         "source": "recording",
-        "motion": motion.get("kind"),
+        "motion": motion.get("motion"),
         "period_s": motion.get("period_s"),
         "amplitude_rad": motion.get("amplitude_rad"),
         "phase_2_rad": motion.get("phase_2_rad"),
@@ -84,3 +87,14 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
         trial=trial | mapping.trial,
         step_s=step_s if mapping.step_s == PERIOD_S else mapping.step_s,
     )
+
+
+def _motion_conditions(table: dict[str, Any]) -> dict[str, Any]:
+    """Conditions of a trial from the table `[motion]` of a log's configuration."""
+    if table.get("design") is None:
+        return {"motion": table.get("kind")} | table
+    motion = Motion.designed(msgspec.convert(table["design"], MotionDocument))
+    return {
+        "motion": motion.name, "period_s": motion.period_s, "amplitude_rad": motion.amplitude_rad,
+        "phase_2_rad": motion.phase_2_rad,
+    }  # fmt: skip

@@ -1,0 +1,89 @@
+"""Table `[motion]` of robot.toml, and its motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.motion import KINDS, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
+from firmware_py.motion_document import MotionDocument, read_motion_document
+
+__all__ = ["MotionConfig"]
+
+
+class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[motion]`: the reference motion, see `firmware_py.motion`.
+
+    Attributes
+    ----------
+    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
+        Kind of motion.
+    amplitude_rad : float
+        Largest goal of each joint.
+    period_s : float
+        Time of one cycle of the sinusoid.
+    phase_2_rad : float
+        Phase by which joint 2 leads joint 1.
+    rest_s : float
+        Rest before the motion, the reference of the Deformation Index.
+    file : str or None
+        Motion file, relative to robot.toml, in place of kind, amplitude, period and phase.
+    design : MotionDocument or None
+        Content of that file.
+    """
+
+    kind: Kind = "sinusoid"
+    amplitude_rad: float = STUDY_AMPLITUDE_RAD
+    period_s: float = STUDY_PERIOD_S
+    phase_2_rad: float = 0.0
+    rest_s: float = 1.0
+    file: str | None = None
+    design: MotionDocument | None = None
+
+    def motion(self, dof: int) -> Motion:
+        """Return the motion for a number of joints.
+
+        Parameters
+        ----------
+        dof : int
+            Joints of the robot.
+
+        Raises
+        ------
+        InputError
+            If a parameter is out of range, or the file is for another number of joints.
+        """
+        if self.design is None:
+            return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
+        if len(self.design.joints) != dof:
+            raise InputError(
+                f"motion {self.design.name}",
+                f"has {len(self.design.joints)} joints, the robot {dof}",
+                "design one for this robot",
+            )
+        return Motion.designed(self.design)
+
+    def with_motion(self, wanted: str) -> MotionConfig:
+        """Return the table with another kind of motion, or the motion of a file.
+
+        Parameters
+        ----------
+        wanted : str
+            Name of a kind, or path of a motion file.
+
+        Raises
+        ------
+        InputError
+            If it is neither.
+        """
+        if wanted in KINDS:
+            kind = msgspec.convert(wanted, Kind)
+            return msgspec.structs.replace(self, kind=kind, file=None, design=None)
+        if not Path(wanted).exists():
+            raise InputError(
+                f"motion {wanted}", "is no kind of motion and no file",
+                "choose " + ", ".join(KINDS) + " or a motion file",
+            )  # fmt: skip
+        return msgspec.structs.replace(self, file=wanted, design=read_motion_document(wanted))

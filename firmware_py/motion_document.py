@@ -1,0 +1,192 @@
+"""Document of a designed motion: a Fourier series of each joint, read from a TOML file.
+
+The goal of a joint is w(t) Σ (a_k sin(2π h_k t / T) + b_k cos(2π h_k t / T)): h_k are the
+harmonics, T is the duration, and the window w eases in and out, so that the motion begins and ends
+at rest at zero. Series of few harmonics are the usual form of motions that excite a robot (Swevers
+et al., IEEE Trans. Robotics and Automation 13, 1997)::
+
+    schema = 1
+    duration_s = 10.0
+    harmonics = [1, 2, 5]                  # cycles in the duration; 0 is a constant lean
+
+    [[joints]]
+    sine_rad = [0.2, -0.1, 0.02]
+    cosine_rad = [0.1, 0.0, 0.01]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.documents import Document
+from firmware_py.errors import InputError
+
+__all__ = ["JointSeries", "MotionDocument", "read_motion_document"]
+
+Array = NDArray[np.float64]
+FADE_FRACTION: Final = 0.1
+"""Part of the duration in which the series is eased in, and out: that of the multisine."""
+HIGHEST_FREQUENCY_HZ: Final = 10.0
+"""Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
+_MAKE: Final = "write it anew with python -m models experiment"
+
+
+class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Coefficients of one joint, one per harmonic, in rad."""
+
+    sine_rad: tuple[float, ...]
+    cosine_rad: tuple[float, ...]
+
+
+class MotionDocument(Document, frozen=True):
+    """Content of a motion file; the module's text defines the series.
+
+    Attributes
+    ----------
+    duration_s : float
+        Duration T of the motion.
+    harmonics : tuple of int
+        Cycles in the duration.
+    joints : tuple of JointSeries
+        In joint order, one or two.
+    payload_kg : float or None
+        Payload that the motion was designed for; the operator attaches it.
+    notes : str
+        For people.
+    """
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "python -m models experiment"
+
+    duration_s: float
+    harmonics: tuple[int, ...]
+    joints: tuple[JointSeries, ...]
+    payload_kg: float | None = None
+    notes: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the motion in trials and logs: its series alone decide it."""
+        text = msgspec.json.encode((self.duration_s, self.harmonics, self.joints))
+        return f"designed-{hashlib.sha256(text).hexdigest()[:8]}"
+
+    @property
+    def amplitude_rad(self) -> float:
+        """Largest goal of any joint."""
+        fine_s = np.linspace(0.0, self.duration_s, 4097)
+        return float(np.max(np.abs(self.goal_rad(fine_s))))
+
+    def goal_rad(self, time_s: Array) -> Array:
+        """Goals at given times, shape (..., joints); zero before the start and after the end.
+
+        Parameters
+        ----------
+        time_s : ndarray, shape (...)
+            Time since the start of the motion in s.
+        """
+        basis = fourier_basis(time_s, self.duration_s, self.harmonics)
+        weights = np.array([[*j.sine_rad, *j.cosine_rad] for j in self.joints])
+        return np.asarray(basis @ weights.T)
+
+
+def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) -> Array:
+    """Windowed sines and cosines of a series, shape (..., 2 harmonics).
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (...)
+        Time since the start of the motion in s.
+    duration_s : float
+        Duration of the motion.
+    harmonics : tuple of int
+        Cycles in the duration.
+
+    Examples
+    --------
+    >>> time_s = np.array([0.0, 2.5, 10.0])
+    >>> fourier_basis(time_s, 10.0, (1,)).round(6).tolist()
+    [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
+    """
+    fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)
+    ramp = np.minimum(fraction, 1.0 - fraction) / FADE_FRACTION
+    window = 0.5 - 0.5 * np.cos(np.pi * np.minimum(ramp, 1.0))
+    turn = 2.0 * np.pi * fraction[..., None] * np.array(harmonics, dtype=np.float64)
+    return np.asarray(window[..., None] * np.concatenate([np.sin(turn), np.cos(turn)], axis=-1))
+
+
+def read_motion_document(path: Path | str) -> MotionDocument:
+    """Read and check a motion file.
+
+    Parameters
+    ----------
+    path : Path or str
+        TOML file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, is no motion, is of another version, or a value is out of range.
+    """
+    path = Path(path)
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read", _MAKE) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, f"is not TOML ({error})", _MAKE) from error
+    version = raw.get("schema")
+    if version != MotionDocument.VERSION:
+        found = "has no schema version" if version is None else f"has schema version {version}"
+        raise InputError(path, f"{found}, this release reads {MotionDocument.VERSION}", _MAKE)
+    try:
+        document = msgspec.convert(raw, MotionDocument)
+    except msgspec.ValidationError as error:
+        raise InputError(path, f"is no motion ({error})", _MAKE) from error
+    check_motion_document(document, path)
+    return document
+
+
+def check_motion_document(document: MotionDocument, where: Path | str) -> None:
+    """Refuse a series that cannot be run.
+
+    Parameters
+    ----------
+    document : MotionDocument
+        To check.
+    where : Path or str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range; it names the first.
+    """
+    count = len(document.harmonics)
+    every = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
+    payload_kg = 0.0 if document.payload_kg is None else document.payload_kg
+    wrong = ""
+    if len(document.joints) not in (1, 2):
+        wrong = f"is for {len(document.joints)} joints; 1 or 2 can move"
+    elif not 0.1 <= document.duration_s <= 600:
+        wrong = f"lasts {document.duration_s:g} s, outside 0.1 to 600 s"
+    elif not count or len(set(document.harmonics)) < count or min(document.harmonics) < 0:
+        wrong = "needs harmonics that differ and are not negative"
+    elif max(document.harmonics) > HIGHEST_FREQUENCY_HZ * document.duration_s:
+        wrong = f"has a harmonic above {HIGHEST_FREQUENCY_HZ:g} Hz"
+    elif any(len(s) != count for j in document.joints for s in (j.sine_rad, j.cosine_rad)):
+        wrong = f"needs {count} coefficients in each list of a joint, one per harmonic"
+    elif not np.isfinite(every).all():
+        wrong = "has a coefficient that is not finite"
+    elif not 0 <= payload_kg <= 100:
+        wrong = f"has a payload of {payload_kg:g} kg, outside 0 to 100 kg"
+    elif document.amplitude_rad > np.pi / 2:
+        wrong = f"reaches {document.amplitude_rad:.3g} rad, more than 1.57 rad"
+    if wrong:
+        raise InputError(where, wrong, _MAKE)
