@@ -13,6 +13,7 @@ COMMANDS = (
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
     Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
+    Command("experiment", "models.commands.experiment", "design the motion that separates best"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
 )
 

@@ -14,7 +14,7 @@ from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.rejected_effects import RejectedEffect
 from models.gap.settings import GapSettings
 
-__all__ = ["GapDocument", "read_gap_document", "write_gap_document"]
+__all__ = ["DiagnosisInputs", "GapDocument", "read_gap_document", "write_gap_document"]
 
 
 class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -193,6 +193,14 @@ class HeldOutSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     signals: dict[str, HeldOutSignal]
 
 
+class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Files of a diagnosis: the plant as given, its hash, and the directories of the trials."""
+
+    plant: str
+    plant_sha256: str
+    trials: tuple[str, ...]
+
+
 class GapDocument(Document, frozen=True):
     """Content of `gap.json`; docs/gap.md explains the keys.
 
@@ -231,6 +239,8 @@ class GapDocument(Document, frozen=True):
         Errors on what was left out in turn.
     hypotheses : tuple of HypothesisRecord
         Sets of effects that may be missing, by their probability.
+    inputs : DiagnosisInputs or None
+        Files of the diagnosis; none in documents of earlier versions.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.
@@ -259,6 +269,7 @@ class GapDocument(Document, frozen=True):
     held_out: HeldOutSummary | None = None
     unexplained_fraction: float | None = None
     hypotheses: tuple[HypothesisRecord, ...] = ()
+    inputs: DiagnosisInputs | None = None
 
 
 def read_gap_document(path: Path) -> GapDocument:

@@ -1,0 +1,158 @@
+"""Design of the next experiment: the motion that separates the hypotheses of a diagnosis best.
+
+MOTION is a file for 'dropstitch run --motion' and 'python -m models simulate --motion'; MOTION.html
+beside it shows goals and separation. With --repeat the motion is run on a rig with hidden effects,
+and its trial is diagnosed together with those at hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from firmware_py.config import read_config
+from firmware_py.console import DONE, Progress, emit
+from firmware_py.errors import InputError
+from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
+from models.plant.plant import Plant, read_plant
+from models.rig.rig_parameters import read_rig
+from models.shared.catalogue import parse_strengths
+from models.trials.trial_directories import read_trial_directories
+
+EXAMPLE = (
+    "python -m models experiment --gap build/gap/gap.json --limits robot.toml --seconds 10 "
+    "--out build/motion.toml"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("--gap", type=Path, required=True, metavar="GAP.json", help="document of the diagnosis")
+    add("--limits", type=Path, required=True, metavar="ROBOT.toml", help="limits of the robot")
+    add("--seconds", type=float, default=10.0, help="duration of the motion (10)")
+    add("--out", type=Path, required=True, metavar="MOTION.toml", help="file to write")
+    add("--plant", type=Path, help="plant of the diagnosis, where it was moved")
+    add(
+        "--trials", type=Path, nargs="+", metavar="DIR",
+        help="trials of the diagnosis, where they were moved",
+    )  # fmt: skip
+    add(
+        "--payloads", type=float, nargs="+", default=[], metavar="KG",
+        help="payloads to choose from (lightest and heaviest of the trials)",
+    )  # fmt: skip
+    add("--seed", type=int, default=0, help="of the random starts, and of the rig (0)")
+    add("--repeat", action="store_true", help="run the motion on a rig and diagnose again")
+    add("--rig", default="default", metavar="NAME|TOML", help="with --repeat: the rig (default)")
+    add(
+        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        help="with --repeat: effect that the rig has beside its defaults; repeatable",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, write, and repeat the diagnosis where that is wanted."""
+    if args.hide and not args.repeat:
+        raise InputError("--hide", "is given without --repeat", "add --repeat, or leave it out")
+    document = read_gap_document(args.gap)
+    inputs = _inputs(document, args)
+    plant = read_plant(Path(inputs.plant))
+    if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
+        raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
+    trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    limits = read_config(args.limits).limits_in_force
+    hidden = parse_strengths(args.hide)
+    # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
+    from models.gap.experiment.experiment import (
+        design_experiment,
+        experiment_in_words,
+        write_motion,
+    )
+    from models.gap.experiment.experiment_page import write_experiment_page
+
+    progress = Progress("experiment", 12)
+    found = design_experiment(
+        document, plant, trials, limits, args.seconds, args.payloads, args.seed, progress.step
+    )
+    write_motion(found.design.document, args.out)
+    page = write_experiment_page(found, args.out.with_suffix(".html"))
+    best = found.best_fixed
+    result: dict[str, Any] = {
+        "motion": str(args.out),
+        "name": found.design.document.name,
+        "payload_kg": found.design.document.payload_kg,
+        "hypotheses": {r.label: round(r.probability, 4) for r in found.rivals},
+        "pairs": [
+            {"pair": found.label(k), "before": q.before, "designed": q.separation}
+            for k, q in enumerate(found.design.pairs)
+        ],
+        "least_gain": found.least_gain(found.design.pairs),
+        "least_gain_of_best_fixed": found.least_gain(best.pairs) if best else None,
+        "together": found.together(),
+    }
+    text = f"{experiment_in_words(found, args.out)}\n{page}"
+    if args.repeat:
+        after, repeated = _repeated(args, plant, inputs, found.design.document, hidden, progress)
+        result["after"] = after
+        text = f"{text}\n{repeated}"
+    progress.total = progress.done + 1
+    progress.step("done")
+    emit(args, result, text)
+    return DONE
+
+
+def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
+    """Files of the diagnosis, those given as options first."""
+    known = document.inputs or DiagnosisInputs("", "", ())
+    if args.plant is not None:
+        known = msgspec.structs.replace(known, plant=str(args.plant))
+    if args.trials:
+        known = msgspec.structs.replace(known, trials=tuple(str(d) for d in args.trials))
+    if not known.plant or not known.trials:
+        raise InputError(
+            args.gap, "does not name its plant and its trials", "give --plant and --trials"
+        )
+    return known
+
+
+def _repeated(
+    args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs, motion: Any,
+    hidden: dict[str, float], progress: Progress,
+) -> tuple[dict[str, Any], str]:  # fmt: skip
+    """Run the motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
+    from firmware_py.motion import Motion
+    from models.gap.experiment.rival import credible_set, rivals_of
+    from models.gap.report.diagnosis_files import write_diagnosis
+    from models.rig.study_protocol import run_case
+    from models.rig.trial_case import TrialCase
+    from models.trials.trial_files import write_trial
+
+    directory = args.out.with_suffix("")
+    case = TrialCase(Motion.designed(motion), motion.payload_kg or 0.0, trial=1, seed=args.seed)
+    trial = run_case(read_rig(args.rig).hide(hidden), case)
+    own = directory / "trials"
+    own.mkdir(parents=True, exist_ok=True)
+    for old in (*own.glob("*.csv"), *own.glob("*.toml")):
+        old.unlink()
+    write_trial(trial, own)
+    progress.step("motion run on the rig")
+    inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
+    every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    _, document, page = write_diagnosis(plant, every, inputs, directory / "gap", progress.step)
+    before = credible_set(rivals_of(read_gap_document(args.gap).hypotheses))
+    after = credible_set(rivals_of(document.hypotheses))
+    result = {
+        "set_before": {r.label: round(r.probability, 4) for r in before},
+        "set_after": {r.label: round(r.probability, 4) for r in after},
+        "named": [n.effect for n in document.named if n.kept],
+        "verdict": document.verdict,
+    }
+    lists = (", ".join(f"{r.label} {r.probability:.2f}" for r in own) for own in (before, after))
+    first, second = lists
+    return result, (
+        f"hypotheses that hold 0.95 before: {first}\nafter the motion: {second}\n"
+        f"named now: {', '.join(result['named']) or 'nothing'}; verdict {document.verdict}\n{page}"
+    )

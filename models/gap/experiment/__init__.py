@@ -1,0 +1,1 @@
+"""The next experiment: a motion that separates the hypotheses of a diagnosis."""

@@ -1,0 +1,233 @@
+"""Next experiment: hypotheses of a diagnosis, the motion that separates them, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import tomli_w
+
+from firmware_py.errors import InputError
+from firmware_py.motion import Kind, Motion
+from firmware_py.motion_document import MotionDocument
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import check_motion
+from firmware_py.signals import PERIOD_S
+from models.gap.experiment.motion_design import INSEPARABLE, REST_SAMPLES, Design, MotionDesigner
+from models.gap.experiment.motion_twin import planned_trial
+from models.gap.experiment.rival import Rival, rivals_of
+from models.gap.experiment.separation import PairSeparation, SeparationModel
+from models.gap.report.gap_json import GapDocument
+from models.gap.report.separating_motion import MENU
+from models.plant.plant import Plant
+from models.trials.trial import TrialSet
+
+
+@dataclass(frozen=True)
+class FixedMotion:
+    """A motion of the menu that the limits allow, and what it separates.
+
+    Attributes
+    ----------
+    label : str
+        Of the menu.
+    payload_kg : float
+        Payload.
+    pairs : tuple of PairSeparation
+        In the order of the experiment's pairs.
+    """
+
+    label: str
+    payload_kg: float
+    pairs: tuple[PairSeparation, ...]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A designed motion beside the motions of the menu.
+
+    Attributes
+    ----------
+    rivals : tuple of Rival
+        Hypotheses, likeliest first.
+    pairs : tuple of (int, int)
+        Of rivals.
+    design : Design
+        The motion.
+    fixed : tuple of FixedMotion
+        With every payload.
+    limits : Limits
+        Of the robot.
+    """
+
+    rivals: tuple[Rival, ...]
+    pairs: tuple[tuple[int, int], ...]
+    design: Design
+    fixed: tuple[FixedMotion, ...]
+    limits: Limits
+
+    @property
+    def separable(self) -> tuple[int, ...]:
+        """Numbers of the pairs that some motion of these separates."""
+        every = [self.design.pairs, *(f.pairs for f in self.fixed)]
+        return tuple(
+            k for k in range(len(self.pairs))
+            if max(own[k].separation for own in every) >= INSEPARABLE
+        )  # fmt: skip
+
+    @property
+    def best_fixed(self) -> FixedMotion | None:
+        """Motion of the menu whose least gain over the separable pairs is largest."""
+        return max(self.fixed, key=lambda f: self.least_gain(f.pairs), default=None)
+
+    def least_gain(self, pairs: Sequence[PairSeparation]) -> float:
+        """Least d′ that a motion adds to the trials at hand, over the separable pairs."""
+        counted = self.separable or range(len(self.pairs))
+        return min(pairs[k].gained for k in counted)
+
+    def label(self, pair: int) -> str:
+        """Names of a pair."""
+        a, b = self.pairs[pair]
+        return f"{self.rivals[a].label} or {self.rivals[b].label}"
+
+    def together(self) -> list[str]:
+        """Pairs that the designed motion leaves together."""
+        pairs = self.design.pairs
+        return [self.label(k) for k, q in enumerate(pairs) if q.separation < INSEPARABLE]
+
+
+def design_experiment(
+    document: GapDocument, plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
+    payloads_kg: Sequence[float] = (), seed: int = 0,
+    report: Callable[[str], None] = lambda text: None,
+) -> Experiment:  # fmt: skip
+    """Design the motion that separates the hypotheses of a diagnosis best.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of the diagnosis.
+    plant : Plant
+        As given to it.
+    trials : TrialSet
+        That it looked at.
+    limits : Limits
+        Of the robot, as in force.
+    seconds : float
+        Duration of the motion.
+    payloads_kg : sequence of float
+        To choose from; by default the lightest and the heaviest of the trials.
+    seed : int
+        Of the random starts.
+    report : callable
+        Called with one phrase after each step.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to separate, or the plant is not the link.
+    """
+    if plant.load != "link":
+        raise InputError(
+            f"plant {plant.name!r}", "is not the link", "motions are designed for the link alone"
+        )
+    if not 2.0 <= seconds <= 120.0:
+        raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
+    rivals = rivals_of(document.hypotheses)
+    if len(rivals) < 2:
+        raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
+    model = SeparationModel(plant, trials.trials, rivals, document.settings)
+    report("trials at hand judged")
+    known = {t.meta.payload_kg for t in trials}
+    payloads = tuple(payloads_kg) or tuple(sorted({min(known), max(known)}))
+    fixed = _fixed_motions(
+        model, limits, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials}
+    )
+    report("fixed motions tried")
+    designer = MotionDesigner(model, limits, seconds, seed, report)
+    design = designer.design(payloads)
+    rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
+    check_motion(rows, limits, PERIOD_S, "the designed motion")
+    return Experiment(rivals, tuple(model.pairs), design, fixed, limits)
+
+
+def _fixed_motions(
+    model: SeparationModel,
+    limits: Limits,
+    payloads_kg: Sequence[float],
+    at_hand: Collection[tuple[str, float]],
+) -> tuple[FixedMotion, ...]:
+    """Motions of the menu that the limits allow, with every payload.
+
+    A motion that is at hand with a payload is left out: a repetition has the same error of the
+    plant, so it adds little, and the floor of a planned trial does not know that.
+    """
+    meta, found = model.like.meta, []
+    for label, kind in MENU.items():
+        if label == "payload swap":  # every motion is tried with every payload
+            label = "sinusoid"
+        try:
+            motion = _menu_motion(kind, model)
+            check_motion(motion.table_rad(rest_samples=REST_SAMPLES), limits, PERIOD_S, label)
+        except InputError:
+            continue
+        for payload_kg in payloads_kg:
+            if (motion.name, payload_kg) in at_hand:
+                continue
+            trial = planned_trial(model.like, motion, payload_kg, meta.rest_samples)
+            found.append(FixedMotion(label, payload_kg, tuple(model.separations(trial))))
+    return tuple(found)
+
+
+def _menu_motion(kind: Kind, model: SeparationModel) -> Motion:
+    """Motion of the menu with amplitude, period and phase of the trials at hand."""
+    meta = model.like.meta
+    amplitude_rad, period_s = meta.amplitude_rad, meta.period_s
+    return Motion(kind, amplitude_rad, period_s, meta.phase_2_rad, meta.dof)
+
+
+def experiment_in_words(found: Experiment, motion: Path) -> str:
+    """What the motion separates, as text.
+
+    Parameters
+    ----------
+    found : Experiment
+        The design.
+    motion : Path
+        Its file.
+    """
+    document, best = found.design.document, found.best_fixed
+    lines = [
+        f"{motion}: {document.duration_s:g} s, up to {document.amplitude_rad:.3f} rad, "
+        f"with {document.payload_kg:g} kg at the tip"
+    ]
+    for k, own in enumerate(found.design.pairs):
+        fixed = f", {best.pairs[k].separation:.1f} with {best.label}" if best else ""
+        lines.append(
+            f"  {found.label(k)}: d′ {own.before:.1f} now, {own.separation:.1f} with it{fixed}"
+        )
+    if best is not None:
+        gain, rival = found.least_gain(found.design.pairs), found.least_gain(best.pairs)
+        lines.append(
+            f"it adds a least d′ of {gain:.1f}; the best fixed motion within the limits "
+            f"({best.label}, {best.payload_kg:g} kg) adds {rival:.1f}"
+        )
+    lines += [f"no motion found separates {pair}" for pair in found.together()]
+    return "\n".join(lines)
+
+
+def write_motion(document: MotionDocument, path: Path) -> None:
+    """Write a motion file.
+
+    Parameters
+    ----------
+    document : MotionDocument
+        The motion.
+    path : Path
+        TOML file.
+    """
+    entries = {k: v for k, v in msgspec.to_builtins(document).items() if v is not None}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(tomli_w.dumps(entries), encoding="utf-8")

@@ -1,0 +1,339 @@
+"""Design of a motion that separates the worst pair of rivals best, within the robot's limits.
+
+The least score of all pairs is raised by sequential linear programming with a trust region (Madsen
+and Schjær-Jacobsen, Mathematical Programming 14, 1978: linearly constrained minimax). The score of
+a pair of probabilities p and q is d′² − 4 ln(p q): −8 times the logarithm of the bound
+√(p q) exp(−d′²/8) of the pair's error (Kailath, IEEE Trans. Communication Technology 15, 1967). Its
+gradient follows from the twin's exact sensitivities at the refitted rival: at the minimum of a
+refit the refitted values do not count. Limits of the goals are linear in the coefficients; those of
+what the twin does are linearised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import linprog
+
+from firmware_py.motion import Motion
+from firmware_py.motion_document import JointSeries, MotionDocument
+from firmware_py.safety.limits import Limits
+from firmware_py.signals import PERIOD_S
+from models.gap.experiment.motion_twin import CoefficientTwin, planned_trial
+from models.gap.experiment.separation import PairSeparation, SeparationModel
+from models.gap.residuals.spectrum import Array
+from models.trials.trial import Trial
+
+FREQUENCIES_HZ: Final = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.1, 1.5, 2.0, 2.7)
+"""Frequencies of the series, rounded to harmonics: 10 s show the lowest, and the link's first modes
+lie at 1.4 to 3.5 Hz (docs/sources.md, "The link")."""
+COEFFICIENT_DIGITS: Final = 6
+"""Digits of a coefficient: 1 µrad is less than a servo resolves."""
+REST_SAMPLES: Final = 60
+"""Rows at rest before a planned motion: the rig's (`models.rig.study_protocol`)."""
+GOAL_MARGIN: Final = 0.97
+"""Part of a limit of the goals that is used: the LP sees every third row [assumed]."""
+TWIN_MARGIN: Final = 0.85
+"""Part of a limit of current, following error and tip that the twin may use; the rest is for the
+difference between twin and robot [assumed]."""
+ROW_STEP: Final = 3
+FIRST_RADIUS: Final = 0.25
+LEAST_RADIUS: Final = 0.004
+"""Trust region, as a fraction of what one harmonic alone may have [assumed]."""
+MOST_GRADIENTS: Final = 8
+"""Pairs whose gradients a linear programme takes, lowest score first [assumed]."""
+STEPS: Final = 20
+"""Most linear programmes from one start [assumed]."""
+SHRINKING: Final = 0.3
+"""Part of the violation of a limit by which a motion is made smaller at once [assumed]."""
+TOLERATED_EXCESS: Final = 0.01
+"""Violation during the search; the result has none [assumed]."""
+RANDOM_STARTS: Final = 4
+"""Random series among the starts [assumed]."""
+KEPT_STARTS: Final = 2
+"""Starts that are optimised, best first [assumed]."""
+INSEPARABLE: Final = 3.0
+"""d′ below which a pair stays together (`GapSettings.indistinguishable_separation`)."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A motion and what it separates.
+
+    Attributes
+    ----------
+    document : MotionDocument
+        For the robot.
+    trial : Trial
+        Planned: conditions and goals.
+    pairs : tuple of PairSeparation
+        In the order of `SeparationModel.pairs`.
+    score : float
+        Least score of the pairs that it can separate.
+    """
+
+    document: MotionDocument
+    trial: Trial
+    pairs: tuple[PairSeparation, ...]
+    score: float
+
+
+@dataclass(frozen=True)
+class _Programme:
+    """Linear programme A z ≤ b: z is the step and the least score, as fractions of their scales."""
+
+    table: Array
+    limit: Array
+
+    def step(self, radius: float) -> Array:
+        """Step that raises the least score most; zero where there is none."""
+        count = self.table.shape[1] - 1
+        result = linprog(
+            np.concatenate([np.zeros(count), [-1.0]]), self.table, self.limit,
+            bounds=[(-radius, radius)] * count + [(None, None)], method="highs",
+        )  # fmt: skip
+        return np.asarray(result.x[:-1]) if result.success else np.zeros(count)
+
+
+class MotionDesigner:
+    """Search for the coefficients.
+
+    Parameters
+    ----------
+    model : SeparationModel
+        Rivals and trials at hand.
+    limits : Limits
+        Of the robot, as in force.
+    seconds : float
+        Duration of the motion.
+    seed : int
+        Of the random starts.
+    report : callable
+        Called with one phrase after each step.
+    """
+
+    def __init__(
+        self, model: SeparationModel, limits: Limits, seconds: float, seed: int,
+        report: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.model, self.limits, self.report = model, limits, report
+        self.duration_s, self.dof = seconds, model.like.meta.dof
+        self.harmonics = tuple(sorted({max(1, round(f * seconds)) for f in FREQUENCIES_HZ}))
+        self._rng = np.random.default_rng(seed)
+        self.twin = CoefficientTwin(
+            model.twin.model, seconds, self.harmonics, self.dof, REST_SAMPLES
+        )
+        probability = np.array([r.probability for r in model.rivals])
+        self._weight = np.array([-4 * np.log(probability[a] * probability[b])
+                                 for a, b in model.pairs])  # fmt: skip
+        self._weight -= self._weight.min()
+        low, high = limits.angle_rad
+        hz = np.array(self.harmonics) / seconds
+        alone = np.minimum(min(-low, high), limits.rate_rad_s / (2 * np.pi * hz))
+        self.scale = np.tile(alone, 2 * self.dof)
+        self._goal_rows, self._goal_limit = self._goal_constraints()
+
+    def _goal_constraints(self) -> tuple[Array, Array]:
+        """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals."""
+        basis, limits = self.twin.basis, self.limits
+        rate = np.diff(basis, axis=0) / PERIOD_S
+        both: tuple[tuple[Array, float, float], ...] = (
+            (basis, limits.angle_rad[1], -limits.angle_rad[0]),
+            (rate, limits.rate_rad_s, limits.rate_rad_s),
+            (
+                np.diff(rate, axis=0) / PERIOD_S,
+                limits.acceleration_rad_s2,
+                limits.acceleration_rad_s2,
+            ),
+        )
+        rows, limit = [], []
+        for table, high, low in both:
+            moving = table[REST_SAMPLES::ROW_STEP]
+            for sign, most in ((1.0, high), (-1.0, low)):
+                rows.append(sign * moving)
+                limit.append(np.full(len(moving), GOAL_MARGIN * most))
+        one = np.concatenate(rows)
+        every = np.asarray(np.kron(np.eye(self.dof), one), dtype=np.float64)
+        return every, np.tile(np.concatenate(limit), self.dof)
+
+    def document(self, x: Array, payload_kg: float, notes: str = "") -> MotionDocument:
+        """Motion of coefficients, joint after joint: the sines, then the cosines."""
+        rows = x.reshape(self.dof, 2, -1).round(COEFFICIENT_DIGITS).tolist()
+        return MotionDocument(
+            schema=MotionDocument.VERSION, duration_s=self.duration_s, harmonics=self.harmonics,
+            joints=tuple(JointSeries(sine_rad=tuple(s), cosine_rad=tuple(c)) for s, c in rows),
+            payload_kg=payload_kg, notes=notes,
+        )  # fmt: skip
+
+    def trial(self, x: Array, payload_kg: float) -> Trial:
+        """Planned trial of coefficients."""
+        motion = Motion.designed(self.document(x, payload_kg))
+        return planned_trial(self.model.like, motion, payload_kg, REST_SAMPLES)
+
+    def scores(self, pairs: list[PairSeparation]) -> Array:
+        """Score of each pair."""
+        return np.array([q.separation**2 for q in pairs]) + self._weight
+
+    def design(self, payloads_kg: tuple[float, ...]) -> Design:
+        """Best motion over starts and payloads.
+
+        Parameters
+        ----------
+        payloads_kg : tuple of float
+            That the operator can attach.
+        """
+        starts: list[tuple[float, int, Array, float]] = []
+        for number, x in enumerate(self._starts()):
+            for payload_kg in payloads_kg:
+                allowed = self._within_twin_limits(x, payload_kg)
+                pairs = self.model.separations(self.trial(allowed, payload_kg))
+                starts.append((float(self.scores(pairs).min()), -len(starts), allowed, payload_kg))
+            self.report(f"start {number + 1} tried")
+        found = []
+        for _, _, x, payload_kg in sorted(starts, key=lambda s: s[:2])[::-1][:KEPT_STARTS]:
+            found.append(self._raised(x, payload_kg))
+            least = min(q.separation for q in found[-1].pairs)
+            self.report(f"least d′ {least:.1f} with {payload_kg:g} kg")
+        return max(found, key=lambda d: d.score)
+
+    def _starts(self) -> list[Array]:
+        """Fixed motions of this duration, in the series, and random ones; within the limits."""
+        basis, half = self.twin.basis[REST_SAMPLES:], max(self.limits.angle_rad)
+        turn = np.arange(len(basis)) / len(basis)
+        waves = [
+            np.sin(2 * np.pi * turn), np.sin(4 * np.pi * turn),
+            np.interp(turn, [0.0, 0.25, 0.75, 1.0], [0.0, -1.0, 1.0, 0.0]),
+            np.sign(np.sin(2 * np.pi * turn)),
+        ]  # fmt: skip
+        starts = [np.linalg.lstsq(basis, -half * w, rcond=1e-6)[0] for w in waves]
+        full = [np.tile(x, self.dof) for x in starts]
+        full += [
+            self.scale * self._rng.standard_normal(len(self.scale)) for _ in range(RANDOM_STARTS)
+        ]
+        return [self._within_goal_limits(x) for x in full]
+
+    def _within_goal_limits(self, x: Array) -> Array:
+        """Coefficients made smaller as far as the limits of the goals demand."""
+        used = np.max(self._goal_rows @ x / self._goal_limit)
+        return np.asarray(x / max(used, 1e-9))
+
+    def _within_twin_limits(self, x: Array, payload_kg: float) -> Array:
+        """Coefficients made smaller until every rival stays within the twin's limits."""
+        while (excess := self.twin_excess(x, payload_kg)) > 0:
+            x = np.asarray(x * (1 - SHRINKING * min(max(excess, 0.05), 1.0)))
+        return x
+
+    def twin_excess(self, x: Array, payload_kg: float) -> float:
+        """Largest violation of a limit by the twin of any rival, as a part of the limit."""
+        trial = self.trial(x, payload_kg)
+        worst = -np.inf
+        for values in self.model.values:
+            y = self.model.twin.run(trial, values)
+            if not np.isfinite(y).all():
+                return np.inf
+            worst = max(worst, *(float(v.max()) for v, _ in self._twin_limits(y, trial.goal_rad)))
+        return worst
+
+    def _twin_limits(self, y: Array, goal_rad: Array) -> list[tuple[Array, dict[str, float]]]:
+        """Violations (n,) of each limit as a part of it, and the weights of the outputs in it."""
+        outputs, limits, result = self.model.twin.outputs, self.limits, []
+
+        def add(name: str, value: Array, most: float) -> None:
+            for sign in (1.0, -1.0):
+                result.append((sign * value / most - TWIN_MARGIN, {name: sign / most}))
+
+        for j in range(self.dof):
+            current, angle = f"current_{j + 1}_a", f"angle_{j + 1}_rad"
+            add(current, y[:, outputs.index(current)], limits.current_a)
+            error = y[:, outputs.index(angle)] - goal_rad[:, j]
+            add(angle, error, limits.following_error_rad)
+        for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
+            middle = (limits.tip_max_m[k] + limits.tip_min_m[k]) / 2
+            half = (limits.tip_max_m[k] - limits.tip_min_m[k]) / 2
+            value = (y[:, outputs.index(name)] - middle) / half
+            result.append((value - 0.98, {name: 1 / half}))
+            result.append((-value - 0.98, {name: -1 / half}))
+        return result
+
+    def _raised(self, x: Array, payload_kg: float) -> Design:
+        """Series of linear programmes from one start."""
+        trial = self.trial(x, payload_kg)
+        pairs = self.model.separations(trial)
+        active = np.ones(len(pairs), dtype=bool)
+        radius, steps = FIRST_RADIUS, 0
+        programme: _Programme | None = None
+        while steps < STEPS and active.any():
+            steps += 1
+            programme = programme or self._programme(x, trial, pairs, active)
+            tried = self._within_goal_limits_if_needed(x + programme.step(radius) * self.scale)
+            for _ in range(3):
+                if self.twin_excess(tried, payload_kg) > TOLERATED_EXCESS:
+                    tried = 0.985 * tried
+            new_trial = self.trial(tried, payload_kg)
+            new = self.model.separations(new_trial)
+            risen = self.scores(new)[active].min() - self.scores(pairs)[active].min()
+            if risen > 0 and self.twin_excess(tried, payload_kg) <= TOLERATED_EXCESS:
+                x, trial, pairs, programme = tried, new_trial, new, None
+                radius = min(1.5 * radius, 1.0)
+            else:
+                radius *= 0.5
+            if radius < LEAST_RADIUS or (steps == STEPS // 2):
+                together = active & np.array([q.separation < INSEPARABLE for q in pairs])
+                if not together.any() or together.all():
+                    if radius < LEAST_RADIUS:
+                        break
+                    continue
+                active, radius, programme = active & ~together, FIRST_RADIUS, None
+        x = self._within_twin_limits(x, payload_kg)
+        trial = self.trial(x, payload_kg)
+        pairs = self.model.separations(trial)
+        separable = np.array([q.separation >= INSEPARABLE for q in pairs])
+        kept = separable if separable.any() else np.ones(len(pairs), dtype=bool)
+        # A design that separates more pairs wins, then the one with the larger least score.
+        score = 1e6 * int(separable.sum()) + float(self.scores(pairs)[kept].min())
+        return Design(self.document(x, payload_kg), trial, tuple(pairs), score)
+
+    def _within_goal_limits_if_needed(self, x: Array) -> Array:
+        used = np.max(self._goal_rows @ x / self._goal_limit)
+        return x if used <= 1 else np.asarray(x / used)
+
+    def _programme(
+        self, x: Array, trial: Trial, pairs: list[PairSeparation], active: Array
+    ) -> _Programme:
+        """Scores and limits around a motion, to first order."""
+        model, payload_kg = self.model, trial.meta.payload_kg
+        white = model.whitening(trial)
+        by_rival = {
+            k: self.twin.slopes(payload_kg, model.twin.parameters(trial, v), x)
+            for k, v in enumerate(model.values)
+        }
+        rows, limit = [self._goal_rows], [self._goal_limit - self._goal_rows @ x]
+        goals = np.kron(np.eye(self.dof), self.twin.basis)
+        goals = goals.reshape(self.dof, len(self.twin.basis), -1)
+        for y, slope in by_rival.values():
+            for value, weights in self._twin_limits(y, trial.goal_rad):
+                near = np.flatnonzero(value > -0.4)[::ROW_STEP]
+                for name, weight in weights.items():
+                    by_x = weight * slope[near, model.twin.outputs.index(name)]
+                    if name.startswith("angle_"):
+                        by_x = by_x - weight * goals[int(name.split("_")[1]) - 1][near]
+                    rows.append(by_x)
+                    limit.append(np.maximum(-value[near], 0.0))
+        score = self.scores(pairs)
+        floor = np.sort(score[active])[:MOST_GRADIENTS][-1]
+        chosen = np.flatnonzero(active & (score <= floor))
+        gradients = []
+        for k in chosen:
+            a, _ = model.pairs[k]
+            p = model.twin.parameters(trial, pairs[k].refitted)
+            _, slope = self.twin.slopes(payload_kg, p, x)
+            change = model.spectra(trial, by_rival[a][1] - slope, white)
+            gradients.append(2 * pairs[k].residual @ change)
+        size = max(abs(float(score[active].min())), 1.0)
+        table = np.concatenate(rows) * self.scale
+        upper = np.column_stack([table, np.zeros(len(table))])
+        raised = np.column_stack([-np.array(gradients) * self.scale, np.full(len(chosen), size)])
+        return _Programme(np.concatenate([upper, raised]), np.concatenate([*limit, score[chosen]]))

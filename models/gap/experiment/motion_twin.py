@@ -1,0 +1,198 @@
+"""Twin on a motion that has not been run: outputs, and their derivatives by its coefficients.
+
+The goals of a Fourier series are linear in its coefficients, so a model whose inputs are the
+windowed sines and cosines, and whose further parameters are the coefficients, has their exact
+sensitivities from the same variational equation as any other parameter's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from firmware_py.motion import Motion
+from firmware_py.motion_document import fourier_basis
+from firmware_py.signals import PERIOD_S
+from models.gap.residuals.fit_parameters import FitParameter, moved_parameters
+from models.gap.residuals.spectrum import Array
+from models.plant.simulation.compiled_model import CompiledModel, trial_inputs, trial_parameters
+from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.step_model import StepModel, Variable, names
+from models.trials.trial import Trial
+
+
+def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: int) -> Trial:
+    """Trial of a motion before it is run: conditions and goals; the angles are the goals.
+
+    Parameters
+    ----------
+    like : Trial
+        Of the same robot.
+    motion : Motion
+        To run.
+    payload_kg : float
+        Payload.
+    rest_samples : int
+        Rows at rest before it.
+    """
+    goal_rad = motion.table_rad(rest_samples=rest_samples)
+    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
+    for j in range(motion.dof):
+        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
+    meta = msgspec.structs.replace(
+        like.meta, motion=motion.name, payload_kg=payload_kg, period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
+        rest_samples=rest_samples, source="simulated",
+    )  # fmt: skip
+    return Trial(motion.name, meta, columns)
+
+
+class MotionTwin:
+    """The twin that holds every effect, on trials of one number of joints.
+
+    Parameters
+    ----------
+    model : StepModel
+        The twin.
+    fit_parameters : sequence of FitParameter
+        Directions in which it may be changed; all act on every trial.
+    """
+
+    def __init__(self, model: StepModel, fit_parameters: Sequence[FitParameter]) -> None:
+        known, outputs = names(model.parameters), names(model.outputs)
+        moved = [n for n in moved_parameters(fit_parameters) if n in known]
+        self.model, self.outputs = model, outputs
+        self._plain, self._sensitive = CompiledModel(model), SensitiveModel(model, moved)
+        self._by_parameter = np.zeros((len(known), len(fit_parameters)))
+        self._by_output = np.zeros((len(outputs), len(fit_parameters)))
+        for k, q in enumerate(fit_parameters):
+            for name, weight in q.parameters.items():
+                self._by_parameter[known.index(name), k] = weight
+            for name, weight in q.outputs.items():
+                self._by_output[outputs.index(name), k] = weight
+        self._moved = self._by_parameter[[known.index(n) for n in moved]]
+        self._low = np.array([v.minimum for v in model.parameters])
+        self._high = np.array([v.maximum for v in model.parameters])
+
+    def parameters(self, trial: Trial, values: Array) -> Array:
+        """Parameter vector of the model at values of the fit parameters."""
+        p = trial_parameters(self.model, trial) + self._by_parameter @ values
+        return np.asarray(np.clip(p, self._low, self._high))
+
+    def run(self, trial: Trial, values: Array) -> Array:
+        """Outputs, shape (n, outputs)."""
+        first, u = trial_inputs(self.model, trial)
+        p = self.parameters(trial, values)
+        y = self._plain.simulate(u, trial.step_s, p, self._plain.start(first, p))
+        return np.asarray(y + self._by_output @ values)
+
+    def slopes(self, trial: Trial, values: Array) -> tuple[Array, Array]:
+        """Outputs, and their derivatives by the fit parameters, shape (n, outputs, p)."""
+        first, u = trial_inputs(self.model, trial)
+        y, slope = self._sensitive.simulate(u, trial.step_s, self.parameters(trial, values), first)
+        return y + self._by_output @ values, np.asarray(slope @ self._moved + self._by_output)
+
+
+class CoefficientTwin:
+    """The twin with the coefficients of a Fourier series as its parameters.
+
+    Parameters
+    ----------
+    model : StepModel
+        The twin.
+    duration_s : float
+        Of the motion.
+    harmonics : tuple of int
+        Cycles in the duration.
+    dof : int
+        Joints.
+    rest_samples : int
+        Rows at rest before the motion.
+    """
+
+    def __init__(
+        self, model: StepModel, duration_s: float, harmonics: tuple[int, ...], dof: int,
+        rest_samples: int,
+    ) -> None:  # fmt: skip
+        rows = rest_samples + round(duration_s / PERIOD_S)
+        at_s = (np.arange(rows, dtype=np.float64) - rest_samples) * PERIOD_S
+        self.basis = fourier_basis(at_s, duration_s, harmonics)
+        count = self.basis.shape[1]
+        driven = with_coefficients(model, count, dof)
+        wrt = names(driven.parameters)[len(model.parameters) :]
+        self._sensitive, self._count = SensitiveModel(driven, wrt), count
+
+    def slopes(self, payload_kg: float, p: Array, coefficients: Array) -> tuple[Array, Array]:
+        """Outputs, and their derivatives by the coefficients, shape (n, outputs, coefficients).
+
+        Parameters
+        ----------
+        payload_kg : float
+            Payload.
+        p : ndarray
+            Parameters of the twin.
+        coefficients : ndarray, shape (joints * count,)
+            Of the series, joint after joint.
+        """
+        u = np.column_stack([self.basis, np.full(len(self.basis), payload_kg)])
+        return self._sensitive.simulate(u[:-1], PERIOD_S, np.concatenate([p, coefficients]), u[0])
+
+
+def with_coefficients(model: StepModel, count: int, dof: int) -> StepModel:
+    """Model whose goals are sums of inputs, weighted by further parameters.
+
+    Parameters
+    ----------
+    model : StepModel
+        Twin with the inputs `goal_j_rad` and `payload_kg`.
+    count : int
+        Inputs `basis_k` that replace the goals.
+    dof : int
+        Joints; each has its own weights.
+    """
+    inputs = tuple(Variable(f"basis_{k + 1}", "1") for k in range(count))
+    others = tuple(v for v in model.inputs if not v.name.startswith("goal_"))
+    weights = tuple(
+        Variable(f"coefficient_{j + 1}_{k + 1}", "rad") for j in range(dof) for k in range(count)
+    )
+    kept = len(model.parameters)
+    known = names(others)
+
+    def inner(u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
+        own = p[kept:]
+        goals = {
+            f"goal_{j + 1}_rad": ca.dot(own[j * count : (j + 1) * count], u[:count])
+            for j in range(dof)
+        }
+        row = [
+            goals[v.name] if v.name in goals else u[count + known.index(v.name)]
+            for v in model.inputs
+        ]
+        return ca.vertcat(*row), p[:kept]
+
+    sizes = {"x": len(model.states), "u": count + len(others), "p": kept + len(weights), "h": 1}
+
+    def wrapped(what: str, labels: str) -> ca.Function:
+        own: Callable[..., ca.SX] = getattr(model, what)
+        symbols = {name: ca.SX.sym(name, sizes[name]) for name in labels}
+        goals, parameters = inner(symbols["u"], symbols["p"])
+        given = symbols | {"u": goals, "p": parameters}
+        result = own(*(given[name] for name in labels))
+        return ca.Function(what, list(symbols.values()), [result])
+
+    return replace(
+        model,
+        name=f"{model.name}_by_coefficients",
+        inputs=inputs + others,
+        parameters=model.parameters + weights,
+        initial=wrapped("initial", "up"),
+        begin=wrapped("begin", "xuph"),
+        flow=wrapped("flow", "xuph"),
+        finish=wrapped("finish", "xuph"),
+        output=wrapped("output", "xup"),
+        rate=wrapped("rate", "xup"),
+    )

@@ -1,0 +1,119 @@
+"""Rival hypotheses: the sets of effects that a diagnosis could not tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from models.gap.report.gap_json import HypothesisRecord
+from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
+from models.gap.residuals.spectrum import Array
+from models.plant.plant import Plant
+
+MOST_RIVALS: Final = 6
+"""Hypotheses that a motion is designed for, likeliest first; 15 pairs [assumed]."""
+LEAST_PROBABILITY: Final = 0.02
+"""Hypotheses below this do not count, but for the two likeliest: together with 0.95 at the first
+they would be less than the set that holds 0.95 leaves out [assumed]."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One hypothesis.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        What would be missing; nothing if it is empty.
+    probability : float
+        Posterior, that of its supersets included.
+    parameters : mapping of str to float
+        Fitted values by name of the plant's parameter.
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, float]
+
+    @property
+    def label(self) -> str:
+        """Its effects in words."""
+        return " + ".join(self.effects) or "nothing missing"
+
+
+def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
+    """Hypotheses worth telling apart, likeliest first.
+
+    A set that holds another listed one, and more, adds an effect too small to show: no motion
+    separates the two, so its probability goes to those that it holds, in equal parts.
+
+    Parameters
+    ----------
+    hypotheses : sequence of HypothesisRecord
+        Of gap.json.
+    """
+    listed = [h for h in hypotheses if h.effects]
+    sets = [frozenset(h.effects) for h in listed]
+    least = [k for k, own in enumerate(sets) if not any(other < own for other in sets)]
+    gained = {k: 0.0 for k in least}
+    for own, hypothesis in zip(sets, listed, strict=True):
+        held = [k for k in least if sets[k] <= own]
+        for k in held:
+            gained[k] += hypothesis.probability / len(held)
+    rivals = [Rival(listed[k].effects, p, listed[k].parameters) for k, p in gained.items()]
+    rivals += [Rival((), h.probability, h.parameters) for h in hypotheses if not h.effects]
+    total = sum(r.probability for r in rivals)
+    ranked = sorted(rivals, key=lambda r: (-r.probability, r.effects))
+    ranked = [replace(r, probability=r.probability / total) for r in ranked]
+    kept = [r for k, r in enumerate(ranked) if k < 2 or r.probability >= LEAST_PROBABILITY]
+    return tuple(kept[:MOST_RIVALS])
+
+
+def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitParameter]) -> Array:
+    """Values of the fit parameters at a hypothesis, shape (p,); variations of trials are zero.
+
+    Parameters
+    ----------
+    rival : Rival
+        The hypothesis.
+    plant : Plant
+        As given.
+    fit_parameters : sequence of FitParameter
+        Nuisance, variation and effects.
+    """
+    full = plant_with_every_effect(plant).parameters
+    values = np.zeros(len(fit_parameters))
+    taken: set[str] = set()
+    order = sorted(range(len(values)), key=lambda k: fit_parameters[k].kind != "effect")
+    for k in order:  # an effect first: the synchronisation is a nuisance with the same parameter
+        q = fit_parameters[k]
+        first = next(iter(q.parameters), "")
+        if q.trial is not None or first in taken or first not in rival.parameters:
+            continue
+        if q.effect and q.effect not in rival.effects:
+            continue
+        taken.update(q.parameters)
+        values[k] = (rival.parameters[first] - full[first].value) / q.parameters[first]
+    return values
+
+
+def credible_set(rivals: Sequence[Rival], held: float = 0.95) -> tuple[Rival, ...]:
+    """Fewest hypotheses that together hold a probability, likeliest first.
+
+    Parameters
+    ----------
+    rivals : sequence of Rival
+        Likeliest first.
+    held : float
+        Probability to hold.
+    """
+    total, kept = 0.0, []
+    for rival in rivals:
+        kept.append(rival)
+        total += rival.probability
+        if total >= held:
+            break
+    return tuple(kept)

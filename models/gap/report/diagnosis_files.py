@@ -1,0 +1,52 @@
+"""Files of a diagnosis: gap.json, the improved plant and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from models.gap.diagnosis import Diagnosis, diagnose
+from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_document
+from models.gap.report.gap_page import write_gap_page
+from models.gap.report.gap_results import gap_document
+from models.gap.report.waterfall import waterfall_steps
+from models.plant.plant import Plant
+from models.trials.trial_files import TrialSet
+
+
+def write_diagnosis(
+    plant: Plant, trials: TrialSet, inputs: DiagnosisInputs, out: Path,
+    report: Callable[[str], None], leave_out: Sequence[str] = (),
+) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
+    """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    trials : TrialSet
+        To compare with.
+    inputs : DiagnosisInputs
+        Where both come from.
+    out : Path
+        Directory to write.
+    report : callable
+        Called with one phrase after each part of the work.
+    leave_out : sequence of str
+        Effects that may not be named.
+
+    Returns
+    -------
+    tuple
+        The diagnosis, its document, and the page.
+    """
+    found = diagnose(plant, trials, report, leave_out)
+    document = gap_document(found, trials, waterfall_steps(found, found.trials))
+    document = msgspec.structs.replace(document, inputs=inputs)
+    out.mkdir(parents=True, exist_ok=True)
+    write_gap_document(out / "gap.json", document)
+    found.improved.write(out / "plant.json")
+    page = write_gap_page(document, found.plant, found.improved, trials, out / "report.html")
+    return found, document, page
