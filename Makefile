@@ -37,7 +37,7 @@ endef
 # The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo gap-demo test test-fast test-durations lint pytest sil faults mutate soak \
+.PHONY: help setup demo gap-demo experiment-demo test test-fast test-durations lint pytest sil faults mutate soak \
   hitl hitl-emulated bench bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -47,6 +47,9 @@ help:
 	@echo "make gap-demo HIDE=$(HIDE)"
 	@echo "                hides an effect in the rig, finds it and adds it to the plant, rebuilds"
 	@echo "                FMU and bundle, runs the robot's loop again; prints the report's path"
+	@echo "make experiment-demo HIDE=prebend=0.02"
+	@echo "                hides an effect that has look-alikes, designs the motion that separates"
+	@echo "                them, runs it on the rig, diagnoses again"
 	@echo "make test       lint, types, import contracts and all tests"
 	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
 	@echo "                which lists tests that need more than half a second of processor time"
@@ -294,6 +297,13 @@ build/rod/plant.json: models/plant/nominal.toml | $(READY)
 # The page of gap-demo as numbers.
 $(GAP)/figures.json: $(GAP)/report.html
 	$(BIN)/python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --json > $@
+
+# Diagnose, design, run, diagnose again: one payload more or less does not tell these effects apart.
+experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),prebend=0.02)
+experiment-demo: build/plant.json
+	$(call run,python -m models simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
+	$(call judge,python -m models gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
+	$(call run,python -m models experiment --gap build/experiment/gap/gap.json --limits robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
 	for extra in record:robot test:workshop; do \

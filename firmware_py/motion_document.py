@@ -111,7 +111,7 @@ def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) 
     Examples
     --------
     >>> time_s = np.array([0.0, 2.5, 10.0])
-    >>> fourier_basis(time_s, 10.0, (1,)).round(6).tolist()
+    >>> np.abs(fourier_basis(time_s, 10.0, (1,))).round(6).tolist()
     [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
     """
     fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.documents import Document, schema_of
+from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
@@ -27,6 +28,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "rig_conditions": ConditionsRecord,
     "faults": FaultsDocument,
     "gap": GapDocument,
+    "motion": MotionDocument,
     "plant": PlantDocument,
     "study": StudyDocument,
     "timing": TimingDocument,

@@ -72,11 +72,13 @@ def run(args: argparse.Namespace) -> int:
         write_motion,
     )
     from models.gap.experiment.experiment_page import write_experiment_page
+    from models.gap.experiment.rival import rivals_of
 
     progress = Progress("experiment", 12)
     found = design_experiment(
-        document, plant, trials, limits, args.seconds, args.payloads, args.seed, progress.step
-    )
+        rivals_of(document.hypotheses), plant, trials, limits, args.seconds, args.payloads,
+        args.seed, progress.step, document.settings,
+    )  # fmt: skip
     write_motion(found.design.document, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))
     best = found.best_fixed

@@ -17,10 +17,10 @@ from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
 from models.gap.experiment.motion_design import INSEPARABLE, REST_SAMPLES, Design, MotionDesigner
 from models.gap.experiment.motion_twin import planned_trial
-from models.gap.experiment.rival import Rival, rivals_of
+from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import PairSeparation, SeparationModel
-from models.gap.report.gap_json import GapDocument
 from models.gap.report.separating_motion import MENU
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import TrialSet
 
@@ -99,16 +99,16 @@ class Experiment:
 
 
 def design_experiment(
-    document: GapDocument, plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
+    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
     payloads_kg: Sequence[float] = (), seed: int = 0,
-    report: Callable[[str], None] = lambda text: None,
+    report: Callable[[str], None] = lambda text: None, settings: GapSettings = DEFAULT_SETTINGS,
 ) -> Experiment:  # fmt: skip
     """Design the motion that separates the hypotheses of a diagnosis best.
 
     Parameters
     ----------
-    document : GapDocument
-        Of the diagnosis.
+    rivals : sequence of Rival
+        Hypotheses of the diagnosis, see `models.gap.experiment.rival.rivals_of`.
     plant : Plant
         As given to it.
     trials : TrialSet
@@ -123,6 +123,8 @@ def design_experiment(
         Of the random starts.
     report : callable
         Called with one phrase after each step.
+    settings : GapSettings
+        Of the diagnosis.
 
     Raises
     ------
@@ -135,10 +137,9 @@ def design_experiment(
         )
     if not 2.0 <= seconds <= 120.0:
         raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
-    rivals = rivals_of(document.hypotheses)
     if len(rivals) < 2:
         raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
-    model = SeparationModel(plant, trials.trials, rivals, document.settings)
+    model = SeparationModel(plant, trials.trials, rivals, settings)
     report("trials at hand judged")
     known = {t.meta.payload_kg for t in trials}
     payloads = tuple(payloads_kg) or tuple(sorted({min(known), max(known)}))
@@ -150,7 +151,7 @@ def design_experiment(
     design = designer.design(payloads)
     rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
     check_motion(rows, limits, PERIOD_S, "the designed motion")
-    return Experiment(rivals, tuple(model.pairs), design, fixed, limits)
+    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits)
 
 
 def _fixed_motions(

@@ -22,9 +22,9 @@ from models.gap.experiment.motion_twin import MotionTwin
 from models.gap.experiment.rival import Rival, fitted_values_of
 from models.gap.residuals.fit_parameters import FitParameter, effect_fit_parameters
 from models.gap.residuals.residuals import Residuals, TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import Array, coefficient_count, cosine_transform
+from models.gap.residuals.spectrum import Array, coefficient_count, cosine_transform, smoothed_power
 from models.gap.settings import GapSettings
-from models.plant.identification.simulation_fit import row_weights
+from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 
@@ -124,6 +124,7 @@ class SeparationModel:
         ]
         self.values = [fitted_values_of(r, plant, planned) for r in rivals]
         self.twin = MotionTwin(residuals.model, self.fit_parameters)
+        self._error_fraction = self._own_error_fraction(trials)
         self.pairs = [
             (a, b) if len(rivals[a].effects) >= len(rivals[b].effects) else (b, a)
             for a, b in combinations(range(len(rivals)), 2)
@@ -171,10 +172,41 @@ class SeparationModel:
         return left**0.5 if left > 0 else 0.0
 
     def whitening(self, trial: Trial) -> Array:
-        """Weights of rows and coefficients of a planned trial: (n, signals), (signals, K)."""
+        """Inverse noise floor of a planned trial, shape (signals, K).
+
+        The plant's own error is not known on a new motion. It counts as the same fraction of the
+        motion's own spectrum as on the trials that the floor was measured on, and as no less than
+        there.
+        """
         count = coefficient_count(len(trial), trial.step_s, self.settings.highest_frequency_hz)
         group = TrialGroup(trial_group_key(trial), (0,), self.signals, count)
-        return np.asarray(self.floor.whitener(group, [trial], self.settings)[:, :, 0, 0])
+        known = np.asarray(self.floor.whitener(group, [trial], self.settings)[:, :, 0, 0])
+        if self.floor.curves_for(group, [trial])[1] != "unknown":
+            return known
+        plain = np.ones_like(known)
+        y = self.twin.run(trial, self.values[0])
+        rows = self.spectra(trial, y - y[0], plain).reshape(plain.shape)
+        if not np.isfinite(rows).all():
+            return known
+        power = smoothed_power(
+            rows**2, self.settings.smoothing_fraction, self.settings.smoothing_coefficients
+        )
+        scale = np.where(known > 0, 1.0, 0.0)
+        variance = 1 / np.maximum(known, 1e-300) ** 2 + self._error_fraction[:, None] * power
+        return np.asarray(scale / np.sqrt(variance))
+
+    def _own_error_fraction(self, trials: Sequence[Trial]) -> Array:
+        """Power of the plant's own error as a fraction of that of the motion, by signal."""
+        result = np.zeros(len(self.signals))
+        for b, signal in enumerate(self.signals):
+            if signal in self.floor.model:
+                every = [m[signal] for m in map(measured_signals, trials) if signal in m]
+                moved = [m - m[0] for m in every]
+                power = float(np.mean([np.nanmean(m**2) for m in moved])) if moved else 0.0
+                error = float(np.mean(self.floor.model[signal]))
+                count = len(self.floor.model[signal]) / len(trials[0])
+                result[b] = error * count / power if power > 0 else 0.0
+        return np.asarray(np.minimum(result, 1.0))
 
     def spectra(self, trial: Trial, y: Array, white: Array) -> Array:
         """Outputs (n, outputs[, …]) in noise floors, (signals * K[, …]).

@@ -1,0 +1,130 @@
+"""Designed motions: within the limits, better than any fixed one, and right about the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from firmware_py.motion_document import read_motion_document
+from firmware_py.safety.limits import Limits
+from firmware_py.safety.supervisor import check_motion
+from firmware_py.signals import PERIOD_S
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
+from models.gap.experiment.experiment import design_experiment, experiment_in_words, write_motion
+from models.gap.experiment.experiment_page import write_experiment_page
+from models.gap.experiment.motion_twin import CoefficientTwin, MotionTwin, planned_trial
+from models.gap.experiment.rival import Rival
+from models.gap.residuals.fit_parameters import effect_fit_parameters, plant_with_every_effect
+from models.gap.residuals.residuals import Residuals
+from models.plant.step_model import names
+
+LIMITS = Limits(rate_rad_s=1.0, current_a=6.0)
+RIVALS = (
+    Rival(("encoder_offset",), 0.6, {"encoder_offset_1_rad": 0.02}),
+    Rival(("marker_frame_tilt",), 0.4, {"marker_frame_tilt_rad": 0.02}),
+)
+SECONDS = 5.0
+
+
+@pytest.fixture(scope="module")
+def truth(plant):
+    rich = plant.with_effects("encoder_offset")
+    return rich.with_values({"encoder_offset_1_rad": 0.02})
+
+
+@pytest.fixture(scope="module")
+def at_hand(truth, trials_of):
+    return trials_of(truth, 3, (1.0,), 1)
+
+
+@pytest.fixture(scope="module")
+def experiment(plant, at_hand):
+    return design_experiment(RIVALS, plant, at_hand, LIMITS, SECONDS, (0.0, 2.0), seed=1)
+
+
+@pytest.fixture(scope="module")
+def every_effect(plant):
+    model = plant_with_every_effect(plant).step_model(1, "twin")
+    return replace(model, max_substep_s=2.9e-3)
+
+
+def test_the_motion_stays_within_the_limits_in_simulation(experiment, every_effect, plant):
+    design = experiment.design
+    rows = Motion.designed(design.document).table_rad(rest_samples=60)
+    check_motion(rows, LIMITS, PERIOD_S, "designed")
+    for rival in RIVALS:
+        own = [q for e in rival.effects for q in effect_fit_parameters(plant, e, 1)]
+        values = np.array([rival.parameters.get(q.name, 0.0) for q in own])
+        y = MotionTwin(every_effect, own).run(design.trial, values)
+        outputs = names(every_effect.outputs)
+        assert np.abs(y[:, outputs.index("current_1_a")]).max() <= LIMITS.current_a
+        error = y[:, outputs.index("angle_1_rad")] - design.trial.goal_rad[:, 0]
+        assert np.abs(error).max() <= LIMITS.following_error_rad
+        for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
+            tip = y[:, outputs.index(name)]
+            assert LIMITS.tip_min_m[k] <= tip.min() <= tip.max() <= LIMITS.tip_max_m[k]
+
+
+def test_the_separation_grows_and_more_than_by_any_fixed_motion(experiment):
+    (pair,) = experiment.design.pairs
+    assert pair.separation > pair.before
+    assert experiment.fixed
+    assert all(pair.separation >= fixed.pairs[0].separation for fixed in experiment.fixed)
+
+
+def test_the_same_seed_gives_the_same_motion(experiment, plant, at_hand):
+    again = design_experiment(RIVALS, plant, at_hand, LIMITS, SECONDS, (0.0, 2.0), seed=1)
+    assert again.design.document == experiment.design.document
+
+
+def test_the_trial_of_the_motion_tells_the_truth(experiment, plant, truth, at_hand):
+    """Both effects are fitted to both trials; the rest of the rival is what was predicted."""
+    document = experiment.design.document
+    planned = planned_trial(at_hand[0], Motion.designed(document), document.payload_kg, 60)
+    twin = MotionTwin(truth.step_model(1, "twin"), [])
+    y, rng = twin.run(planned, np.zeros(0)), np.random.default_rng(0)
+    columns = dict(planned.columns)
+    for k, name in enumerate(twin.outputs):
+        size = {"rad": 1e-5, "a": 0.02, "m": 2e-4}.get(name.rsplit("_", 1)[-1], 1e-4)
+        columns[name] = y[:, k] + size * rng.standard_normal(len(y))
+    both = [at_hand[0], replace(planned, columns=columns)]
+    costs = []
+    for rival in RIVALS:
+        parameters = nuisance_and_variation(plant, both)
+        parameters += effect_fit_parameters(plant, rival.effects[0], 1)
+        residuals = Residuals(plant, both, parameters)
+        if not costs:  # one floor for both: that of the truth
+            floor = noise_floor_for(residuals)
+        estimator = GaussNewton(residuals, floor)
+        free = np.ones(len(parameters), dtype=bool)
+        costs.append(estimator.fit(estimator.start(), free, 8).cost)
+    assert costs[1] > costs[0]
+
+
+def test_the_derivatives_by_coefficients_are_those_of_the_run(every_effect):
+    twin = CoefficientTwin(every_effect, 3.0, (1, 4), 1, 10)
+    x, step = np.array([0.1, 0.02, -0.05, 0.03]), 1e-6
+    p = every_effect.parameter_values()
+    y, slopes = twin.slopes(1.0, p, x)
+    for k in range(len(x)):
+        moved, _ = twin.slopes(1.0, p, x + step * np.eye(len(x))[k])
+        numeric, own = (moved - y) / step, slopes[:, :, k]
+        np.testing.assert_allclose(numeric, own, atol=2e-3 * max(np.abs(own).max(), 1e-3))
+
+
+def test_file_page_and_words_name_the_motion(experiment, tmp_path):
+    path = tmp_path / "motion.toml"
+    write_motion(experiment.design.document, path)
+    assert read_motion_document(path).name == experiment.design.document.name
+    assert "encoder_offset or marker_frame_tilt" in experiment_in_words(experiment, path)
+    page = write_experiment_page(experiment, tmp_path / "motion.html").read_text()
+    assert "What it separates" in page
+
+
+@pytest.mark.parametrize(("rivals", "seconds"), [(RIVALS[:1], 5.0), (RIVALS, 0.5)])
+def test_nothing_to_separate_or_no_time_gives_one_sentence(plant, at_hand, rivals, seconds):
+    with pytest.raises(InputError):
+        design_experiment(rivals, plant, at_hand, LIMITS, seconds)
