@@ -1,8 +1,8 @@
 """Compiler options of rooms whose models run briefly: compiling costs them more than running.
 
 Code without optimisation gives the same bits in four times the time and compiles in a third of it.
-Rooms that are not listed compile as shipped: `models/plant/simulation` compares compiled models
-with interpreted ones, and `tests/test_wheel.py` replays an FMU's golden ticks.
+Rooms that are not listed compile as shipped: in them models run for longer, or, like
+`models/plant/simulation` and `tests/test_wheel.py`, they judge the shipped options.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ import pytest
 from models.shared.c_compiler import OPTIONS_VARIABLE
 
 TESTS = Path(__file__).parent
-BRIEF = (
-    "firmware_py", "fmu", "hil", "house", "models/plant/components", "models/plant/composition",
-    "models/plant/effects",
-)  # fmt: skip
+BRIEF = ("fmu", "hil/report", "house", "models/plant/effects")
 
 
 @pytest.hookimpl(hookwrapper=True)
