@@ -25,7 +25,8 @@ from firmware_py.motion import Motion
 from models.plant.identification.identification import identify
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
-from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.drawn_rig import rig_named
+from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
@@ -89,7 +90,7 @@ def identify_draw(rig: str, draw: int) -> dict[str, Any]:
         Parameters with value, error, truth and bound; errors of the fitted trials.
     """
     rng = np.random.default_rng([20, draw])
-    own = read_rig(rig)
+    own = rig_named(rig)
     factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
     parameters = own.changed(**{n: own[n] * factor for n, factor in factors.items()})
     seed = int(rng.integers(2**31))

@@ -73,8 +73,13 @@ def main() -> None:
     )
     add = parser.add_argument
     add("--plant", type=Path, help="identified on the default rig without effects")
-    add("--rigs", nargs="+", choices=list(named_structures()), default=[], metavar="NAME",
-        help="rigs, each with a plant of its own: " + ", ".join(named_structures()))  # fmt: skip
+    add(
+        "--rigs",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="rigs, each with a plant of its own: drawn_K, " + ", ".join(named_structures()),
+    )
     add("--out", type=Path, required=True, help="directory of results")
     add("--singles", type=int, default=4, help="cases of each effect and size")
     add("--nulls", type=int, default=150, help="data sets without an effect")

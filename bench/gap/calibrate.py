@@ -1,11 +1,13 @@
-"""Calibration of the gap workflow on data without a gap.
+"""Calibration of the gap workflow on rigs of drawn structure, without a gap.
 
-    python -m bench.gap.calibrate --plant build/plant.json --out build/calibrate
+    python -m bench.gap.calibrate --out build/calibrate
 
-Two sets of rigs without a hidden effect, their nuisance drawn anew: the first gives the patterns of
-the plant's own error (`models/gap/estimation/model_discrepancy.npz`), the second the null
-distribution of every effect (`models/gap/search/null_distribution.json`). Resumable: one file per
-rig.
+Each rig has its own structure and values (`models.rig.drawn_rig`) and a plant that is identified on
+its trials. Then the link's stiffness, mass and damping change a few times, and the nuisance is
+refitted. What is left beyond the plant's mean error gives the patterns of its own error
+(`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
+gives the null distribution of every effect (`models/gap/search/null_distribution.json`). Resumable:
+files by rig. No named structure for tests is among the rigs.
 """
 
 from __future__ import annotations
@@ -14,16 +16,18 @@ import argparse
 import json
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
-from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
-from bench.gap.cases import BenchCase, draw_cases
+from bench.gap.case_run import bench_trials, required_noise_floor
+from bench.gap.cases import NUISANCE
+from bench.gap.pattern_check import pattern_sentence
+from bench.gap.rig_plants import plant_of_rig
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
@@ -38,128 +42,160 @@ from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.search.null_distribution import calibrated_null_distribution
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
+from models.rig.drawn_rig import rig_named
+from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
-SEEDS: Final = {"patterns": 9000, "null": 9001}
+SEED: Final = 9000
 """Of the draws; the benchmark has others."""
 
 
-def pattern_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save the residual of the nuisance fit on one rig: spectra by payload.
+def drawn_link(rig: int, link: int) -> RigParameters:
+    """Rig of a number with the link of a number; link 0 is the one that the plant knows.
 
     Parameters
     ----------
-    case : BenchCase
-        Without a hidden effect.
-    plant_path : str
-        Plant with a noise floor.
-    path : str
-        File to write (.npz).
+    rig, link : int
+        Numbers.
     """
-    rig = rig_of(case)
+    drawn = rig_named(f"drawn_{rig}")
+    if not link:
+        return drawn
+    rng = np.random.default_rng([SEED, rig, link])
+    return drawn.changed(
+        **{n: drawn[n] * float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
+    )
+
+
+def pattern_case(rig: int, links: int, directory: str) -> None:
+    """Identify a plant on a rig; save what the nuisance fit leaves on other links.
+
+    Spectra by link, payload and signal, relative to the plant's own error.
+
+    Parameters
+    ----------
+    rig, links : int
+        Number of the rig, and how many other links.
+    directory : str
+        Of the results.
+    """
+    path = _pattern_file(directory, rig)
+    rows: list[Any] = []
+    noise: list[Any] = []
+    about: dict[str, Any] = {}
     try:
-        trials = [run_case(rig, TrialCase(Motion(), p, 1, case.seed)) for p in PAYLOADS_KG]
-    except InputError:  # its link folds
+        plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants"))
+    except InputError:  # the link folds
         np.savez(path)
         return
-    plant = read_plant(plant_path)
-    residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
     floor = required_noise_floor(plant)
-    estimator = GaussNewton(residuals, floor)
-    steps = residuals.settings.nuisance_fit_steps
-    point = estimator.fit(estimator.start(), np.ones(len(residuals.fit_parameters), bool), steps)
-    (group,) = residuals.groups
-    hz = group_frequencies_hz(group, residuals.trials)
-    noise = [np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals]
-    np.savez(
-        path, rows=point.rows[0] - estimator.means[0], noise=noise, key=group.key,
-        signals=np.array(group.signals),
-    )  # fmt: skip
+    for link in range(1, links + 1):
+        try:
+            trials = [
+                run_case(drawn_link(rig, link), TrialCase(Motion(), p, 1, SEED + link))
+                for p in PAYLOADS_KG
+            ]
+        except InputError:
+            continue
+        residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
+        estimator = GaussNewton(residuals, floor)
+        every = np.ones(len(residuals.fit_parameters), bool)
+        point = estimator.fit(estimator.start(), every, residuals.settings.nuisance_fit_steps)
+        (group,) = residuals.groups
+        hz = group_frequencies_hz(group, residuals.trials)
+        scale = np.array([floor.own_error(s, hz) for s in group.signals])
+        own = np.array([np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals])
+        rows.append((point.rows[0] - estimator.means[0]) / scale)
+        noise.append(own / scale**2)
+        about = {"key": group.key, "signals": np.array(group.signals)}
+    np.savez(path, rows=rows, noise=noise, **about)
 
 
-def null_case(case: BenchCase, plant_path: str, path: str) -> None:
-    """Save the d′ of each effect on one rig, and the residual without any.
+def null_case(rig: int, link: int, directory: str) -> None:
+    """Save the d′ of each effect on one link, and the residual without any.
 
     Parameters
     ----------
-    case : BenchCase
-        Without a hidden effect.
-    plant_path : str
-        Plant with a noise floor.
-    path : str
-        File to write (.json).
+    rig, link : int
+        Numbers of rig and link; the patterns are those of other rigs.
+    directory : str
+        Of the results.
     """
+    path = _null_file(directory, rig, link)
     try:
-        trials = bench_trials(rig_of(case), case.seed)
+        plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants"))
+        trials = bench_trials(drawn_link(rig, link), SEED + 100 * link)
     except InputError:
-        Path(path).write_text("{}")
+        path.write_text("{}")
         return
-    found = diagnose(read_plant(plant_path), TrialSet(tuple(trials)))
+    found = diagnose(plant, TrialSet(tuple(trials)))
     separations = dict(found.screened)
     for effect, separation in found.refitted.items():
         separations[effect] = max(separations[effect], separation)
-    row = {"separations": separations, "left": found.residual_before}
-    Path(path).write_text(json.dumps(row))
+    row = {
+        "separations": separations, "left": found.residual_before, "named": found.named,
+        "change": found.link_change,
+        "verdict": found.verdict,
+    }  # fmt: skip
+    path.write_text(json.dumps(row))
 
 
-def learn_patterns(files: list[Path]) -> ModelDiscrepancy:
+def learn_patterns(files: Sequence[Path]) -> ModelDiscrepancy:
     """Patterns from the files of `pattern_case`."""
-    loaded = [dict(np.load(f)) for f in files]
-    loaded = [d for d in loaded if "rows" in d]
-    rows = np.array([d["rows"] for d in loaded])
-    table = patterns_of(rows, loaded[0]["noise"], DEFAULT_SETTINGS.discrepancy_patterns)
-    print(f"{len(table)} patterns from {len(rows)} rigs")
+    loaded = [d for d in (dict(np.load(f)) for f in files) if len(d.get("rows", ()))]
+    print(pattern_sentence(loaded))
+    rows = np.concatenate([d["rows"] for d in loaded])
+    noise = np.mean(np.concatenate([d["noise"] for d in loaded]), axis=0)
+    table = patterns_of(rows, noise, DEFAULT_SETTINGS.discrepancy_patterns)
+    first = loaded[0]
     return ModelDiscrepancy(
-        str(loaded[0]["key"]), np.array(PAYLOADS_KG), tuple(loaded[0]["signals"].tolist()), table
+        str(first["key"]), np.array(PAYLOADS_KG), tuple(first["signals"].tolist()), table
     )
 
 
 def main() -> None:
     """Draw, run, and write both files."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plant", type=Path, required=True, help="identified without effects")
     parser.add_argument("--out", type=Path, required=True, help="directory of results")
-    parser.add_argument("--patterns", type=int, default=64, help="rigs for the patterns")
-    parser.add_argument("--null", type=int, default=96, help="rigs for the null distribution")
+    parser.add_argument("--rigs", type=int, default=16, help="drawn rigs for the patterns")
+    parser.add_argument("--null", type=int, default=8, help="further rigs for the null")
+    parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     args = parser.parse_args()
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
-    if args.patterns:
-        work = _cases("patterns", args.patterns, args.out, "npz")
-        learn_patterns(_run(pattern_case, work, args.plant)).write(PATTERNS)
-    if args.null:
-        work = _cases("null", args.null, args.out, "json")
-        rows = [json.loads(f.read_text()) for f in _run(null_case, work, args.plant)]
-        rows = [r for r in rows if r]
-        found = calibrated_null_distribution(
-            [r["separations"] for r in rows], [r["left"] for r in rows]
-        )
-        NULL_DISTRIBUTION.write_bytes(
-            msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n"
-        )
+    out, rigs = str(args.out), range(args.rigs)
+    _run(pattern_case, [(k, args.links, out) for k in rigs if not _pattern_file(out, k).exists()])
+    learn_patterns([_pattern_file(out, k) for k in rigs]).write(PATTERNS)
+    others = range(args.rigs, args.rigs + args.null)
+    links = [(k, link) for link in range(1, args.links + 1) for k in others]
+    _run(null_case, [(k, n, out) for k, n in links if not _null_file(out, k, n).exists()])
+    rows = [json.loads(_null_file(out, k, n).read_text()) for k, n in links]
+    rows = [r for r in rows if r]
+    found = calibrated_null_distribution(
+        [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
+    )
+    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
 
 
-Work = list[tuple[BenchCase, Path]]
+def _pattern_file(directory: str, rig: int) -> Path:
+    return Path(directory) / f"patterns_{rig}.npz"
 
 
-def _cases(purpose: str, count: int, out: Path, suffix: str) -> Work:
-    drawn = draw_cases(0, count, 0, 0, SEEDS[purpose])
-    return [(case, out / f"{purpose}_{case.key}.{suffix}") for case in drawn]
+def _null_file(directory: str, rig: int, link: int) -> Path:
+    return Path(directory) / f"null_{rig}_{link}.json"
 
 
-def _run(job: Callable[[BenchCase, str, str], None], work: Work, plant: Path) -> list[Path]:
+def _run(job: Callable[..., None], work: Sequence[tuple[Any, ...]]) -> None:
     """Do what is missing, on two processors."""
-    left = [(case, path) for case, path in work if not path.exists()]
-    progress = Progress("bench.gap.calibrate", len(left))
+    progress = Progress("bench.gap.calibrate", len(work))
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        futures = [pool.submit(job, case, str(plant), str(path)) for case, path in left]
+        futures = [pool.submit(job, *arguments) for arguments in work]
         for future in as_completed(futures):
             future.result()
             progress.step(job.__name__)
-    return [path for _, path in work]
 
 
 if __name__ == "__main__":

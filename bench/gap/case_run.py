@@ -23,7 +23,8 @@ from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.drawn_rig import rig_named
+from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
@@ -34,6 +35,8 @@ SEALED_KG = 1.0
 SEALED_CONDITIONS = {"motion": ("multisine", SEALED_KG), "payload": ("sinusoid", 1.5)}
 """Motion and payload of the trials that judge the improved plant in SI units."""
 HANGING_RAD = 0.1
+DELAY_OF = {"dead_time": "goal_delay_1_s"}
+"""Parameters in which a plant without the effect holds the rig's own."""
 
 
 def run_bench_case(case: BenchCase, plant_path: str, directory: str) -> str:
@@ -73,6 +76,8 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
         "named": list(found.named),
         "chosen": [list(c.effects) for c in found.inclusions],
         "separation": [c.separation for c in found.inclusions],
+        "hypotheses": [[list(h.effects), h.gain, h.least] for h in found.hypotheses],
+        "bias": found.nuisance_bias,
         "look_alikes": [[list(a.effects) for a in c.look_alikes] for c in found.inclusions],
         "largest": max(found.screened.values(), default=0.0),
         "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
@@ -136,7 +141,7 @@ def plant_value(plant: Plant, name: str) -> float:
 def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) -> float:
     """Change that is to be found.
 
-    Where the plant has no such effect, the rig's own (2 ms of dead time) is added.
+    Where the plant has no such effect, nor a parameter for it, the rig's own is added.
 
     Parameters
     ----------
@@ -149,7 +154,8 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     hidden : float
         Its hidden strength.
     """
-    return hidden if effect in plant.effects else hidden + rig[rig.effects()[effect]]
+    known = effect in plant.effects or DELAY_OF.get(effect) in plant.parameters
+    return hidden if known else hidden + rig[rig.effects()[effect]]
 
 
 def sealed_errors(
@@ -264,7 +270,7 @@ def required_noise_floor(plant: Plant) -> NoiseFloor:
 
 def rig_of(case: BenchCase) -> RigParameters:
     """Rig of a case, without the hidden effects."""
-    rig = read_rig(case.rig)
+    rig = rig_named(case.rig)
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 

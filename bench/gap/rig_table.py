@@ -76,7 +76,7 @@ def figures_by_rig(directory: Path) -> dict[str, Figures]:
     results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
     names = sorted({r["case"]["rig"] for r in results})
     named = named_structures()
-    purposes = {name: named[name].purpose for name in names}
+    purposes = {n: named[n].purpose if n in named else "tuning" for n in names}
     chosen: dict[str, Callable[[Result], bool]] = {
         f"all for {purpose}": lambda r, p=purpose: purposes[r["case"]["rig"]] == p  # type: ignore[misc]
         for purpose in sorted(set(purposes.values()))

@@ -22,7 +22,8 @@ from models.rig.conditions_record import (
     record_conditions,
     refuse_other_conditions,
 )
-from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.drawn_rig import rig_named
+from models.rig.rig_parameters import RigParameters
 from models.rig.rig_structure import named_structures
 from models.rig.trial_case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, TrialCase
 from models.shared.catalogue import CATALOGUE, parse_strengths
@@ -76,7 +77,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, write and draw the trials."""
-    parameters = read_rig(args.rig)
+    parameters = rig_named(args.rig)
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)

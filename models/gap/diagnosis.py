@@ -124,6 +124,8 @@ class Diagnosis:
         Nuisance, variation of each trial, and effects.
     fitted_values : ndarray, shape (p,)
         Of all of them with the named effects.
+    link_change : float
+        See `models.gap.estimation.link_change`; of the nuisance fit.
     """
 
     plant: Plant
@@ -157,6 +159,7 @@ class Diagnosis:
     unexplained_fraction: float
     fit_parameters: tuple[FitParameter, ...]
     fitted_values: Array
+    link_change: float
 
 
 def diagnose(
@@ -165,6 +168,7 @@ def diagnose(
     report: ReportProgress = lambda text: None,
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
+    floor: NoiseFloor | None = None,
 ) -> Diagnosis:
     """Find, name and add the effects that a plant lacks.
 
@@ -182,6 +186,8 @@ def diagnose(
         Effects that may not be named.
     settings : GapSettings
         Tuned numbers.
+    floor : NoiseFloor, optional
+        In place of the plant file's.
 
     Raises
     ------
@@ -192,7 +198,7 @@ def diagnose(
     recorded, trials = trials, in_time_blocks(plant, trials, settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
-    floor = noise_floor_for(residuals)
+    floor = floor or noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     hypotheses = posterior_of(search, result)
@@ -244,6 +250,7 @@ def diagnose(
         unexplained_fraction=accepted.errors.fraction_of(search.held_out.given),
         fit_parameters=tuple(parameters),
         fitted_values=accepted.point.values,
+        link_change=search.first.floor.link_change,
     )
 
 

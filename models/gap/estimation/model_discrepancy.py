@@ -39,7 +39,8 @@ class ModelDiscrepancy:
     signals : tuple of str
         Signals.
     table : ndarray, shape (M, P, signals, K)
-        Spectra of the patterns, each as large as its standard deviation.
+        Spectra of the patterns, each as large as its standard deviation, relative to
+        `models.gap.estimation.noise_floor.NoiseFloor.own_error` of the plant.
     """
 
     key: str
@@ -48,7 +49,7 @@ class ModelDiscrepancy:
     table: Array
 
     def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
-        """Patterns in the trials of a group, shape (M, trials, signals, K); zero where unknown.
+        """Relative patterns in the trials of a group, (M, trials, signals, K); zero where unknown.
 
         For trials of the same motion with another length, step or rest they are transferred
         (`models.gap.estimation.curve_transfer`).

@@ -26,6 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -55,6 +56,11 @@ class NoiseFloor:
         Error of the equations of the effects named so far; correlated like the model's error.
     rest_s : dict of str to float
         Rest before the motion by group key of `curves`; the rig's where it is not told.
+    patterns : ModelDiscrepancy, optional
+        How the plant's own error varies from one link to the next, where that was measured.
+    link_change : float
+        How much the link differs from the one that the plant was identified on, relative to the
+        links that the patterns were measured on: the patterns grow with it.
     """
 
     frequency_hz: Array
@@ -65,6 +71,39 @@ class NoiseFloor:
     learned: bool = True
     formulation: Mapping[str, Array] = field(default_factory=dict)
     rest_s: Mapping[str, float] = field(default_factory=dict)
+    patterns: ModelDiscrepancy | None = None
+    link_change: float = 1.0
+
+    def own_error(self, signal: str, hz: Array) -> Array:
+        """Standard deviation of the mean error that `identify` left, at some frequencies.
+
+        Parameters
+        ----------
+        signal : str
+            Of the floor.
+        hz : ndarray, shape (K,)
+            Frequencies in Hz.
+        """
+        power = self.model[signal] + self.noise[signal] / self.repeats
+        return np.sqrt(np.interp(hz, self.frequency_hz, power))
+
+    def pattern_rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
+        """Patterns of the plant's own error, shape (M, trials, signals, K); M = 0 without any.
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
+        shape = len(group.trials), len(group.signals), group.coefficients
+        if self.patterns is None:
+            return np.zeros((0, *shape))
+        rows, hz = self.patterns.rows(group, trials), group_frequencies_hz(group, trials)
+        for b, signal in enumerate(group.signals):
+            rows[:, :, b] *= self.own_error(signal, hz) if signal in self.noise else 0.0
+        return self.link_change * rows
 
     def curves_for(
         self, group: TrialGroup, trials: Sequence[Trial]
@@ -127,9 +166,26 @@ class NoiseFloor:
             hz = group_frequencies_hz(group, trials)
             power = settings.equation_error_fraction**2 * np.mean(rows**2, axis=0)
             for signal, row in zip(group.signals, power, strict=True):
-                smooth = _smoothed(row, settings)
+                smooth = smoothed(row, settings)
                 table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
         return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
+
+    def with_own_error(self, scale: float) -> NoiseFloor:
+        """Floor whose plant errs more: by a multiple of the mean error that `identify` left.
+
+        Parameters
+        ----------
+        scale : float
+            Multiple of the amplitude.
+        """
+        return replace(
+            self,
+            model={
+                s: scale**2 * (model + self.noise[s] / self.repeats)
+                for s, model in self.model.items()
+            },
+            formulation={s: scale**2 * row for s, row in self.formulation.items()},
+        )
 
     def completed_by(self, other: NoiseFloor) -> NoiseFloor:
         """Floor with the spectra of another one for the signals that it lacks.
@@ -227,7 +283,8 @@ def _between(at: float, places: Array, table: Array) -> Array:
     return np.asarray((1 - weight) * table[above - 1] + weight * table[above])
 
 
-def _smoothed(power: Array, settings: GapSettings) -> Array:
+def smoothed(power: Array, settings: GapSettings) -> Array:
+    """Power spectrum smoothed over neighbouring frequencies."""
     return smoothed_power(power, settings.smoothing_fraction, settings.smoothing_coefficients)
 
 
@@ -243,97 +300,3 @@ def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
     """
     first = trials[group.trials[0]]
     return coefficient_frequencies_hz(group.coefficients, len(first), first.step_s)
-
-
-def flat_floor(
-    signals: Sequence[str],
-    scale: Mapping[str, float],
-    settings: GapSettings = DEFAULT_SETTINGS,
-) -> NoiseFloor:
-    """Flat floor of the given errors, for a first fit.
-
-    Parameters
-    ----------
-    signals : sequence of str
-        Their names.
-    scale : mapping of str to float
-        Error to expect of each, in its unit.
-    settings : GapSettings
-        Tuned numbers: how many samples count as one.
-    """
-    hz = np.array([0.0, 1e3])
-    count = settings.samples_per_independent_sample
-    noise = {s: np.full(2, count * scale[s] ** 2) for s in signals}
-    return NoiseFloor(hz, noise, {s: np.zeros(2) for s in signals}, learned=False)
-
-
-def floor_of_residual(
-    groups: Sequence[TrialGroup],
-    trials: Sequence[Trial],
-    rows: Sequence[Array],
-    settings: GapSettings = DEFAULT_SETTINGS,
-) -> NoiseFloor:
-    """Floor that is the smoothed spectrum of a residual; parameters as `floor_from_residuals`."""
-    return floor_from_residuals(groups, trials, rows, settings, repeated=False)
-
-
-def floor_from_residuals(
-    groups: Sequence[TrialGroup],
-    trials: Sequence[Trial],
-    rows: Sequence[Array],
-    settings: GapSettings = DEFAULT_SETTINGS,
-    repeated: bool = True,
-) -> NoiseFloor:
-    """Floor from residuals of data without a gap.
-
-    Parameters
-    ----------
-    groups, trials : sequence
-        Of the residuals.
-    rows : list of ndarray, shape (trials, signals, K)
-        Residual spectra by group, variation between trials taken out.
-    settings : GapSettings
-        Tuned numbers.
-    repeated : bool
-        Whether to tell noise from the model's error by repetitions; without any, all is noise.
-    """
-    hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
-    signals = list(dict.fromkeys(s for g in groups for s in g.signals))
-    noise: dict[str, list[Array]] = {s: [] for s in signals}
-    model: dict[str, list[Array]] = {s: [] for s in signals}
-    curves: dict[str, dict[float, dict[str, Array]]] = {}
-    rest_s: dict[str, float] = {}
-    repeats = []
-    for group, residual in zip(groups, rows, strict=True):
-        own = group_frequencies_hz(group, trials)
-        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
-        parts = [residual[payloads == p] for p in np.unique(payloads)]
-        within = [np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts if len(p) > 1]
-        freedom = sum(len(p) - 1 for p in parts)
-        split = repeated and freedom > 0
-        for b, signal in enumerate(group.signals):
-            if split:
-                varying = _smoothed(sum(w[b] for w in within) / freedom, settings)
-            else:
-                varying = _smoothed(np.mean(residual[:, b] ** 2, axis=0), settings)
-            mean_power = np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0)
-            count = len(group.trials) / len(parts)
-            repeats.append(count)
-            standing = np.maximum(_smoothed(mean_power, settings) - varying / count, 0.0)
-            noise[signal].append(np.interp(hz, own, varying))
-            model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
-        if split:
-            first = trials[group.trials[0]]
-            rest_s.setdefault(group.key, first.meta.rest_samples * first.step_s)
-            for p, part in zip(np.unique(payloads), parts, strict=True):
-                own_curves = curves.setdefault(group.key, {}).setdefault(float(p), {})
-                for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
-                    own_curves.setdefault(s, curve)
-    return NoiseFloor(
-        hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated,
-        rest_s=rest_s,
-    )  # fmt: skip
-
-
-def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
-    return {signal: np.mean(rows, axis=0) for signal, rows in table.items()}

@@ -9,12 +9,13 @@ import msgspec
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.estimation.noise_floor import (
-    NoiseFloor,
+from models.gap.estimation.measured_floor import (
     flat_floor,
     floor_from_residuals,
     floor_of_residual,
 )
+from models.gap.estimation.model_discrepancy import discrepancy_of
+from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_record import floor_from_record, floor_to_record
 from models.gap.residuals.fit_parameters import (
     FitParameter,
@@ -131,6 +132,8 @@ def noise_floor_for(residuals: Residuals) -> NoiseFloor:
         Of the trials where the gap is looked for.
     """
     known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
+    if known is not None:
+        known = replace(known, patterns=discrepancy_of(residuals.plant))
     signals = {s for g in residuals.groups for s in g.signals}
     if known is not None and signals <= known.noise.keys():
         return known

@@ -16,6 +16,7 @@ from markupsafe import Markup
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words, symbol_of
 from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
 from models.gap.report.gap_words import (
+    floor_in_words,
     goal_not_followed_in_words,
     nuisance_bias_in_words,
     refusals_in_words,
@@ -118,10 +119,10 @@ def gap_sections(
                 _named(document, hidden), *_rivals(document),
                 Paragraph(
                     "d′ is the distance from a plant without the effect, in standard deviations "
-                    "of the noise floor. The d′ that an effect needs was measured on trials "
-                    "without a gap; the bars show the ratio of its d′ to that. A strength that "
-                    "differs much between payloads, signals and frequencies points to another "
-                    "effect.",
+                    f"of the {floor_in_words(document)}. The d′ that an effect needs was "
+                    "measured on trials without a gap; the bars show the ratio of its d′ to "
+                    "that. A strength that differs much between payloads, signals and "
+                    "frequencies points to another effect.",
                     "note",
                 ),
             ],
@@ -171,7 +172,7 @@ def _waterfall(document: GapDocument) -> Figure:
     return Figure(
         "", "Root mean square of all signals on repetitions that no value was fitted to: the plant "
         "as given, its nominal parameters refitted, and each effect in turn. Pale: what the step "
-        "removed. Dashed: the noise floor.",
+        f"removed. Dashed: the {floor_in_words(document)}.",
         [drawing.panel("Residual after each step", f"RMS in noise floors: {listed}.")],
     )  # fmt: skip
 
@@ -271,12 +272,12 @@ def _compared(document: GapDocument, before: Plant, after: Plant, trials: TrialS
     return Section(
         "residual", "Before and after",
         [
-            Table("", ["RMS error", "before", "after", "noise floor"], rows,
+            Table("", ["RMS error", "before", "after", floor_in_words(document)], rows,
                   "Over the repetitions with every payload."),
             Figure(
                 "", f"Measured minus simulated in trial {trial.name}.",
                 _residuals(document, part, both),
-                legend=[*BEFORE_AND_AFTER, LegendEntry(MUTED, "noise floor")],
+                legend=[*BEFORE_AND_AFTER, LegendEntry(MUTED, floor_in_words(document))],
             ),
         ],
     )  # fmt: skip

@@ -64,6 +64,17 @@ def unexplained_in_words(document: GapDocument) -> str:
     )
 
 
+def floor_in_words(document: GapDocument) -> str:
+    """Name of what the errors are compared with: a learned noise floor, or a spectrum in its place.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    """
+    return "noise floor" if document.noise_floor.learned else "residual's own spectrum"
+
+
 def refusals_in_words(document: GapDocument) -> list[str]:
     """One sentence for each effect or value that was refused."""
     result = []
@@ -99,7 +110,8 @@ def gap_in_words(document: GapDocument) -> str:
     if document.verdict in ("reduced", "not in the catalogue"):
         lines.append("remaining gap: " + document.remaining.sentence)
     part = "held_out" if "held_out" in document.before else "fitted"
-    lines.append(f"{part.replace('_', '-')} trials, in noise floors, before and after:")
+    size = "in noise floors" if document.noise_floor.learned else "per residual's own spectrum"
+    lines.append(f"{part.replace('_', '-')} trials, {size}, before and after:")
     for signal, before in document.before[part].items():
         after = document.after[part].get(signal, before)
         lines.append(f"  {signal:14s}{_floors(before.floors)}{_floors(after.floors)}")

@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.link_change import link_change
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
@@ -67,9 +69,9 @@ class EffectSearch:
         report: ReportProgress = lambda text: None,
     ) -> None:
         self.estimator = self.first = estimator
-        self.settings = estimator.settings
-        self.null_distribution = null_distribution_of(estimator.residuals.plant, self.settings)
-        self.report = report
+        self.settings, self.report = estimator.settings, report
+        self.unchanged_null = null_distribution_of(estimator.residuals.plant, self.settings)
+        self.null_distribution = self.unchanged_null
         self.fit_parameters = estimator.residuals.fit_parameters
         self.base = np.array([q.kind != "effect" for q in self.fit_parameters])
         self.of = {
@@ -144,9 +146,7 @@ class EffectSearch:
 
     def free(self, effects: Sequence[str]) -> Array:
         """Fit parameters that are fitted when these effects are named, ndarray of bool."""
-        free = self.base.copy()
-        for effect in effects:
-            free |= self.of[effect]
+        free = np.logical_or.reduce([self.base, *(self.of[effect] for effect in effects)])
         return np.asarray(free & ~self.held)
 
     def _screen(
@@ -221,17 +221,16 @@ class EffectSearch:
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
     ) -> Candidate | None:
         """Best candidate that passes; without a learned floor that of the least held-out error."""
-        if not refitted:
-            return None
         passed: list[tuple[float, Candidate]] = []
-        least_score = self.settings.acceptable_score_fraction * refitted[0].score
+        best = refitted[0].score if refitted else 0.0
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
             if further:  # held-out errors alone let small effects in that fit one fold
                 enough = candidate.separation >= candidate.least
             else:
-                enough = candidate.score >= least_score and self._stands_out(candidate, here, found)
+                enough = candidate.score >= self.settings.acceptable_score_fraction * best
+                enough = enough and self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
             if not enough:
                 continue
@@ -275,8 +274,8 @@ class EffectSearch:
 
     def _consistent(self, candidate: Candidate, free: Array) -> bool:
         """Whether each strength of a candidate is the same everywhere."""
-        own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
         fit = self.estimator, candidate.point, free
+        own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
         return all(strength_consistency_of(*fit, *row).holds for row in own)
 
     def _missed(self, chosen: Candidate) -> float:
@@ -306,21 +305,23 @@ class EffectSearch:
         if len(found.named) + 2 > self.settings.most_named:
             return None
         predicted = []
-        for pair in itertools.combinations([e for e in self.of if e not in found.named], 2):
+        for pair in itertools.combinations((e for e in self.of if e not in found.named), 2):
             step, gain = self.estimator.step(here, self.free([*found.named, *pair]))
             predicted.append((gain, pair, step))
         predicted.sort(key=lambda row: -row[0])
         refitted = []
         for _, pair, step in predicted[: self.settings.refitted_pairs]:
-            point = self.estimator.search(here, step) or here
-            candidate = self._candidate(pair, point, here)
+            candidate = self._candidate(pair, self.estimator.search(here, step) or here, here)
             refitted.append(self._refit(candidate, here, found))
         refitted.sort(key=lambda c: c.score, reverse=True)
         return self._accept(refitted, here, found)
 
     def _widen(self, point: FitPoint) -> None:
-        """Allow for an error of a fraction of the gap that a fit of the nuisance leaves."""
+        """Allow for a fraction of the gap that is left, and for the change of the link."""
         residuals = self.estimator.residuals
+        change = link_change(self.fit_parameters, point.values)
+        self.first = GaussNewton(residuals, replace(self.first.floor, link_change=change))
+        self.null_distribution = self.unchanged_null.for_link_change(change)
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
         floor = self.first.floor.widened(residuals.groups, residuals.trials, gap, self.settings)
         self.estimator = GaussNewton(residuals, floor)

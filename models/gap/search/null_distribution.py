@@ -1,8 +1,9 @@
 """Null distribution: d′ of each effect where nothing is missing.
 
-The plant's own error resembles some effects more than others. How much was measured on rigs without
-any hidden effect, their nuisance drawn anew: `null_distribution.json`, written by
-`python -m bench.gap.calibrate`. An effect is named only beyond that.
+The plant's own error resembles some effects more than others, and it grows with the change of the
+link since the plant was identified. How much was measured on rigs without any hidden effect, their
+link changed: `null_distribution.json`, written by `python -m bench.gap.calibrate`. An effect is
+named only beyond that.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 
@@ -33,13 +33,31 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     explained : float
         Mean squared residual, in noise floors, up to which nothing counts as left.
     standard_deviation : dict of str to float
-        Root mean square of d′ by effect, at least 1; 1 for effects that are not listed.
+        Root mean square of d′ by effect on a link that changed by one, at least 1; 1 for effects
+        that are not listed.
     """
 
     sets: int = 0
     threshold: float
     explained: float
     standard_deviation: dict[str, float] = {}
+
+    def for_link_change(self, change: float) -> NullDistribution:
+        """Distribution for a link that changed by another amount.
+
+        Parameters
+        ----------
+        change : float
+            Relative to the links that it was measured on
+            (`models.gap.estimation.link_change`).
+        """
+        return msgspec.structs.replace(
+            self,
+            standard_deviation={
+                e: float(np.sqrt(1 + change**2 * (s**2 - 1)))
+                for e, s in self.standard_deviation.items()
+            },
+        )
 
     def least(self, effects: Sequence[str]) -> float:
         """Least d′ that effects must reach together.
@@ -79,9 +97,13 @@ def null_distribution_of(
 def calibrated_null_distribution(
     separations: Sequence[Mapping[str, float]],
     left: Sequence[float],
+    changes: Sequence[float],
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NullDistribution:
     """Null distribution from data sets without an effect.
+
+    d′ counts in roots of the residual, as in the search. The largest of each effect is left out:
+    one rig that no plant describes would set the size for all effects.
 
     Parameters
     ----------
@@ -89,24 +111,25 @@ def calibrated_null_distribution(
         d′ by effect on each data set.
     left : sequence of float
         Mean squared residual of each, in noise floors.
+    changes : sequence of float
+        Change of the link in each.
     settings : GapSettings
         Tuned numbers.
     """
     effects = sorted({e for row in separations for e in row})
-    deviation = {
-        e: max(1.0, float(np.sqrt(np.mean([row.get(e, 0.0) ** 2 for row in separations]))))
-        for e in effects
-    }
-    largest = [max(d / deviation[e] for e, d in row.items()) for row in separations]
-    quantile = float(np.quantile(largest, settings.null_quantile, method="higher"))
-    limit = _limit(np.log(left), settings.residual_limit_log_sd)
+    size = np.sqrt(np.maximum(left, 1.0))
+    change = np.array(changes)
+    deviation = {}
+    for effect in effects:
+        own = np.array([row.get(effect, 0.0) for row in separations]) / size
+        kept = np.argsort(own / np.hypot(1.0, change))[:-1] if len(own) > 1 else slice(None)
+        beyond = max(float(np.mean(own[kept] ** 2 - 1)), 0.0)
+        deviation[effect] = float(np.sqrt(1 + beyond / np.mean(change[kept] ** 2)))
     return NullDistribution(
         sets=len(separations),
-        threshold=round(max(settings.least_threshold, quantile), 3),
-        explained=round(max(settings.least_residual_limit, limit), 3),
+        threshold=settings.least_threshold,
+        explained=round(
+            max(settings.least_residual_limit, float(np.quantile(left, settings.null_quantile))), 3
+        ),
         standard_deviation={e: round(s, 3) for e, s in deviation.items()},
     )
-
-
-def _limit(logarithms: Array, deviations: float) -> float:
-    return float(np.exp(np.mean(logarithms) + deviations * np.std(logarithms)))

@@ -39,6 +39,8 @@ class Hypothesis:
         None where nothing is missing.
     probability : float
         Posterior.
+    gain, least : float
+        Fall of twice the cost from the fit of the nuisance alone, and what it must reach.
     values : ndarray, shape (p,)
         All fit parameters where they were fitted.
     free : ndarray of bool, shape (p,)
@@ -47,6 +49,8 @@ class Hypothesis:
 
     effects: tuple[str, ...]
     probability: float
+    gain: float
+    least: float
     values: Array
     free: Array
 
@@ -64,22 +68,21 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
     fits = dict(result.explored)
     if search.learned or not fits:
         fits[frozenset()] = result.before
-    worst = max(point.cost for point in fits.values())
+    sets = [tuple(sorted(effects)) for effects in fits]
+    cost = np.array([point.cost for point in fits.values()])
+    nothing = fits[frozenset()].cost if frozenset() in fits else float(cost.max())
+    gain = 2 * (nothing - cost)
     null = search.null_distribution
-    score = np.array(
-        [2 * (worst - p.cost) - (null.least(sorted(e)) ** 2 if e else 0) for e, p in fits.items()]
-    )
-    nothing = 2 * (worst - fits[frozenset()].cost) if frozenset() in fits else score.min()
-    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()) - nothing, 0.0)
+    least = np.array([null.least(effects) ** 2 if effects else 0.0 for effects in sets])
+    score = gain - least
+    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
     weight = np.exp((score - score.max()) / (2 * temperature))
     probability = weight / weight.sum()
-    order = np.argsort(-probability, kind="stable")
-    sets = list(fits)
     return tuple(
         Hypothesis(
-            tuple(sorted(sets[k])), float(probability[k]), fits[sets[k]].values,
-            search.free(sorted(sets[k])),
+            sets[k], float(probability[k]), float(gain[k]), float(least[k]),
+            fits[frozenset(sets[k])].values, search.free(sets[k]),
         )
-        for k in order
+        for k in np.argsort(-probability, kind="stable")
         if probability[k] >= LEAST_PROBABILITY
     )  # fmt: skip

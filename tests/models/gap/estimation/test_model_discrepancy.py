@@ -1,11 +1,10 @@
 """Patterns of the plant's own error: found in noise, whitened away, absent where not measured."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from models.gap.estimation import gauss_newton
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import (
     ModelDiscrepancy,
@@ -76,23 +75,21 @@ class Still:
         return spectra
 
 
-def test_what_could_be_a_pattern_counts_less_and_all_else_as_before(trials, group, monkeypatch):
+def test_what_could_be_a_pattern_counts_less_and_all_else_as_before(trials, group):
     rng = np.random.default_rng(1)
     patterns, _ = planted(rng)
     table = (10 * patterns[:1]).reshape(1, 2, 1, SIZE)
     known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), table)
     hz = np.array([0.0, 1e3])
-    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)})
+    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, repeats=0.25)
     problem = Still(read_plant(), trials, [group])
-    monkeypatch.setattr(gauss_newton, "discrepancy_of", lambda plant: None)
     plain = GaussNewton(problem, floor)
-    monkeypatch.setattr(gauss_newton, "discrepancy_of", lambda plant: known)
-    aware = GaussNewton(problem, floor)
-    pattern = known.rows(group, trials)[0]
+    aware = GaussNewton(problem, replace(floor, patterns=known))
+    pattern = 2 * known.rows(group, trials)[0]  # the plant's own error is the root of 1 / repeats
     elsewhere = rng.standard_normal(pattern.shape)
     elsewhere -= pattern * np.sum(pattern * elsewhere) / np.sum(pattern**2)
     size = np.sum(plain.whitened([pattern])[0] ** 2)
-    assert size == pytest.approx(200.0, rel=1e-6)  # two repetitions of a pattern of length 10
+    assert size == pytest.approx(800.0, rel=1e-6)  # two repetitions of a pattern of length 20
     assert np.sum(aware.whitened([pattern])[0] ** 2) == pytest.approx(size / (1 + size))
     assert np.allclose(aware.whitened([elsewhere])[0], plain.whitened([elsewhere])[0])
 
@@ -107,7 +104,7 @@ def test_other_loads_have_none_and_the_links_file_holds_the_studys_motion():
 def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
     rng = np.random.default_rng(2)
     rows = [{"quiet": abs(q), "loud": 6 * abs(s)} for q, s in rng.standard_normal((400, 2))]
-    null = calibrated_null_distribution(rows, [1.0] * 400)
+    null = calibrated_null_distribution(rows, [1.0] * 400, [1.0] * 400)
     assert null.standard_deviation["quiet"] == pytest.approx(1.0, abs=0.1)
     assert null.standard_deviation["loud"] == pytest.approx(6.0, rel=0.1)
     least = DEFAULT_SETTINGS.least_threshold
@@ -118,3 +115,27 @@ def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
     )
     passed = sum(any(d > null.least([e]) for e, d in row.items()) for row in rows)
     assert passed <= 0.02 * len(rows)
+
+
+def test_the_least_separation_shrinks_on_a_link_that_did_not_change():
+    rng = np.random.default_rng(3)
+    changes = rng.uniform(0.3, 2.0, 400)
+    rows = [
+        {"loud": abs(np.hypot(5 * c, 1.0) * s)}
+        for c, s in zip(changes, rng.standard_normal(400), strict=True)
+    ]
+    null = calibrated_null_distribution(rows, [1.0] * 400, changes.tolist())
+    assert null.standard_deviation["loud"] == pytest.approx(np.hypot(5.0, 1.0), rel=0.1)
+    for change in (0.0, 0.5, 2.0):
+        least = null.for_link_change(change).least(["loud"])
+        assert least == pytest.approx(null.threshold * np.hypot(5 * change, 1.0), rel=0.1)
+
+
+def test_patterns_grow_with_the_change_of_the_link(trials, group):
+    patterns, _ = planted(np.random.default_rng(4))
+    known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), patterns[:1].reshape(1, 2, 1, SIZE))
+    hz = np.array([0.0, 1e3])
+    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, patterns=known)
+    for change in (0.3, 1.0, 2.0):
+        rows = replace(floor, link_change=change).pattern_rows(group, trials)
+        assert np.allclose(rows, change * floor.pattern_rows(group, trials))

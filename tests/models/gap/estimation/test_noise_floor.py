@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.gap.estimation import noise_floor
+from models.gap.estimation import measured_floor, noise_floor
 from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import (
@@ -54,7 +54,7 @@ def trials(make_trial):
 def test_whitened_noise_has_unit_variance_however_slow_it_is(trials, pole):
     rng = np.random.default_rng(3)
     group = group_of(trials)
-    floor = noise_floor.floor_from_residuals([group], trials, [spectra(ar_noise(rng, 8, pole))])
+    floor = measured_floor.floor_from_residuals([group], trials, [spectra(ar_noise(rng, 8, pole))])
     fresh = replace(floor, curves={}, model={"x": np.zeros_like(floor.noise["x"])})
     whitener = fresh.whitener(group, trials)
     white = np.einsum("skij,jsk->isk", whitener, spectra(ar_noise(rng, 8, pole)))
@@ -65,7 +65,7 @@ def test_an_error_that_repeats_is_found_as_the_models(trials):
     rng = np.random.default_rng(4)
     group = group_of(trials)
     error = 3.0 * np.sin(2 * np.pi * 1.0 * STEP_S * np.arange(COUNT))
-    floor = noise_floor.floor_from_residuals(
+    floor = measured_floor.floor_from_residuals(
         [group], trials, [spectra(ar_noise(rng, 8, 0.0) + error)]
     )
     assert np.max(floor.model["x"]) > 20 * np.max(floor.noise["x"])

@@ -1,0 +1,107 @@
+"""Noise floor measured on residuals of trials without a gap, or guessed before any are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz, smoothed
+from models.gap.residuals.residuals import TrialGroup
+from models.gap.residuals.spectrum import Array
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.trials.trial import Trial
+
+
+def flat_floor(
+    signals: Sequence[str],
+    scale: Mapping[str, float],
+    settings: GapSettings = DEFAULT_SETTINGS,
+) -> NoiseFloor:
+    """Flat floor of the given errors, for a first fit.
+
+    Parameters
+    ----------
+    signals : sequence of str
+        Their names.
+    scale : mapping of str to float
+        Error to expect of each, in its unit.
+    settings : GapSettings
+        Tuned numbers: how many samples count as one.
+    """
+    hz = np.array([0.0, 1e3])
+    count = settings.samples_per_independent_sample
+    noise = {s: np.full(2, count * scale[s] ** 2) for s in signals}
+    return NoiseFloor(hz, noise, {s: np.zeros(2) for s in signals}, learned=False)
+
+
+def floor_of_residual(
+    groups: Sequence[TrialGroup],
+    trials: Sequence[Trial],
+    rows: Sequence[Array],
+    settings: GapSettings = DEFAULT_SETTINGS,
+) -> NoiseFloor:
+    """Floor that is the smoothed spectrum of a residual; parameters as `floor_from_residuals`."""
+    return floor_from_residuals(groups, trials, rows, settings, repeated=False)
+
+
+def floor_from_residuals(
+    groups: Sequence[TrialGroup],
+    trials: Sequence[Trial],
+    rows: Sequence[Array],
+    settings: GapSettings = DEFAULT_SETTINGS,
+    repeated: bool = True,
+) -> NoiseFloor:
+    """Floor from residuals of data without a gap.
+
+    Parameters
+    ----------
+    groups, trials : sequence
+        Of the residuals.
+    rows : list of ndarray, shape (trials, signals, K)
+        Residual spectra by group, variation between trials taken out.
+    settings : GapSettings
+        Tuned numbers.
+    repeated : bool
+        Whether to tell noise from the model's error by repetitions; without any, all is noise.
+    """
+    hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
+    signals = list(dict.fromkeys(s for g in groups for s in g.signals))
+    noise: dict[str, list[Array]] = {s: [] for s in signals}
+    model: dict[str, list[Array]] = {s: [] for s in signals}
+    curves: dict[str, dict[float, dict[str, Array]]] = {}
+    rest_s: dict[str, float] = {}
+    repeats = []
+    for group, residual in zip(groups, rows, strict=True):
+        own = group_frequencies_hz(group, trials)
+        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
+        parts = [residual[payloads == p] for p in np.unique(payloads)]
+        within = [np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts if len(p) > 1]
+        freedom = sum(len(p) - 1 for p in parts)
+        split = repeated and freedom > 0
+        for b, signal in enumerate(group.signals):
+            if split:
+                varying = smoothed(sum(w[b] for w in within) / freedom, settings)
+            else:
+                varying = smoothed(np.mean(residual[:, b] ** 2, axis=0), settings)
+            mean_power = np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0)
+            count = len(group.trials) / len(parts)
+            repeats.append(count)
+            standing = np.maximum(smoothed(mean_power, settings) - varying / count, 0.0)
+            noise[signal].append(np.interp(hz, own, varying))
+            model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
+        if split:
+            first = trials[group.trials[0]]
+            rest_s.setdefault(group.key, first.meta.rest_samples * first.step_s)
+            for p, part in zip(np.unique(payloads), parts, strict=True):
+                own_curves = curves.setdefault(group.key, {}).setdefault(float(p), {})
+                for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
+                    own_curves.setdefault(s, curve)
+    return NoiseFloor(
+        hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated,
+        rest_s=rest_s,
+    )  # fmt: skip
+
+
+def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
+    return {signal: np.mean(rows, axis=0) for signal, rows in table.items()}

@@ -1,0 +1,107 @@
+"""Rigs drawn at random: structure and values.
+
+What a simulation believes of a robot is wrong in form and in numbers. Rigs of drawn form stand for
+that: numbers of the gap workflow are set on them. Forms that only rigs for testing have are never
+drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges, the rod.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.rig_structure import RigStructure
+
+__all__ = ["draw_rig", "rig_named"]
+
+PREFIX: Final = "drawn_"
+"""Beginning of the name of a drawn rig; its number follows."""
+
+SEED: Final = 9000
+"""Of the drawn rigs that have names."""
+
+FORMS: Final[dict[str, tuple[str | int, ...]]] = {
+    "hinges": (6, 8, 10, 13),
+    "limit": ("tanh", "wrinkling"),
+    "hysteresis": ("bouc_wen", "maxwell_slip"),
+    "creep": ("branches", "power_law"),
+    "friction": ("lugre", "smooth"),
+    "play": ("gear", "markers"),
+    "goal": ("held", "interpolated", "profile"),
+    "current_sampling": ("tick", "phase", "mean"),
+    "mocap_filter": ("none", "zero_phase"),
+}
+"""Forms that are drawn, by choice of `RigStructure`."""
+
+LOG_DEVIATION: Final = {
+    "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
+    "stiffness.root_limit_nm": 0.2, "stiffness.span_limit_nm": 0.2, "stiffness.damping_s": 0.3,
+    "link.mass_kg": 0.15, "link.tip_mass_kg": 0.15,
+    "memory.relaxing_share": 0.3, "memory.relaxation_1_s": 0.4, "memory.relaxation_2_s": 0.4,
+    "memory.power_exponent": 0.2, "memory.hysteresis_share": 0.3, "memory.root_yield_rad": 0.3,
+    "memory.span_yield_rad": 0.3,
+    "servo.coulomb_friction_nm": 0.2, "servo.viscous_friction_nm_s_rad": 0.3,
+    "servo.load_friction_share": 0.2, "servo.position_gain_per_s": 0.15,
+    "servo.inertia_kg_m2": 0.1, "servo.smooth_rate_rad_s": 0.4, "servo.backlash_rad": 0.3,
+    "sensor.mocap_cutoff_hz": 0.2,
+}  # fmt: skip
+"""Standard deviation of the logarithm of a value [assumed: makes of one kind of link and servo]."""
+
+
+def draw_rig(rng: np.random.Generator) -> RigParameters:
+    """Draw a rig.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of the draw.
+
+    Examples
+    --------
+    >>> draw_rig(np.random.default_rng(0)).structure.engine
+    'mujoco'
+    """
+    rig = read_rig("default")
+    values = {
+        n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
+    }
+    values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
+    values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
+    values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
+    return replace(rig.changed(**values), structure=_draw_structure(rng))
+
+
+def rig_named(name: str) -> RigParameters:
+    """Rig by name, drawn ones included.
+
+    Parameters
+    ----------
+    name : str
+        As for `models.rig.rig_parameters.read_rig`, or `drawn_K`, the K-th drawn rig.
+
+    Raises
+    ------
+    InputError
+        If the number is none, or as `read_rig`.
+
+    Examples
+    --------
+    >>> rig_named("drawn_3").structure == rig_named("drawn_4").structure
+    False
+    """
+    if not name.startswith(PREFIX):
+        return read_rig(name)
+    number = name.removeprefix(PREFIX)
+    if not number.isdecimal():
+        raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
+    return draw_rig(np.random.default_rng([SEED, int(number)]))
+
+
+def _draw_structure(rng: np.random.Generator) -> RigStructure:
+    drawn = {name: forms[int(rng.integers(len(forms)))] for name, forms in FORMS.items()}
+    return msgspec.convert(drawn, RigStructure)
