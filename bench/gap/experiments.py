@@ -58,7 +58,7 @@ PAIRS: Final = (
 declared look-alikes by diagnoses of three trials of the study's motion [chosen before any run]."""
 FIT_STEPS: Final = 8
 PAYLOAD_KG: Final = 1.0
-PAYLOADS_KG: Final = (0.0, 2.0)
+PAYLOADS_KG: Final = (0.0, 1.0)
 LEAST_RATIO: Final = 3.0
 LEAST_FRACTION: Final = 0.9
 

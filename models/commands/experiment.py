@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add(
         "--payloads", type=float, nargs="+", default=[], metavar="KG",
-        help="payloads to choose from (lightest and heaviest of the trials)",
+        help="payloads to choose from (lightest and middle of the trials)",
     )  # fmt: skip
     add("--seed", type=int, default=0, help="of the random starts, and of the rig (0)")
     add("--repeat", action="store_true", help="run the motion on a rig and diagnose again")

@@ -118,7 +118,7 @@ def design_experiment(
     seconds : float
         Duration of the motion.
     payloads_kg : sequence of float
-        To choose from; by default the lightest and the heaviest of the trials.
+        To choose from; by default those of `default_payloads_kg`.
     seed : int
         Of the random starts.
     report : callable
@@ -141,8 +141,7 @@ def design_experiment(
         raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
     model = SeparationModel(plant, trials.trials, rivals, settings)
     report("trials at hand judged")
-    known = {t.meta.payload_kg for t in trials}
-    payloads = tuple(payloads_kg) or tuple(sorted({min(known), max(known)}))
+    payloads = tuple(payloads_kg) or default_payloads_kg(trials)
     fixed = _fixed_motions(
         model, limits, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials}
     )
@@ -152,6 +151,21 @@ def design_experiment(
     rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
     check_motion(rows, limits, PERIOD_S, "the designed motion")
     return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits)
+
+
+def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
+    """Lightest and middle payload of the trials.
+
+    On a new motion the plant's own error grows with payload. Measured on the rig with nothing
+    hidden, a designed motion of up to 1 Hz, tip: 1.7 noise floors with 1 kg, 7.6 with 2 kg.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        At hand.
+    """
+    known = sorted({t.meta.payload_kg for t in trials})
+    return tuple(sorted({known[0], known[len(known) // 2]}))
 
 
 def _fixed_motions(

@@ -8,6 +8,7 @@ import numpy as np
 
 from firmware_py.motion import Motion
 from models.gap.experiment.experiment import Experiment
+from models.gap.experiment.rival import Rival
 from models.shared.html_page import render_page
 from models.shared.page_parts import Cell, Figure, LegendEntry, Paragraph, Part, Section, Table
 from models.shared.palette import AFTER, BEFORE, MUTED
@@ -41,6 +42,10 @@ def write_experiment_page(found: Experiment, path: Path) -> Path:
     ]
     path.write_text(render_page("The next experiment", lead, sections), encoding="utf-8")
     return path
+
+
+def _words(rival: Rival) -> str:
+    return rival.label.replace("_", " ")
 
 
 def _goals(found: Experiment) -> Figure:
@@ -98,7 +103,7 @@ def _table(found: Experiment) -> Table:
         a, b = (found.rivals[i] for i in found.pairs[k])
         fixed = f"{best.pairs[k].separation:.1f}" if best else ""
         rows.append(
-            [a.label, f"{a.probability:.2f}", b.label, f"{b.probability:.2f}",
+            [_words(a), f"{a.probability:.2f}", _words(b), f"{b.probability:.2f}",
              f"{own.before:.1f}", fixed, f"{own.separation:.1f}"]
         )  # fmt: skip
     head = ["hypothesis", "probability", "or", "probability", "d′ now", "fixed motion", "designed"]
