@@ -47,7 +47,7 @@ help:
 	@echo "make gap-demo HIDE=$(HIDE)"
 	@echo "                hides an effect in the rig, finds it and adds it to the plant, rebuilds"
 	@echo "                FMU and bundle, runs the robot's loop again; prints the report's path"
-	@echo "make experiment-demo HIDE=prebend=0.02"
+	@echo "make experiment-demo HIDE=encoder_offset=0.02"
 	@echo "                hides an effect that has look-alikes, designs the motion that separates"
 	@echo "                them, runs it on the rig, diagnoses again"
 	@echo "make test       lint, types, import contracts and all tests"
@@ -299,7 +299,7 @@ $(GAP)/figures.json: $(GAP)/report.html
 	$(BIN)/python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --json > $@
 
 # Diagnose, design, run, diagnose again: one payload more or less does not tell these effects apart.
-experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),prebend=0.02)
+experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),encoder_offset=0.02)
 experiment-demo: build/plant.json
 	$(call run,python -m models simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 	$(call judge,python -m models gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
