@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from bench.gap.cases import BenchCase
 from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.motion import Kind, Motion
 from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
@@ -31,8 +31,9 @@ from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
-SEALED_KG = 1.0
-SEALED_CONDITIONS = {"motion": ("multisine", SEALED_KG), "payload": ("sinusoid", 1.5)}
+SEALED_CONDITIONS: Final[dict[str, tuple[Kind, float]]] = {
+    "motion": ("multisine", 1.0), "payload": ("sinusoid", 1.5),
+}  # fmt: skip
 """Motion and payload of the trials that judge the improved plant in SI units."""
 HANGING_RAD = 0.1
 DELAY_OF = {"dead_time": "goal_delay_1_s"}
@@ -71,6 +72,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     found = diagnose(plant, trials, leave_out=leave_out)
     wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - cpu_s
     known = found.improved.parameters
+    sealed = sealed_trials(rig.hide(case.hidden), case.seed) if found.named else {}
     return {
         "verdict": found.verdict,
         "named": list(found.named),
@@ -94,8 +96,8 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             ]
             for effect in found.named
         },
-        "sealed": sealed_errors(rig, case, [plant, found.improved]) if found.named else None,
-        "sealed_rms": sealed_rms(rig, case, plant, found.improved) if found.named else {},
+        "sealed": sealed_errors(rig, case, sealed, [plant, found.improved]),
+        "sealed_rms": sealed_rms(sealed, plant, found.improved),
         "unsaid_bounds": unsaid_bounds(found),
         "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
         "strength_consistency": {
@@ -158,25 +160,50 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     return hidden if known else hidden + rig[rig.effects()[effect]]
 
 
-def sealed_errors(
-    rig: RigParameters, case: BenchCase, plants: Sequence[Plant]
-) -> list[float] | None:
-    """Errors on another motion, that of the first plant with nothing hidden; None if it folds.
+def sealed_trials(rig: RigParameters, seed: int) -> dict[str, Trial]:
+    """Trials of another motion and of another payload; without those on which the link folds.
 
     Parameters
     ----------
     rig : RigParameters
+        With the hidden effects.
+    seed : int
         Of the case.
+    """
+    result = {}
+    for what, (motion, payload_kg) in SEALED_CONDITIONS.items():
+        try:
+            result[what] = run_case(rig, TrialCase(Motion(motion), payload_kg, 3, seed))
+        except InputError:  # the link folds
+            continue
+    return result
+
+
+def sealed_errors(
+    rig: RigParameters, case: BenchCase, sealed: Mapping[str, Trial], plants: Sequence[Plant]
+) -> list[float] | None:
+    """Errors on another motion, that of the first plant with nothing hidden; None without it.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Of the case, without the hidden effects.
     case : BenchCase
         With the hidden effects.
+    sealed : mapping of str to Trial
+        As `sealed_trials`.
     plants : sequence of Plant
         To simulate with; the first is the one as given.
     """
+    if "motion" not in sealed:
+        return None
+    motion, payload_kg = SEALED_CONDITIONS["motion"]
     try:
-        hidden, plain = _sealed(rig.hide(case.hidden), case.seed), _sealed(rig, case.seed)
+        plain = run_case(rig, TrialCase(Motion(motion), payload_kg, 3, case.seed))
     except InputError:
         return None
-    return [sealed_error(p, hidden) for p in plants] + [sealed_error(plants[0], plain)]
+    errors = [sealed_error(plant, sealed["motion"]) for plant in plants]
+    return [*errors, sealed_error(plants[0], plain)]
 
 
 def sealed_error(plant: Plant, trial: Trial) -> float:
@@ -199,27 +226,19 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
 
 
 def sealed_rms(
-    rig: RigParameters, case: BenchCase, given: Plant, improved: Plant
+    sealed: Mapping[str, Trial], given: Plant, improved: Plant
 ) -> dict[str, dict[str, list[float]]]:
     """Root mean square errors of both plants in SI units: trial → signal → [given, improved].
 
-    The trials are one of another motion and one of another payload, with the hidden effects.
-
     Parameters
     ----------
-    rig : RigParameters
-        Of the case.
-    case : BenchCase
-        With the hidden effects.
+    sealed : mapping of str to Trial
+        As `sealed_trials`.
     given, improved : Plant
         Before and after the diagnosis.
     """
-    hidden, result = rig.hide(case.hidden), {}
-    for what, (motion, payload_kg) in SEALED_CONDITIONS.items():
-        try:
-            trial = run_case(hidden, TrialCase(Motion(motion), payload_kg, 3, case.seed))
-        except InputError:  # the link folds
-            continue
+    result = {}
+    for what, trial in sealed.items():
         before, after = (compare_with_trials(p, [trial])[0] for p in (given, improved))
         result[what] = {s: [_rms(before.error(s)), _rms(after.error(s))] for s in before.simulated}
     return result
@@ -299,7 +318,3 @@ def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
         if off_rad > HANGING_RAD:
             raise InputError(trial.name, f"starts {off_rad:.2f} rad off its goal", "use less load")
     return trials
-
-
-def _sealed(rig: RigParameters, seed: int) -> Trial:
-    return run_case(rig, TrialCase(Motion("multisine"), SEALED_KG, 3, seed))
