@@ -6,8 +6,10 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
 1. No fitted value is at a bound, and no sum is impossible (`models.plant.physical_limits`). A
    strength that is takes its effect along; any other value is put back to that of the plant as
    given.
-2. Every named effect lowers the held-out error.
-3. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
+2. The strength of every effect after the first is the same everywhere: such an effect corrects the
+   equation of the first, and does not make that a stand-in.
+3. Every named effect lowers the held-out error.
+4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
    as given.
 
 What fails is taken out, the rest is fitted again and tested again, down to the plant as given. The
@@ -24,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.gap_verdict import consistencies_of_named
 from models.gap.improved_plant import written_values
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
@@ -79,7 +82,7 @@ class Acceptance:
     def accepted(self) -> AcceptedFit:
         """Best fit that passes."""
         while self.result.named:
-            if self._refuses_values():
+            if self._refuses_values() or self._refuses_inconsistent():
                 continue
             fits = sorted((self._as_fitted(), self._nuisance_undone()), key=self._fraction)
             failing = [self._failing(fit) for fit in fits]
@@ -171,6 +174,27 @@ class Acceptance:
             free = self.search.free(self.result.named)
             self.result.after = self._refitted(point.values, free)
         return True
+
+    def _refuses_inconsistent(self) -> bool:
+        """Whether a further effect was refused for its strength, and the rest refitted."""
+        if len(self.result.named) < 2 or not self.search.learned:
+            return False
+        consistency = consistencies_of_named(self.search, self.result)
+        first = self.result.named[0].replace("_", " ")
+        for effect in reversed(self.result.named[1:]):
+            if effect in consistency and not consistency[effect].holds:
+                differs = consistency[effect].standard_deviation
+                self.result.refused.append(
+                    RefusedEffect(
+                        effect=effect, kind="inconsistent", name="", value=differs, limit=0.0,
+                        unit="1",
+                        reason=f"beside {first} its strength would have to differ by {differs:.0%} "
+                        "between payloads, signals and frequencies",
+                    )
+                )  # fmt: skip
+                self._take_out([effect])
+                return True
+        return False
 
     def _failing(self, fit: AcceptedFit) -> list[RefusedEffect]:
         """Effects that do not lower the held-out error, and signals whose error rises too much."""

@@ -48,8 +48,9 @@ def gap_verdict(
 
     A named effect is a stand-in where its strength would have to differ from one payload, signal or
     band to the next, where most of the gap is left, or where the gap went into the variation
-    between trials. Without a learned noise floor nobody knows what noise is: then neither "no gap"
-    nor "closed" nor "reduced" can be said, and the verdict is "no floor".
+    between trials. What is left does not count where a named effect takes out of that variation
+    what had gone into it. Without a learned noise floor nobody knows what noise is: then neither
+    "no gap" nor "closed" nor "reduced" can be said, and the verdict is "no floor".
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ def gap_verdict(
     )
     left = float(np.sqrt(after / before)) if before > 0 else 0.0
     biased = bool(search.nuisance_bias(result.after))
+    relieved = bool(search.nuisance_bias(result.before)) and not biased
     if not result.named:
         gap = biased or search.has_gap(result.before)
         if gap:
@@ -75,9 +77,11 @@ def gap_verdict(
     clearly = residual_after > (1 + settings.unusual_residual) / 2
     unclosed = residual_before > settings.unusual_residual
     unclosed = unclosed and left > settings.gap_left_limit_fraction
-    if len(result.named) > 1:
+    several = len(result.named) > 1 or any(r.kind == "inconsistent" for r in result.refused)
+    if several:
         unclosed = left > settings.gap_left_limit_fraction_of_several
-    if biased or (clearly and unclosed) or not all(c.holds for c in consistencies.values()):
+    differing = not all(c.holds for c in consistencies.values())
+    if biased or differing or (clearly and unclosed and not relieved):
         return "not in the catalogue", left
     if not search.learned:
         return "no floor", left

@@ -124,7 +124,9 @@ def impossible_values(
     return found
 
 
-RefusalKind = Literal["at a bound", "impossible", "held-out error", "rise of a signal", "stand-in"]
+RefusalKind = Literal[
+    "at a bound", "impossible", "inconsistent", "held-out error", "rise of a signal", "stand-in"
+]
 """A value ended at a bound; a sum that no real body has; the effect does not lower the held-out
 error; some signal's held-out error would rise by more than `GapSettings.harm_fraction`; the effect
 stands in for one that the catalogue lacks, and was tested on one motion alone."""
