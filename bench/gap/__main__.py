@@ -26,6 +26,8 @@ from bench.gap.rig_plants import plant_of_rig
 from bench.gap.rig_table import figures_by_rig, rig_table_text
 from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
 from firmware_py.console import Progress
+from firmware_py.errors import InputError
+from models.rig.drawn_rig import rig_named
 from models.rig.rig_structure import named_structures
 
 
@@ -91,6 +93,11 @@ def main() -> None:
     args = parser.parse_args()
     if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
         parser.error("give one of --plant, --rigs and --like")
+    for name in args.rigs:
+        try:
+            rig_named(name)
+        except InputError as error:
+            parser.error(str(error))
     run_benchmark(_cases(args), args.plant, args.out)
     figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)
     summary = args.out / "summary"

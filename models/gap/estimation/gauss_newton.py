@@ -66,11 +66,7 @@ class GaussNewton:
         self.residuals, self.floor, self.settings = residuals, floor, residuals.settings
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
-        self.basis, self.shrinkage, spread = self._patterns()
-        self.log_determinant = spread - sum(
-            float(np.sum(np.log(np.einsum("skii->ski", w)[w[..., 0, 0] > 0])))
-            for w in self.whiteners
-        )
+        self.basis, self.shrinkage = self._patterns()
         self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
         deviation = np.array([q.standard_deviation for q in residuals.fit_parameters])
         self.precision = np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
@@ -100,20 +96,20 @@ class GaussNewton:
             "identify it on trials of this robot, or check the conditions of the trials",
         )
 
-    def _patterns(self) -> tuple[Array, Array, float]:
-        """Orthonormal patterns of the plant's own error, what each loses by it, and log|I + PP'|/2.
+    def _patterns(self) -> tuple[Array, Array]:
+        """Orthonormal patterns of the plant's own error, and what each loses by it.
 
         With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
         """
         if self.floor.patterns is None:
-            return np.empty((0, 0)), np.empty(0), 0.0
+            return np.empty((0, 0)), np.empty(0)
         rows = [
             self.residuals.as_counted(g, self.floor.pattern_rows(g, self.residuals.trials))
             for g in self.residuals.groups
         ]
         scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
         basis, size, _ = np.linalg.svd(stacked(scaled), full_matrices=False)
-        return basis, 1 - 1 / np.sqrt(1 + size**2), float(np.sum(np.log1p(size**2))) / 2
+        return basis, 1 - 1 / np.sqrt(1 + size**2)
 
     def knowledge(self) -> dict[str, tuple[Knowledge, Knowledge]]:
         """How the plant's mean error and its patterns are known, by key of the group."""

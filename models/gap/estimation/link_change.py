@@ -1,9 +1,7 @@
 """Change of the link since the plant was identified, as the nuisance fit finds it.
 
 The plant's own error is known on the link that it was identified on: the mean error is subtracted.
-What is left grows with the change of stiffness and mass. Measured on 57 links of 19 drawn rigs
-(`python -m bench.gap.calibrate`): the mean square left in floors is 1.0 without a change, and 1.7
-where stiffness and mass changed by 10 %.
+What is left grows with the change of stiffness and mass (docs/decisions.md, "Gap workflow").
 """
 
 from __future__ import annotations
@@ -23,8 +21,8 @@ LEAST: Final = 0.3
 """Least change that counts: the fit finds it with an error of some per cent [assumed]."""
 
 MOST: Final = 1.0
-"""Largest that counts. A hidden effect can look like a change of the link: a stiffening one of 1.0
-moved the stiffness by several times what any link of the calibration did."""
+"""Largest that counts: that of the calibration. A hidden effect that stiffens or softens looks like
+a large change of the link, and would hide itself."""
 
 
 def link_change(fit_parameters: Sequence[FitParameter], values: Array) -> float:

@@ -170,23 +170,6 @@ class NoiseFloor:
                 table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
         return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
 
-    def with_own_error(self, scale: float) -> NoiseFloor:
-        """Floor whose plant errs more: by a multiple of the mean error that `identify` left.
-
-        Parameters
-        ----------
-        scale : float
-            Multiple of the amplitude.
-        """
-        return replace(
-            self,
-            model={
-                s: scale**2 * (model + self.noise[s] / self.repeats)
-                for s, model in self.model.items()
-            },
-            formulation={s: scale**2 * row for s, row in self.formulation.items()},
-        )
-
     def completed_by(self, other: NoiseFloor) -> NoiseFloor:
         """Floor with the spectra of another one for the signals that it lacks.
 

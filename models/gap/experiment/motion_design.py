@@ -22,9 +22,11 @@ from firmware_py.motion import Motion
 from firmware_py.motion_document import JointSeries, MotionDocument
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
+from models.gap.estimation.curve_transfer import STUDY_REST_S
 from models.gap.experiment.motion_twin import CoefficientTwin, planned_trial
 from models.gap.experiment.separation import PairSeparation, SeparationModel
 from models.gap.residuals.spectrum import Array
+from models.gap.settings import DEFAULT_SETTINGS
 from models.trials.trial import Trial
 
 FREQUENCIES_HZ: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -33,8 +35,8 @@ the link's first modes, 1.4 to 3.5 Hz (docs/sources.md, "The link"), where the p
 large. Measured: with up to 2.7 Hz a prebend of 0.02 was mistaken for a softening afterwards."""
 COEFFICIENT_DIGITS: Final = 6
 """Digits of a coefficient: 1 µrad is less than a servo resolves."""
-REST_SAMPLES: Final = 60
-"""Rows at rest before a planned motion: the rig's (`models.rig.study_protocol`)."""
+REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
+"""Rows at rest before a planned motion."""
 GOAL_MARGIN: Final = 0.97
 """Part of a limit of the goals that is used: the LP sees every third row [assumed]."""
 TWIN_MARGIN: Final = 0.85
@@ -56,8 +58,8 @@ RANDOM_STARTS: Final = 4
 """Random series among the starts [assumed]."""
 KEPT_STARTS: Final = 2
 """Starts that are optimised, best first [assumed]."""
-INSEPARABLE: Final = 3.0
-"""d′ below which a pair stays together (`GapSettings.indistinguishable_separation`)."""
+INSEPARABLE: Final = DEFAULT_SETTINGS.indistinguishable_separation
+"""d′ below which a pair stays together."""
 
 
 @dataclass(frozen=True)

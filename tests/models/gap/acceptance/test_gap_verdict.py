@@ -1,0 +1,101 @@
+"""Verdict and acceptance where a further effect is inconsistent, or a bias was taken out."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from models.gap import acceptance
+from models.gap.acceptance import Acceptance
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.gap_verdict import gap_verdict
+from models.gap.search.candidate import SearchResult
+from models.gap.search.refused_effect import RefusedEffect
+from models.gap.settings import DEFAULT_SETTINGS
+
+
+def point(mean_square):
+    """Fit whose whitened residual has a mean square."""
+    return FitPoint(np.zeros(1), 0.0, [np.full(100, np.sqrt(mean_square))])
+
+
+@dataclass
+class Search:
+    """What the verdict needs of a search."""
+
+    bias_before: dict = field(default_factory=dict)
+    settings = DEFAULT_SETTINGS
+    learned = True
+    first = SimpleNamespace(whitened=lambda rows: rows)
+
+    def nuisance_bias(self, fit):
+        return self.bias_before if fit.rows[0][0] > np.sqrt(2.0) else {}
+
+    def mean_residual(self, fit):
+        return float(np.mean(fit.rows[0] ** 2))
+
+    def has_gap(self, fit):
+        return self.mean_residual(fit) > 2.0
+
+
+def result(before, after, *named, refused=()):
+    return SearchResult(point(before), point(after), named=list(named), refused=list(refused))
+
+
+def inconsistent(effect):
+    return RefusedEffect(
+        effect=effect, kind="inconsistent", name="", value=0.4, limit=0.0, unit="1", reason=""
+    )
+
+
+def test_what_is_left_counts_unless_a_bias_was_taken_out_of_the_trials():
+    """A clock that is off in every trial goes into the trials' clocks, and leaves no residual."""
+    found = result(2.1, 1.9, "sync_offset")
+    assert gap_verdict(Search(), found, {})[0] == "not in the catalogue"
+    assert gap_verdict(Search({"sync_s": -14.0}), found, {})[0] == "closed"
+
+
+def test_a_bias_that_is_still_there_is_no_explanation():
+    found = result(2.3, 2.2, "sync_offset")
+    assert gap_verdict(Search({"sync_s": -14.0}), found, {})[0] == "not in the catalogue"
+
+
+def test_beside_a_refused_effect_less_of_the_gap_may_be_left():
+    """As where several are named: two effects that leave more are no explanation."""
+    left = DEFAULT_SETTINGS.gap_left_limit_fraction_of_several + 0.1
+    after = 1 + 1.5 * left**2
+    alone = result(2.5, after, "coulomb_friction")
+    beside = result(2.5, after, "coulomb_friction", refused=[inconsistent("creep")])
+    assert gap_verdict(Search(), alone, {})[0] == "closed"
+    assert gap_verdict(Search(), beside, {})[0] == "not in the catalogue"
+
+
+@pytest.mark.parametrize(
+    ("differing", "kept"),
+    [
+        ((), ["coulomb_friction", "creep", "backlash"]),
+        (("creep",), ["coulomb_friction", "backlash"]),
+        (("coulomb_friction",), ["coulomb_friction", "creep", "backlash"]),
+    ],
+)
+def test_only_further_effects_are_refused_for_their_strength(monkeypatch, differing, kept):
+    found = result(9.0, 1.0, "coulomb_friction", "creep", "backlash")
+    tested = Acceptance.__new__(Acceptance)
+    tested.search, tested.result = Search(), found
+
+    def take_out(effects):
+        found.named = [e for e in found.named if e not in effects]
+
+    monkeypatch.setattr(tested, "_take_out", take_out)
+    monkeypatch.setattr(
+        acceptance,
+        "consistencies_of_named",
+        lambda search, of: {
+            e: SimpleNamespace(holds=e not in differing, standard_deviation=0.4) for e in of.named
+        },
+    )
+    while tested._refuses_inconsistent():
+        pass
+    assert found.named == kept
+    assert [r.kind for r in found.refused] == ["inconsistent"] * (3 - len(kept))
