@@ -52,7 +52,7 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
         period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad,
         phase_2_rad=motion.phase_2_rad if options.dof == 2 else 0.0,
-        rest_samples=round(options.motion.rest_s / options.period_s),
+        rest_samples=min(round(options.motion.rest_s / options.period_s), len(grid) - 1),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
         base_offset_m=geometry["base_offset_m"],
         link_length_m=geometry["link_length_m"],
