@@ -32,8 +32,8 @@ from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.realtime.clock import Clock
+from firmware_py.realtime.kernel_counters import Counters, NoCounters
 from firmware_py.realtime.service import NoService, Service
-from firmware_py.realtime.timing import Counters, NoCounters
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
@@ -234,6 +234,7 @@ class ControlLoop:
         limit_ns = min(wake_ns + self._timeout_ns, deadline_ns + self._period_ns - RESERVE_NS)
         status = bus.read(limit_ns)
         read_ns = now()
+        self._log.start_computing()
 
         step_s = min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
         estimate = self._estimator.update(bus.angle_rad, bus.current_a, step_s)

@@ -45,8 +45,8 @@ from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
+from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.realtime.service import Service
-from firmware_py.realtime.timing import Counters
 from firmware_py.safety.supervisor import SafetySupervisor
 
 __all__ = ["LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus"]

@@ -147,7 +147,7 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the servos"),
         Signal("lateness_ns", "ns", "wake-up behind the deadline"),
         Signal("preempted_ns", "ns", "run-queue delay of the loop's thread during the period"),
-        Signal("steal_ns", "ns", "time that the hypervisor kept from this machine, all processors"),
+        Signal("steal_ns", "ns", "time of computing for which the processor itself stood still"),
         Signal("missed", "1", "deadlines missed since the previous tick"),
     )
 

@@ -15,7 +15,8 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.log.tick_ring import TickRing
-from firmware_py.realtime.timing import Counters, Timing, cause_of_miss
+from firmware_py.realtime.kernel_counters import Counters
+from firmware_py.realtime.timing import Timing, cause_of_miss
 from firmware_py.safety.states import SafetyState
 
 Array = NDArray[np.float64]
@@ -98,7 +99,7 @@ class TickLog:
         self._telemetry, self._counters = telemetry, counters
         self._statuses: Counter[BusStatus] = Counter()
         self._ring = TickRing(dof, keep)
-        self._run_delay_ns, self._steal_ns = 0, 0
+        self._run_delay_ns = 0
         self._delays_ns = (0, 0)
         self._stages_ns: tuple[int, ...] = ()
         self._finished: tuple[tuple[int, ...], int, int, int] = ((), 0, 0, 0)
@@ -124,7 +125,10 @@ class TickLog:
     def start(self) -> None:
         """Count the kernel's delays from now on."""
         self._run_delay_ns = self._counters.run_delay_ns()
-        self._steal_ns = self._counters.steal_ns()
+
+    def start_computing(self) -> None:
+        """Note that the tick waits for nothing from now on."""
+        self._counters.start_computing()
 
     def hand_over(self) -> None:
         """Count and send the previous tick: its record is complete only after its end."""
@@ -134,9 +138,9 @@ class TickLog:
 
     def append(self, tick: Tick) -> None:
         """Add the record of a tick; `close` completes it."""
-        run_delay_ns, steal_ns = self._counters.run_delay_ns(), self._counters.steal_ns()
-        self._delays_ns = run_delay_ns - self._run_delay_ns, steal_ns - self._steal_ns
-        self._run_delay_ns, self._steal_ns = run_delay_ns, steal_ns
+        run_delay_ns = self._counters.run_delay_ns()
+        self._delays_ns = run_delay_ns - self._run_delay_ns, self._counters.steal_ns()
+        self._run_delay_ns = run_delay_ns
         stages_ns = tuple(map(sub, tick.marks_ns[1:], tick.marks_ns))
         joints = zip(
             tick.goal_rad.tolist(), tick.angle_rad.tolist(), tick.current_a.tolist(), strict=True

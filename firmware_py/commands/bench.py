@@ -20,7 +20,7 @@ from firmware_py.display_units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, real_time
-from firmware_py.realtime.timing import KernelCounters
+from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.robot import LoopModels, build_bus, build_loop
 from firmware_py.signals import STAGES
 

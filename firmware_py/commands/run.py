@@ -29,8 +29,8 @@ from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.motion import KINDS
 from firmware_py.realtime.clock import DeadlineClock, real_time
+from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.realtime.service import SystemdService
-from firmware_py.realtime.timing import KernelCounters
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
 

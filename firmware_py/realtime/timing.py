@@ -1,15 +1,12 @@
-"""Timing statistics of the ticks: histograms, the kernel's counters, misses and their causes."""
+"""Timing statistics of the ticks: histograms, misses and their causes."""
 
 from __future__ import annotations
 
 import array
-import contextlib
 import math
-import os
-import threading
 from collections.abc import Iterable
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -18,10 +15,7 @@ from firmware_py.signals import STAGES
 
 __all__ = [
     "Cause",
-    "Counters",
     "Histogram",
-    "KernelCounters",
-    "NoCounters",
     "Timing",
     "TimingSummary",
     "cause_of_miss",
@@ -32,9 +26,6 @@ _SUB_BITS: Final = 6
 _SUB_BUCKETS: Final = 1 << _SUB_BITS
 _OCTAVES: Final = 40
 """Durations up to 2**40 ns, 18 minutes, are distinguished."""
-
-_TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
-_STEAL_FIELD: Final = 8
 
 _BOUND_ERROR: Final = 0.05
 _NEGLIGIBLE: Final = 1e-16
@@ -106,68 +97,6 @@ def _upper_end_ns(bucket: int) -> int:
     return ((bucket - (shift << _SUB_BITS) + 1) << shift) - 1
 
 
-class Counters(Protocol):
-    """Counters of the kernel for the loop's thread and the machine."""
-
-    def run_delay_ns(self) -> int:
-        """Return the time for which the thread was ready to run and did not."""
-        ...
-
-    def steal_ns(self) -> int:
-        """Return the time that the hypervisor withheld, over all processors."""
-        ...
-
-
-class NoCounters:
-    """Counters for simulated time, in which nothing is preempted."""
-
-    def run_delay_ns(self) -> int:
-        """Return zero."""
-        return 0
-
-    def steal_ns(self) -> int:
-        """Return zero."""
-        return 0
-
-
-class KernelCounters:
-    """Counters of the kernel for the thread that creates this object.
-
-    The files stay open, so that a reading is one system call: 1 µs for the run-queue delay, 7 µs
-    for steal time (in steps of 10 ms). A counter that does not exist reads as zero.
-    """
-
-    def __init__(self) -> None:
-        thread = threading.get_native_id()
-        self._schedule = _open(f"/proc/self/task/{thread}/schedstat")
-        self._machine = _open("/proc/stat")
-
-    def run_delay_ns(self) -> int:
-        """See `Counters.run_delay_ns`."""
-        if self._schedule is None:
-            return 0
-        return int(os.pread(self._schedule, 64, 0).split()[1])
-
-    def steal_ns(self) -> int:
-        """See `Counters.steal_ns`."""
-        if self._machine is None:
-            return 0
-        fields = os.pread(self._machine, 128, 0).split(maxsplit=_STEAL_FIELD + 1)
-        return int(fields[_STEAL_FIELD]) * (1_000_000_000 // _TICKS_PER_S)
-
-    def close(self) -> None:
-        """Close the files."""
-        for fd in (self._schedule, self._machine):
-            if fd is not None:
-                os.close(fd)
-
-
-def _open(path: str) -> int | None:
-    with contextlib.suppress(OSError):
-        return os.open(path, os.O_RDONLY)
-    return None
-
-
 class Cause(Enum):
     """Cause of a missed deadline."""
 
@@ -181,9 +110,8 @@ def cause_of_miss(
 ) -> Cause:
     """Return the cause with the largest part of a tick that ended after its slot.
 
-    Lateness that the run queue does not explain is time in which the whole machine stood still.
-    Steal time is counted in steps and may appear a tick late. The larger of the two counts for the
-    host.
+    Lateness that the run queue does not explain is time in which the whole machine stood still. The
+    larger of the two counts for the host.
 
     Parameters
     ----------
@@ -194,7 +122,7 @@ def cause_of_miss(
     lateness_ns : int
         Wake-up behind the deadline.
     preempted_ns, steal_ns : int
-        Run-queue delay and steal time during the period.
+        Run-queue delay during the period; steal time while the tick computed.
     """
     host_ns = max(preempted_ns + steal_ns, lateness_ns)
     own_ns = busy_ns - bus_wait_ns - max(host_ns - lateness_ns, 0)

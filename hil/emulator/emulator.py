@@ -25,7 +25,7 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.display_units import DURATION
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import RealTimeOptions, real_time
-from firmware_py.realtime.timing import KernelCounters
+from firmware_py.realtime.kernel_counters import KernelCounters
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
 from hil.emulator.fmu_physics import FmuPhysics

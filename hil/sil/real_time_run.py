@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from firmware_py.realtime.clock import DeadlineClock, real_time
-from firmware_py.realtime.timing import KernelCounters
+from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.robot import open_bus
 from hil.emulator.emulator import Emulator, EmulatorSpecification
 from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording

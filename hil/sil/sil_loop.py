@@ -19,7 +19,7 @@ from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.timing import Counters
+from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_loop, log_metadata
 from firmware_py.summary import RunSummary
 from hil.emulator.emulator import EmulatorOutcome

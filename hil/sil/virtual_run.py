@@ -7,7 +7,7 @@ import time
 
 from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
 from firmware_py.realtime.clock import SimClock
-from firmware_py.realtime.timing import NoCounters
+from firmware_py.realtime.kernel_counters import NoCounters
 from firmware_py.robot import build_bus
 from hil.emulator.emulator import EmulatorOutcome, EmulatorSpecification, build_line
 from hil.emulator.line import VirtualTransport

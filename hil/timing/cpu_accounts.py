@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 Nanoseconds = NDArray[np.int64]
 
 PROBE_PRIORITY: Final = 80
-PROBE_PERIOD_NS: Final = 5_000_000
-STALL_NS: Final = 1_000_000
+PROBE_PERIOD_NS: Final = 1_000_000
+STALL_NS: Final = 500_000
 """Lateness of a probe from which on the processor is taken to have stood still."""
 _NONE = np.zeros(0, np.int64)
 

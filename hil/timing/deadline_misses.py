@@ -6,23 +6,24 @@ had the processor.
 
 Host time
     Run-queue delay of the loop's thread (`/proc/…/schedstat`), less the time that processes of this
-    program ran on that processor meanwhile. Time in which the processor stood still: a probe with a
-    higher priority than the whole program is pinned to it and wakes every few milliseconds; where
-    the probe itself was late, the hypervisor, an interrupt or a foreign real-time task had the
-    processor. Such a stall is known to within one period of the probe: the possible time excuses a
-    miss, and only the certain time makes a tick count as preempted. The two accounts overlap, so
-    the larger one counts.
-    The same two for the processor of the emulator, as far as the loop waited longer for the bus
-    than it usually does. The processes of `--load` are declared host load: time lost to them is
-    host time. Steal time (`/proc/stat`) comes in steps of 10 ms over all processors. It is evidence
-    of the same stalls and counts only where no probe ran, or where the kernel refused the probe its
-    priority: then the probe may have waited behind the loop itself.
+    program ran on that processor meanwhile. Steal time: while the tick computed, the thread neither
+    slept nor waited in the run queue, and the kernel counted less processor time than had passed.
+    Time in which the processor stood still at any other point of the tick: a probe with a higher
+    priority than the whole program is pinned to it and wakes every millisecond; where the probe
+    itself was late, the hypervisor, an interrupt or a foreign real-time task had the processor.
+    Such a stall is known to within one period of the probe: the possible time excuses a miss, and
+    only the certain time makes a tick count as preempted. The accounts overlap, so the larger one
+    counts: that of the thread, or that of the probe.
+    The same for the processor of the emulator, as far as the loop waited longer for the bus than it
+    usually does. The processes of `--load` are declared host load: time lost to them is host time.
 
 Own time
     Everything else: computing, waiting for the bus, and every delay by a process of this program
     (emulator, recorder or probe). Lateness that no counter explains is own time as well.
 
-A miss is attributed to the host where its excess is no longer than the possible host time.
+A miss is attributed to the host where its excess is no longer than the possible host time. A stop
+is attributed to the host where every tick that led to it is: a slot missed before it, or data that
+came in time but for the host.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 
-__all__ = ["Miss", "find_misses", "host_time_ns", "stopped_after_miss"]
+__all__ = ["Miss", "find_misses", "host_time_ns", "stopped_by_host"]
 
 Nanoseconds = NDArray[np.int64]
 
@@ -94,13 +95,13 @@ def host_time_ns(
         )
         line_queued = releases.run_delay_between_ns(start_ns, end_ns)
         line_queued -= line_cpu.own_between_ns(start_ns, end_ns)
-        steal = int(records["steal_ns"][k])
-        stalls = loop_cpu.stall_ns(start_ns, end_ns) if loop_cpu.proves else (steal, steal)
+        withheld = queued + int(records["steal_ns"][k])
+        stalls = loop_cpu.stall_ns(start_ns, end_ns)
         for column, (stall, line_stall) in enumerate(
             zip(stalls, line_cpu.stall_ns(start_ns, end_ns), strict=True)
         ):
             line = min(max(line_queued, line_stall, 0), int(longer[k]))
-            host[k, column] = min(max(queued, stall, 0) + line, end_ns - start_ns)
+            host[k, column] = min(max(withheld, stall, 0) + line, end_ns - start_ns)
     return host[:, 0], host[:, 1]
 
 
@@ -140,7 +141,27 @@ def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int)
     return misses
 
 
-def stopped_after_miss(records: NDArray[np.void]) -> bool:
-    """Whether the supervisor stopped the robot in a tick right after slots had been missed."""
+def stopped_by_host(records: NDArray[np.void], host_ns: Nanoseconds) -> bool:
+    """Whether the supervisor stopped the robot for ticks that the host spoiled.
+
+    Those ticks are the stopping one and all before it without a fresh measurement. The host spoiled
+    one where slots were missed just before it, or where the wait for its data, less the host time,
+    is no longer than that of a tick which got them.
+
+    Parameters
+    ----------
+    records : ndarray of tick_dtype, shape (n,)
+        A run none of whose missed slots is the loop's own.
+    host_ns : ndarray, shape (n,)
+        Possible host time of each tick, see `host_time_ns`.
+    """
     stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
-    return len(stopping) > 0 and bool(records["missed"][stopping[0]])
+    fresh = records["stale_ticks"] == 0
+    if not len(stopping) or not fresh.any():
+        return False
+    last = int(stopping[0])
+    measured = np.flatnonzero(fresh[: last + 1])
+    led = slice(min(int(measured[-1]) + 1 if len(measured) else 0, last), last + 1)
+    remaining = records["bus_wait_ns"] - host_ns
+    spoiled = ~fresh & (remaining <= remaining[fresh].max())
+    return bool(np.all((spoiled | (records["missed"] > 0))[led]))

@@ -1,6 +1,6 @@
 """Probe on a processor: a process of high priority that records the lateness of its wake-ups.
 
-It is pinned, has a higher priority than the rest of this program, and wakes every few milliseconds.
+It is pinned, has a higher priority than the rest of this program, and wakes every millisecond.
 Its lateness is the reference jitter of the machine; where it is milliseconds late, no process of
 this program could have run on that processor. Its inner loop is `c/probe.c`.
 """

@@ -5,8 +5,8 @@ preempted by the host from `PREEMPTED_NS` of certain host time on.
 
 ==================== ==== =======================================================================
 fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
-inconclusive         3    else, more than 1 % of the ticks were preempted by the host, or it took so
-                          many slots in a row that the supervisor stopped the robot
+inconclusive         3    else, more than 1 % of the ticks were preempted by the host, or it spoiled
+                          every tick for which the supervisor stopped the robot
 pass                 0    else; misses that are the host's are listed
 ==================== ==== =======================================================================
 """
@@ -25,7 +25,7 @@ from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.signals import STAGES
 from hil.timing.cpu_accounts import ProbeRecord, Releases
-from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_after_miss
+from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 __all__ = ["TimingVerdict", "judge_timing", "timing_junit"]
@@ -157,7 +157,8 @@ def judge_timing(
     lost = sum(causes.values())
     own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
     host = _host_time(certain_ns)
-    verdict, reason = _decide(records, stopped, own, slots, host)
+    excused = bool(stopped) and not own and stopped_by_host(records, possible_ns)
+    verdict, reason = _decide(len(records), stopped, own, slots, host, excused=excused)
     return TimingVerdict(
         schema=TimingVerdict.VERSION,
         verdict=verdict,
@@ -198,10 +199,10 @@ def _own_cost(cost_ns: Nanoseconds, targets: TimingTargets) -> OwnCost:
 
 
 def _decide(
-    records: NDArray[np.void], stopped: str, own: int, slots: int, host: HostTime
+    ticks: int, stopped: str, own: int, slots: int, host: HostTime, *, excused: bool
 ) -> tuple[Verdict, str]:
     """Verdict and its reason, see the module's table."""
-    if stopped and not own and stopped_after_miss(records):
+    if excused:
         return Verdict.INCONCLUSIVE, (
             f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
         )
@@ -211,8 +212,7 @@ def _decide(
         return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
     if host.preempted_fraction > PREEMPTED_FRACTION:
         return Verdict.INCONCLUSIVE, (
-            f"the host preempted {host.preempted_ticks} of {len(records)} ticks: "
-            "run it on a calmer one"
+            f"the host preempted {host.preempted_ticks} of {ticks} ticks: run it on a calmer one"
         )
     return Verdict.PASS, f"the loop missed none of {slots} slots by its own time"
 

@@ -16,7 +16,7 @@ from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.timing import Counters
+from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_bus, build_loop
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary

@@ -14,7 +14,7 @@ import msgspec
 
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
-from firmware_py.realtime.timing import KernelCounters
+from firmware_py.realtime.kernel_counters import KernelCounters
 from hil.faults.cases.case_robot import CaseRobot, case_config, run_case_loop
 from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow

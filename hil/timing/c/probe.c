@@ -1,7 +1,7 @@
 /* Probe: wake at absolute times and record the time, the lateness, and the processor time that this
  * program's own processes used meanwhile.
  *
- * In C because a probe in Python would delay the observed loop every 5 ms. */
+ * In C because a probe in Python would delay the observed loop every millisecond. */
 #define _GNU_SOURCE
 #include <poll.h>
 #include <stdint.h>

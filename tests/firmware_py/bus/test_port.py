@@ -7,7 +7,7 @@ import tty
 
 import pytest
 from dynamixel_sdk import Protocol2PacketHandler
-from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
+from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -165,6 +165,18 @@ def test_packets_are_found_where_the_sdk_finds_them(stream, fast, data):
             tape.append((bytes(packet) if result == COMM_SUCCESS else b"", result))
         tapes.append(tape)
     assert tapes[0] == tapes[1]
+
+
+def test_the_packet_behind_one_of_length_zero_is_found():
+    stream = bytearray(status([]) + status([]))
+    stream[5] = 0
+    for handler in (PacketHandler(), Protocol2PacketHandler()):
+        clock = SimClock()
+        port = DeadlinePort(TapeTransport(clock, bytes(stream)), clock)
+        port.deadline_ns = 1
+        assert [handler.rxPacket(port, False)[1] for _ in range(3)] == [
+            COMM_RX_CORRUPT, COMM_SUCCESS, COMM_RX_TIMEOUT,
+        ]  # fmt: skip
 
 
 def test_a_reply_in_pieces_is_put_together():

@@ -12,7 +12,6 @@ from firmware_py.realtime.percentiles import Percentiles
 from firmware_py.realtime.timing import (
     Cause,
     Histogram,
-    KernelCounters,
     Timing,
     cause_of_miss,
     miss_rate_bound,
@@ -100,13 +99,3 @@ def test_the_bound_on_the_miss_rate_rises_with_the_misses():
     bounds = [miss_rate_bound(k, 1000) for k in range(0, 1001, 50)]
     assert np.all(np.diff(bounds) > 0)
     assert bounds[-1] == 1.0
-
-
-def test_the_kernel_counts_for_this_thread():
-    counters = KernelCounters()
-    before = counters.run_delay_ns(), counters.steal_ns()
-    total = sum(k * k for k in range(100_000))
-    assert total > 0
-    after = counters.run_delay_ns(), counters.steal_ns()
-    assert all(b <= a for b, a in zip(before, after, strict=True))
-    counters.close()

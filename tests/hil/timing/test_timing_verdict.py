@@ -203,12 +203,12 @@ def test_a_miss_of_ours_is_not_excused_by_a_restless_host():
     assert judge(records, probe_over(records), probe_over(records)).verdict == "fail"
 
 
-def test_steal_counts_where_no_probe_ran():
+def test_a_processor_that_stood_still_while_the_tick_computed_is_the_hosts():
     records = run_of()
     slow_down(records, 500, 22 * MS)
+    assert judge(records, probe_over(records)).verdict == "fail"
     records["steal_ns"][500] = 20 * MS
-    assert judge(records).verdict == "pass"
-    assert judge(records, probe_over(records)).verdict == "fail", "the probe knows better"
+    assert judge(records, probe_over(records)).verdict == "pass", "in stalls too short for a probe"
 
 
 @given(st.lists(st.tuples(st.integers(0, 98), st.integers(MS, 60 * MS)), max_size=10))
@@ -253,6 +253,33 @@ def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
     )  # it was stopped before, by something else
     timing = judge(records, watch, probe_over(records), stopped="a limit")
     assert timing.verdict == "fail"
+
+
+@pytest.mark.parametrize(
+    ("stalls_ns", "verdict"),
+    [
+        ((7 * MS, 7 * MS, 7 * MS), "inconclusive"),
+        ((7 * MS, 0, 7 * MS), "fail"),  # one reply was lost while the host left us alone
+        ((7 * MS, 2 * MS, 7 * MS), "fail"),
+        ((0, 0, 0), "fail"),
+    ],
+)
+def test_a_stop_for_want_of_data_proves_nothing_where_the_host_held_up_every_reply(
+    stalls_ns, verdict
+):
+    records = run_of()
+    records["stale_ticks"][500:503] = 1, 2, 3
+    records["busy_ns"][500:503], records["bus_wait_ns"][500:503] = 8_300_000, 8 * MS
+    records["state"] = SafetyState.RUNNING
+    records["state"][502:] = SafetyState.STOPPING
+    stalls = [
+        (int(records["deadline_ns"][500 + k]) + 300_000, stall_ns)
+        for k, stall_ns in enumerate(stalls_ns)
+        if stall_ns
+    ]
+    line = probe_over(records, *stalls)
+    timing = judge(records, probe_over(records), line, stopped="no fresh data for 3 ticks")
+    assert (timing.verdict, timing.own_misses) == (verdict, 0)
 
 
 @pytest.mark.parametrize(
