@@ -5,7 +5,7 @@
     DropstitchError                 root
     ├── InputError                  a file, an option or the set-up cannot be used (exit 2)
     ├── FmuRefusal                  an FMU refused a call; its state is unchanged
-    └── SafetyTrip                  the supervisor stopped the robot; holds the last ticks (exit 1)
+    └── SafetyTrip                  a fault stopped the robot; holds the last ticks (exit 1)
 
 Inside the loop a fault is a value (`firmware_py.bus.servo_bus.BusStatus`), never an exception.
 """
@@ -49,7 +49,7 @@ class FmuRefusal(DropstitchError):
 
 
 class SafetyTrip(DropstitchError):
-    """The safety supervisor stopped the robot.
+    """A fault stopped the robot, was seen while it stopped, or left a servo's torque unconfirmed.
 
     Parameters
     ----------

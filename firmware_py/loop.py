@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
-from firmware_py.errors import InputError
+from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -35,6 +35,7 @@ from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters, NoCounters
 from firmware_py.realtime.service import NoService, Service
 from firmware_py.safety.states import SafetyState
+from firmware_py.safety.stop_reason import UNRELEASED
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
@@ -149,10 +150,11 @@ class ControlLoop:
         ------
         InputError
             If a servo is unfit, a joint is outside its limits, or the torque cannot be switched on.
+        SafetyTrip
+            If the torque cannot be switched on, and not every servo confirms that it is off.
         """
         self._bus.connect()
         self._get_ready()
-        released = BusStatus.OK
         with _signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it
             try:
                 self._start()
@@ -160,10 +162,20 @@ class ControlLoop:
                 while self._port_is_back():
                     self._start()
                     self._run_slots()
-            finally:
-                released = self._bus.torque(False)
-                self._log.hand_over()
+            except BaseException as error:
+                if not self._released():
+                    if isinstance(error, InputError):
+                        raise SafetyTrip(f"{error} {UNRELEASED}") from error
+                    error.add_note(UNRELEASED)
+                raise
+            released = self._released()
         return self._summary(released)
+
+    def _released(self) -> bool:
+        """Switch the torque off; return whether every servo confirmed it."""
+        released = self._bus.torque(False) is BusStatus.OK
+        self._log.hand_over()
+        return released
 
     def _get_ready(self) -> None:
         """Take the measured position as the first goal, torque off."""
@@ -184,7 +196,11 @@ class ControlLoop:
     def _port_is_back(self) -> bool:
         """After a stop because the port had gone: wait for it and prepare the servos again."""
         clock, deadline_ns = self._clock, self._clock.now_ns() + self._replug_ns
-        if self._bus_status is not BusStatus.PORT_GONE or not self._supervisor.tripped:
+        if (
+            self._bus_status is not BusStatus.PORT_GONE
+            or not self._supervisor.tripped
+            or self._bus.alert
+        ):
             return False
         while clock.now_ns() < deadline_ns and not self._signal:
             clock.sleep_until(clock.now_ns() + _REPLUG_POLL_NS)
@@ -283,10 +299,11 @@ class ControlLoop:
             self._ended = ended
             self._supervisor.request_stop(reason)
 
-    def _summary(self, released: BusStatus) -> RunSummary:
+    def _summary(self, released: bool) -> RunSummary:
         supervisor, log = self._supervisor, self._log
+        supervisor.conclude(self._bus.alert, released=released)
         return RunSummary(
-            ended=Ended.TRIPPED if supervisor.tripped else self._ended,
+            ended=Ended.TRIPPED if supervisor.faulty else self._ended,
             reason=supervisor.reason,
             ticks=log.ticks,
             bus_faults=log.bus_faults(),
@@ -295,7 +312,7 @@ class ControlLoop:
             records=log.records(),
             telemetry_drops=log.drops,
             replugs=self._replugs,
-            released=released is BusStatus.OK,
+            released=released,
         )
 
 

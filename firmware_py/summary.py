@@ -24,7 +24,7 @@ class Ended(Enum):
     SIGNALLED = "signalled"
     """SIGINT or SIGTERM; the robot came to a controlled stop."""
     TRIPPED = "tripped"
-    """The safety supervisor stopped the robot."""
+    """A fault stopped the robot, was seen while it stopped, or a torque was not confirmed off."""
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from firmware_py.bus.register_access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, Re
 from firmware_py.bus.registers import (
     WATCHDOG_STEP_S,
     Register,
+    RegisterField,
+    describe_alert,
 )
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_setup import ServoPreparation, ServoSetup
@@ -143,11 +145,16 @@ class DynamixelBus:
     def _note_alert(self) -> None:
         """Read the cause of an alert once, within the deadline of the read."""
         if self._feedback.alert and self.alert == 0:
-            cell = self._table[Register.HARDWARE_ERROR]
-            for id_ in self._models:
-                self.alert |= self._registers.ask(id_, cell) or 0
+            self.alert = self._hardware_errors(self._registers.ask)
         if self._driving:
             self.alert |= self._feedback.standing
+
+    def _hardware_errors(self, read: Callable[[int, RegisterField], int | None]) -> int:
+        """Return the hardware error bits of all servos, or-ed."""
+        bits = 0
+        for id_ in self._models:
+            bits |= read(id_, self._table[Register.HARDWARE_ERROR]) or 0
+        return bits
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one sync write, which no servo answers.
@@ -190,6 +197,11 @@ class DynamixelBus:
                 f"first measurement failed ({status.name})", "check the cabling"
             )
         self._check_replies()
+        if self.alert:
+            raise self._preparation.unfit(
+                f"a servo raises an alert ({describe_alert(self.alert)})",
+                "remove its cause, then switch the servo off and on",
+            )
 
     def _follow(self, plan: Plan) -> None:
         """Read the servos by this plan from now on."""
@@ -248,6 +260,7 @@ class DynamixelBus:
         watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
         self._driven, self._driving = self._driven or on, False
+        self._registers.alert = False
         for servo in self._servos:
             good &= self._registers.put(servo.id, self._table[Register.TORQUE_ENABLE], int(on))
         if Register.BUS_WATCHDOG in self._table:
@@ -255,6 +268,8 @@ class DynamixelBus:
                 good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
         if good:
             self._driven = self._driving = on
+        if self._registers.alert and self.alert == 0:
+            self.alert = self._hardware_errors(self._registers.get)
         return BusStatus.OK if good else BusStatus.TIMEOUT
 
     def reopen(self) -> bool:

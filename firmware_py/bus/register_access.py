@@ -7,7 +7,7 @@ from typing import Final
 from dynamixel_sdk.robotis_def import COMM_SUCCESS
 
 from firmware_py.bus.bus_plan import STATUS_OVERHEAD
-from firmware_py.bus.feedback import DATA, ERROR, ERROR_NUMBER, ID
+from firmware_py.bus.feedback import ALERT_BIT, DATA, ERROR, ERROR_NUMBER, ID
 from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.registers import RegisterField
 from firmware_py.realtime.clock import Clock
@@ -28,10 +28,16 @@ class RegisterAccess:
         The SDK's Protocol 2.0.
     clock : Clock
         Clock of the deadlines.
+
+    Attributes
+    ----------
+    alert : bool
+        Whether a servo reported a hardware error in an answer to `put`; the caller resets it.
     """
 
     def __init__(self, port: DeadlinePort, packets: PacketHandler, clock: Clock) -> None:
         self._port, self._packets, self._clock = port, packets, clock
+        self.alert = False
 
     def ask(self, id_: int, cell: RegisterField) -> int | None:
         """Read a register once.
@@ -117,6 +123,9 @@ class RegisterAccess:
             except OSError:
                 self._port.is_using = False
                 return False
-            if result == COMM_SUCCESS and not error & ERROR_NUMBER:
+            if result != COMM_SUCCESS:
+                continue
+            self.alert |= bool(error & ALERT_BIT)
+            if not error & ERROR_NUMBER:
                 return True
         return False

@@ -10,6 +10,7 @@ from firmware_py.config import read_config
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.realtime.clock import DeadlineClock
 from firmware_py.robot import open_bus
+from firmware_py.safety.stop_reason import UNRELEASED
 
 EXAMPLE = "dropstitch release --config robot.toml"
 
@@ -27,6 +28,6 @@ def run(args: argparse.Namespace) -> int:
     emit(
         args,
         {"released": released},
-        "torque off" if released else "not every servo confirmed torque off: switch its power off",
+        "torque off" if released else UNRELEASED,
     )
     return DONE if released else NEGATIVE

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     SafetyTrip
-        After the summary, if the supervisor stopped the robot.
+        After the summary, if a fault was seen or a servo did not confirm torque off.
     """
     config = _overridden(read_config(args.config), args)
     bundle = load_bundle(config, args.config)
@@ -155,8 +155,6 @@ def describe(summary: RunSummary, log: Path | None) -> str:
     ]
     if summary.replugs:
         lines.append(f"continued {summary.replugs} times after the port had gone")
-    if not summary.released:
-        lines.append("not every servo confirmed torque off: switch its power off")
     if summary.out_of_range:
         lines.append(f"{summary.out_of_range} ticks outside the predictor's training range")
     if log is not None:

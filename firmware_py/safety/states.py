@@ -59,7 +59,8 @@ TRANSITIONS: Final = (
     Transition(SafetyState.READY, SafetyState.STOPPING, "a request before the torque is on"),
     Transition(
         SafetyState.STOPPING, SafetyState.OFF,
-        "the goals came to rest and were held for `hold_s`",
+        "the goals came to rest and were held for `hold_s`; an alert, a measurement beyond a limit "
+        "or a port that has gone ends the hold",
     ),
     Transition(SafetyState.OFF, SafetyState.STARTING, "the port is back within `bus.replug_s`"),
 )  # fmt: skip

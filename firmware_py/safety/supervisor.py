@@ -20,6 +20,7 @@ from firmware_py.errors import InputError
 from firmware_py.safety.blend import Blend
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import ALLOWED, SafetyState
+from firmware_py.safety.stop_reason import UNRELEASED, Fault, StopReason
 from firmware_py.signals import PERIOD_S
 
 __all__ = ["SafetySupervisor", "check_motion"]
@@ -43,10 +44,6 @@ class SafetySupervisor:
     ----------
     state : SafetyState
         Present state.
-    reason : str
-        Cause of the stop, one sentence; empty before.
-    tripped : bool
-        Whether a fault, not a request, stopped the robot.
     stale_ticks : int
         Age of the data in ticks, 0 is fresh.
     goal_rad : ndarray, shape (dof,)
@@ -66,7 +63,7 @@ class SafetySupervisor:
     """
 
     def __init__(self, limits: Limits, dof: int, period_s: float = PERIOD_S) -> None:
-        self.state, self.reason, self.tripped = SafetyState.STARTING, "", False
+        self.state = SafetyState.STARTING
         self.stale_ticks = 0
         self.goal_rad = np.zeros(dof)
         self._limits, self._dof, self._period_s = limits, dof, period_s
@@ -77,6 +74,22 @@ class SafetySupervisor:
         self._violations = 0
         self._missed_slots = 0
         self._hold_ticks = 0
+        self._reason = StopReason()
+
+    @property
+    def reason(self) -> str:
+        """Cause of the stop, then the faults seen while it stopped; empty before."""
+        return self._reason.text
+
+    @property
+    def tripped(self) -> bool:
+        """Whether a fault, not a request, stopped the robot."""
+        return self._reason.tripped
+
+    @property
+    def faulty(self) -> bool:
+        """Whether a fault stopped the robot, or was seen while it stopped."""
+        return self._reason.faulty
 
     # Transitions -------------------------------------------------------------------------------
 
@@ -116,24 +129,52 @@ class SafetySupervisor:
     def restart(self) -> None:
         """Restart after the port has come back: OFF → STARTING."""
         self._enter(SafetyState.STARTING)
-        self.reason, self.tripped = "", False
+        self._reason = StopReason()
         self.stale_ticks = self._violations = self._missed_slots = 0
         for joint in range(self._dof):
             self._velocity[joint] = 0.0
 
     def request_stop(self, reason: str) -> None:
         """Begin a controlled stop that no fault causes (end of the motion, a signal)."""
-        self._stop(reason, tripped=False)
+        if self.state < SafetyState.STOPPING:
+            self._begin_stop()
+            self._reason.begin(reason)
 
     def trip(self, reason: str) -> None:
         """Begin a controlled stop because of a fault that the loop has found."""
-        self._stop(reason)
+        self._stop(Fault.CLOCK, reason)
 
-    def _stop(self, reason: str, *, tripped: bool = True) -> None:
+    def conclude(self, alert: int, *, released: bool) -> None:
+        """Add to the reason what was seen when the torque was switched off.
+
+        Parameters
+        ----------
+        alert : int
+            Alert bits of the servos.
+        released : bool
+            Whether every servo confirmed torque off.
+        """
+        if alert:
+            self._reason.add(Fault.ALERT, _alert_reason(alert))
+        if not released:
+            self._reason.add(Fault.TORQUE, UNRELEASED)
+
+    def _stop(self, fault: Fault, reason: str, *, ends_hold: bool = False) -> None:
+        """Stop because of a fault; where the robot stops already, add the fault to the reason.
+
+        If holding on is worse than torque off, the hold ends as soon as the goals are at rest.
+        """
         if self.state < SafetyState.STOPPING:
-            self._enter(SafetyState.STOPPING)
-            self.reason, self.tripped = reason, tripped
-            self._hold_ticks = max(1, math.ceil(self._limits.hold_s / self._period_s))
+            self._begin_stop()
+            self._reason.begin(reason, fault)
+            return
+        self._reason.add(fault, reason)
+        if ends_hold:
+            self._hold_ticks = 0
+
+    def _begin_stop(self) -> None:
+        self._enter(SafetyState.STOPPING)
+        self._hold_ticks = max(1, math.ceil(self._limits.hold_s / self._period_s))
 
     # In every tick -----------------------------------------------------------------------------
 
@@ -178,13 +219,15 @@ class SafetySupervisor:
         elif self.state is SafetyState.DEGRADED and not self.stale_ticks:
             self._enter(SafetyState.RUNNING)
         if status is BusStatus.ALERT:
-            self._stop(f"a servo raises an alert ({describe_alert(alert)})")
+            self._stop(Fault.ALERT, _alert_reason(alert), ends_hold=True)
         elif self.stale_ticks >= self._limits.stale_ticks:
-            self._stop(f"no fresh data for {self.stale_ticks} ticks ({status.name})")
+            data = f"no fresh data for {self.stale_ticks} ticks ({status.name})"
+            self._stop(Fault.DATA, data, ends_hold=status is BusStatus.PORT_GONE)
         elif missed >= self._limits.stale_ticks:
-            self._stop(f"{missed} slots missed in a row")
+            self._stop(Fault.SLOTS, f"{missed} slots missed in a row")
         elif self._missed_slots > self._limits.missed_slots:
-            self._stop(f"{self._missed_slots} slots missed, the loop is too slow for its period")
+            slots = f"{self._missed_slots} slots missed, the loop is too slow for its period"
+            self._stop(Fault.SLOTS, slots)
         if status.fresh:
             self._judge(angle_rad.tolist(), current_a.tolist(), tip_m.tolist(), di)
         return self.state
@@ -198,7 +241,7 @@ class SafetySupervisor:
         self._angle[:] = angle
         self._violations = self._violations + 1 if violation else 0
         if violation and self._violations >= self._limits.persistence_ticks:
-            self._stop(violation)
+            self._stop(Fault.MEASUREMENT, violation, ends_hold=True)
 
     # Goals -------------------------------------------------------------------------------------
 
@@ -246,7 +289,7 @@ class SafetySupervisor:
                 goal, before=self._goal, velocity=self._velocity, period_s=self._period_s
             )
             if violation:
-                self._stop(violation)
+                self._stop(Fault.GOAL, violation)
             else:
                 self._accept(goal)
         if self.state is SafetyState.STOPPING:
@@ -271,6 +314,10 @@ class SafetySupervisor:
         for joint, value in enumerate(goal):
             self._velocity[joint] = (value - self._goal[joint]) / self._period_s
             self._goal[joint] = self.goal_rad[joint] = value
+
+
+def _alert_reason(alert: int) -> str:
+    return f"a servo raises an alert ({describe_alert(alert)})"
 
 
 def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) -> None:

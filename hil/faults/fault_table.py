@@ -11,6 +11,7 @@ import math
 from typing import Final
 
 from firmware_py.bus.registers import HARDWARE_ERRORS
+from firmware_py.safety.stop_reason import UNRELEASED
 from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.injection import FOREVER, Injection
 
@@ -222,6 +223,26 @@ TOGETHER: Final = (
             ("lost", "late", "duplicated", "flip in payload", "truncated", "noise") * 4))),
 )  # fmt: skip
 
+
+def _while_stopping(fault: str, how: str, reason: str, injection: Injection) -> FaultRow:
+    """Fault that begins five ticks after the request of a controlled stop."""
+    request, later = Injection("request"), injection._replace(after=5)
+    return FaultRow(fault, how, _tripped(f"a request; then {reason}", 1), (request, later))
+
+
+STOPPING: Final = (
+    _while_stopping("overload while stopping", "once", "a servo raises an alert (overload",
+        Injection("hardware error", 1, 1 << 5)),
+    _while_stopping("torque lost while stopping", "once",
+        "a servo raises an alert (its torque went off)", Injection("torque")),
+    _while_stopping("current of 12 A while stopping", "for good", "joint 1 draws",
+        Injection("current", FOREVER, 12.0)),
+    _while_stopping("lost replies while stopping", "for good",
+        f"{_STALE} (TIMEOUT); then {UNRELEASED}", Injection("lost", FOREVER)),
+    _while_stopping("unplug while stopping", "for good",
+        f"{_STALE} (PORT_GONE); then {UNRELEASED}", Injection("port", FOREVER, math.inf)),
+)  # fmt: skip
+
 PROCESS: Final = (
     _process("SIGTERM in motion", "once", _SIGNALLED, Setup(signal=15)),
     _process("SIGKILL in motion", "once", _KILLED, Setup(signal=9)),
@@ -246,6 +267,7 @@ PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
     "Line": LINE,
     "Servo": SERVO,
     "Host": HOST,
+    "While stopping": STOPPING,
     "Together": TOGETHER,
     "Processes": PROCESS,
 }

@@ -27,9 +27,10 @@ HOST_FAULTS: Final = (
     "garbage",
     "clock",
     "port",
+    "request",
 )
-"""The first two return the plan's value; the others delay by that many seconds, step the clock by
-them, or remove the port for them."""
+"""The first two return the plan's value; the next delay by that many seconds, step the clock by
+them, or remove the port for them; the last requests a controlled stop."""
 _GARBAGE_CYCLES: Final = 300
 
 
@@ -53,6 +54,8 @@ class HostFaults:
         Number of the tick that runs, 0 before the first.
     began_ns : int or None
         When the first fault began.
+    request_stop : callable
+        Requests a controlled stop of the loop.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class HostFaults:
         self._injections = tuple(i for i in injections if i.kind in HOST_FAULTS)
         self.tick = 0
         self.began_ns: int | None = None
+        self.request_stop: Callable[[str], None] = _request_nothing
         self._back_ns: float | None = None
 
     def value(self, kind: str) -> float | None:
@@ -82,6 +86,10 @@ class HostFaults:
         if self._back_ns is None and (away_s := self.value("port")) is not None:
             self._back_ns = self._now_ns() + away_s * 1e9
         return self._back_ns is not None and self._now_ns() < self._back_ns
+
+
+def _request_nothing(reason: str) -> None:
+    """Do nothing: there is no loop yet."""
 
 
 class FaultyEstimator:
@@ -108,6 +116,8 @@ class FaultyEstimator:
         host.tick += 1
         if (stall_s := host.value("stall")) is not None:
             host.take(stall_s)
+        if host.value("request") is not None:
+            host.request_stop("a request")
         if host.value("garbage") is not None:
             _litter()
         estimate = self._inner.update(angle_rad, current_a, step_s)

@@ -1,16 +1,18 @@
 """Ends of the loop in simulated time: stops, signals, errors, clocks that leap, ports that go."""
 
+import math
 import signal
 
 import numpy as np
 import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError
+from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
+from firmware_py.safety.stop_reason import UNRELEASED
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended
 from tests.firmware_py.simulated_loop import (
@@ -27,7 +29,7 @@ from tests.firmware_py.simulated_loop import (
 
 def test_a_controlled_stop_holds_the_last_goal_before_the_torque_goes_off():
     loop, bus, *_ = make()
-    bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
+    bus.script = dict.fromkeys(range(100, 1000), BusStatus.TIMEOUT)
     rows = loop.run().records
     goals = rows["goal_1_rad"][102:]
     assert np.all(np.abs(np.diff(goals, 2)) <= 6.0 * 0.017**2 * (1 + 1e-6))
@@ -63,9 +65,25 @@ def test_whatever_is_raised_leaves_no_servo_driven(place, error):
 def test_torque_that_cannot_be_switched_on_ends_with_torque_off():
     loop, bus, *_ = make()
     bus.torque = lambda on: bus.calls.append(f"torque {on}") or BusStatus.TIMEOUT
-    with pytest.raises(InputError, match="torque"):
+    with pytest.raises(SafetyTrip, match=r"torque: cannot be .*not every servo confirmed"):
         loop.run()
     assert bus.calls == ["connect", "torque True", "torque False"]
+
+
+def test_torque_that_cannot_be_switched_on_but_is_confirmed_off_is_bad_input():
+    loop, bus, *_ = make()
+    bus.torque = lambda on: BusStatus.TIMEOUT if on else BusStatus.OK
+    with pytest.raises(InputError, match="torque: cannot be switched on"):
+        loop.run()
+
+
+def test_an_error_of_the_program_says_that_the_torque_was_not_confirmed_off():
+    loop, bus, predictor, *_ = make()
+    predictor.fail_at, torque = 20, bus.torque
+    bus.torque = lambda on: torque(on) if on else BusStatus.TIMEOUT
+    with pytest.raises(RuntimeError, match="the graph is broken") as raised:
+        loop.run()
+    assert raised.value.__notes__ == [UNRELEASED]
 
 
 def test_a_port_that_goes_on_the_way_to_the_motion_lets_the_robot_go_on():
@@ -175,8 +193,83 @@ def test_a_port_that_stays_away_or_is_not_waited_for_leaves_the_robot_stopped(aw
     assert bus.calls == ["connect", "torque on", "torque off"]
 
 
-def test_a_servo_that_does_not_confirm_torque_off_is_reported():
+# --- faults while the robot stops ----------------------------------------------------------------
+
+STOP_SLOT = 100
+HELD_TICKS = math.ceil(Limits().hold_s / 0.017)
+
+
+def stopping_with(script, **options):
+    """A run that is over at STOP_SLOT; afterwards the reads go as the script says."""
+    loop, bus, *_ = make(slots=STOP_SLOT, **options)
+    bus.script = {STOP_SLOT + k: event for k, event in script.items()}
+    return loop, bus
+
+
+def test_a_servo_that_does_not_confirm_torque_off_is_no_success():
     loop, bus, *_ = make(slots=5)
     torque = bus.torque
     bus.torque = lambda on: torque(on) if on else BusStatus.TIMEOUT
-    assert not loop.run().released
+    summary = loop.run()
+    assert (summary.ended, summary.released) == (Ended.TRIPPED, False)
+    assert summary.reason == f"the motion is over; then {UNRELEASED}"
+
+
+def test_a_port_that_goes_while_the_robot_stops_is_no_success_and_ends_the_hold():
+    loop, bus = stopping_with(dict.fromkeys(range(2, 1000), BusStatus.PORT_GONE))
+    summary = loop.run()
+    assert summary.ended is Ended.TRIPPED
+    assert summary.reason == "the motion is over; then no fresh data for 3 ticks (PORT_GONE)"
+    assert summary.ticks < STOP_SLOT + HELD_TICKS
+    assert not bus.driven
+
+
+def test_lost_data_while_the_robot_stops_is_no_success_but_holds_on():
+    loop, _ = stopping_with(dict.fromkeys(range(2, 1000), BusStatus.TIMEOUT))
+    summary = loop.run()
+    assert summary.ended is Ended.TRIPPED
+    assert summary.reason == "the motion is over; then no fresh data for 3 ticks (TIMEOUT)"
+    assert summary.ticks > STOP_SLOT + HELD_TICKS
+
+
+@pytest.mark.parametrize("at", [0, 2, 20, 36])
+def test_an_alert_while_the_robot_stops_is_no_success_and_ends_the_hold(at):
+    loop, bus = stopping_with({at: BusStatus.ALERT})
+    bus.alert = 0b100000
+    summary = loop.run()
+    assert summary.ended is Ended.TRIPPED
+    assert summary.reason.endswith("; then a servo raises an alert (overload)") or at == 0
+    assert "overload" in summary.reason
+    if 2 <= at <= 20:
+        assert summary.ticks < STOP_SLOT + HELD_TICKS
+
+
+def test_an_alert_in_the_answer_to_torque_off_is_no_success():
+    loop, bus, *_ = make(slots=5)
+    torque = bus.torque
+
+    def alarmed(on):
+        bus.alert = 0 if on else 0b1000
+        return torque(on)
+
+    bus.torque = alarmed
+    summary = loop.run()
+    assert (summary.ended, summary.released) == (Ended.TRIPPED, True)
+    assert summary.reason == "the motion is over; then a servo raises an alert (motor encoder)"
+
+
+def test_a_port_that_goes_while_the_robot_stops_does_not_start_it_again():
+    loop, bus = stopping_with(
+        dict.fromkeys(range(2, 1000), BusStatus.PORT_GONE), bus=PluggedBus, replug_s=2.0
+    )
+    assert loop.run().replugs == 0
+    assert bus.calls == ["connect", "torque on", "torque off"]
+
+
+def test_a_robot_that_an_alert_stopped_does_not_start_again_when_its_port_is_back():
+    loop, bus, *_ = make(bus=PluggedBus, replug_s=2.0)
+    bus.alert = 1
+    bus.script = {100: BusStatus.ALERT} | dict.fromkeys(range(101, 1000), BusStatus.PORT_GONE)
+    summary = loop.run()
+    assert (summary.ended, summary.replugs) == (Ended.TRIPPED, 0)
+    assert "input voltage" in summary.reason

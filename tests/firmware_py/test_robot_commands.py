@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from firmware_py.__main__ import main
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
+from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.log.recording import read_recording
@@ -146,6 +148,30 @@ def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
     assert "tripped" in output.out
     assert "the predicted tip has z" in output.err
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+def test_a_servo_that_does_not_confirm_torque_off_is_a_negative_verdict(
+    servos, config, capsys, monkeypatch
+):
+    confirmed = RegisterAccess.put
+
+    def unconfirmed(self, id_, cell, raw):
+        done = confirmed(self, id_, cell, raw)
+        return done and not (cell == MODELS[54024].table[Register.TORQUE_ENABLE] and self.releasing)
+
+    def switched(bus, on):
+        bus._registers.releasing = not on
+        return torque(bus, on)
+
+    torque = DynamixelBus.torque
+    monkeypatch.setattr(RegisterAccess, "releasing", False, raising=False)
+    monkeypatch.setattr(RegisterAccess, "put", unconfirmed)
+    monkeypatch.setattr(DynamixelBus, "torque", switched)
+    code, output = call(capsys, "run", "--config", config, "--json")
+    assert code == 1
+    result = json.loads(output.out)
+    assert (result["ended"], result["released"]) == ("tripped", False)
+    assert "stopped: the motion is over; then not every servo confirmed torque off" in output.err
 
 
 @pytest.mark.parametrize(

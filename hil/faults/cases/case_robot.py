@@ -180,6 +180,7 @@ def run_case_loop(
             config, FaultyModels(robot.bundle, host), bus, clock, goals_rad=goals_rad, slots=slots,
             counters=counters, keep=2 * slots,
         )  # fmt: skip
+        host.request_stop = loop.stop
         try:
             summary = loop.run()
         finally:

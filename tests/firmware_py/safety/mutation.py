@@ -29,7 +29,7 @@ from firmware_py.safety import supervisor
 HERE = Path(__file__).parent
 TARGETS = {
     f"firmware_py.safety.{name}": Path(supervisor.__file__).with_name(f"{name}.py")
-    for name in ("limits", "blend", "supervisor")
+    for name in ("limits", "blend", "stop_reason", "supervisor")
 }
 TESTS = [str(HERE / f"test_{name}.py") for name in ("limits", "blend", "supervisor")]
 
@@ -108,7 +108,7 @@ def mutants(module: str) -> Iterator[Mutant]:
         if isinstance(node, ast.JoinedStr):
             talk |= {id(child) for child in ast.walk(node)}
         elif isinstance(node, ast.ClassDef | ast.Call):  # strict=, frozen= and the like
-            talk |= {id(word.value) for word in node.keywords if word.arg != "tripped"}
+            talk |= {id(word.value) for word in node.keywords if word.arg != "ends_hold"}
     nodes = list(ast.walk(tree))
     for n, field, k, new in places(tree):
         line = lines[getattr(nodes[n], "lineno", 1) - 1]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.safety.states import TRANSITIONS, SafetyState
+from firmware_py.safety.stop_reason import UNRELEASED
 from firmware_py.safety.supervisor import SafetySupervisor
 from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
 
@@ -79,6 +80,76 @@ def test_the_first_reason_stands():
     supervisor.request_stop("SIGTERM")
     assert "input voltage" in supervisor.reason
     assert supervisor.tripped
+
+
+def stopping(limits=LIMITS):
+    supervisor = started(limits)
+    supervisor.request_stop("enough")
+    return supervisor
+
+
+def ticks_to_off(supervisor):
+    for ticks in range(1, 100):
+        supervisor.admit(np.zeros(1))
+        if supervisor.state is SafetyState.OFF:
+            return ticks
+    raise AssertionError("it never ends")
+
+
+HELD_TICKS = 32  # hold_s in periods
+
+
+@pytest.mark.parametrize(
+    ("measured", "times", "words", "ends_hold"),
+    [
+        ({"status": BusStatus.ALERT, "alert": 0b100}, 1, "overheating", True),
+        ({"status": BusStatus.PORT_GONE}, 3, "no fresh data for 3 ticks (PORT_GONE)", True),
+        ({"current": 9.0}, 3, "draws", True),
+        ({"status": BusStatus.TIMEOUT}, 3, "no fresh data for 3 ticks (TIMEOUT)", False),
+        ({"missed": 3}, 1, "3 slots missed in a row", False),
+        ({"missed": 1}, 13, "too slow for its period", False),
+    ],
+)
+def test_a_fault_while_the_robot_stops_is_said_and_ends_the_hold_where_holding_is_worse(
+    measured, times, words, ends_hold
+):
+    supervisor = stopping()
+    for _ in range(times):
+        assert (supervisor.reason, supervisor.faulty) == ("enough", False)
+        check(supervisor, **measured)
+    assert supervisor.reason.startswith("enough; then ")
+    assert words in supervisor.reason
+    assert (supervisor.tripped, supervisor.faulty) == (False, True)
+    assert ticks_to_off(supervisor) == (1 if ends_hold else HELD_TICKS)
+
+
+def test_a_fault_that_lasts_is_said_once_and_another_kind_as_well():
+    supervisor = stopping()
+    for _ in range(5):
+        check(supervisor, status=BusStatus.TIMEOUT)
+    check(supervisor, status=BusStatus.ALERT, alert=1)
+    assert supervisor.reason == (
+        "enough; then no fresh data for 3 ticks (TIMEOUT)"
+        "; then a servo raises an alert (input voltage)"
+    )
+
+
+def test_the_cause_of_a_stop_is_not_said_again():
+    supervisor = started()
+    for _ in range(6):
+        check(supervisor, status=BusStatus.TIMEOUT)
+    assert supervisor.reason == "no fresh data for 3 ticks (TIMEOUT)"
+
+
+@pytest.mark.parametrize(("alert", "released"), [(0, True), (8, True), (0, False), (8, False)])
+def test_what_the_servos_answer_to_torque_off_belongs_to_the_reason(alert, released):
+    supervisor = stopping()
+    ticks_to_off(supervisor)
+    supervisor.conclude(alert, released=released)
+    assert ("motor encoder" in supervisor.reason) is bool(alert)
+    assert (UNRELEASED in supervisor.reason) is not released
+    assert supervisor.faulty is (bool(alert) or not released)
+    assert not supervisor.tripped
 
 
 @pytest.mark.parametrize(
@@ -179,4 +250,5 @@ def test_a_restarted_robot_is_at_rest(sign):
 def test_a_fresh_supervisor_has_nothing_to_complain_about():
     fresh = SafetySupervisor(LIMITS, 1, EXACT_S)
     assert (fresh.state, fresh.reason, fresh.tripped) == (SafetyState.STARTING, "", False)
+    assert not fresh.faulty
     assert fresh.stale_ticks == 0
