@@ -1,0 +1,50 @@
+"""Choice between the nuisance as refitted beside the named effects and as in the plant as given."""
+
+import pytest
+
+from models.gap.acceptance import refit_is_earned
+from models.gap.residuals.partial_residuals import SquaredError
+from models.gap.search.held_out_errors import HeldOutErrors
+
+ROWS = 100
+
+
+def errors(**by_signal):
+    """Errors by fold; each signal's root mean squares."""
+    folds = zip(*by_signal.values(), strict=True)
+    return HeldOutErrors(
+        tuple(
+            {
+                signal: SquaredError(ROWS * rms**2, ROWS)
+                for signal, rms in zip(by_signal, fold, strict=True)
+            }
+            for fold in folds
+        )
+    )
+
+
+GIVEN = errors(tip=(4.0, 4.0, 4.0), angle=(1.0, 1.0, 1.0))
+UNDONE = errors(tip=(2.0, 2.0, 2.0), angle=(1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("tip", "angle", "earned"),
+    [
+        ((1.0, 1.1, 0.9), (1.0, 1.0, 1.0), True),  # a clear fall everywhere
+        ((2.0, 2.0, 2.0), (1.0, 1.0, 1.0), False),  # no fall
+        ((1.0, 2.1, 2.1), (1.0, 1.0, 1.0), False),  # one fold of three: within its standard error
+        ((1.0, 1.0, 1.0), (1.04, 1.04, 1.04), False),  # the tip falls, the angle rises
+        ((3.0, 3.1, 2.9), (0.9, 0.9, 0.9), False),
+    ],
+)
+def test_a_refit_is_written_only_where_the_error_falls_and_no_signal_pays_for_it(
+    tip, angle, earned
+):
+    assert refit_is_earned(UNDONE, errors(tip=tip, angle=angle), GIVEN) is earned
+
+
+def test_a_refit_may_repair_a_signal_that_the_effect_alone_makes_worse():
+    undone = errors(tip=(2.0, 2.0, 2.0), angle=(1.2, 1.2, 1.2))
+    refitted = errors(tip=(1.9, 1.8, 1.7), angle=(1.1, 1.0, 1.0))
+    assert refit_is_earned(undone, refitted, GIVEN)
+    assert not refit_is_earned(refitted, undone, GIVEN)
