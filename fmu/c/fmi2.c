@@ -79,7 +79,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean toleranceDefi
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime)
 {
     ENTER(LEGAL_TO_ENTER);
-    return done(self, fmu_start_at(fmu, startTime));
+    return done(self, fmu_start_at(fmu, startTime, stopTimeDefined, stopTime));
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component instance)

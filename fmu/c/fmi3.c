@@ -96,7 +96,8 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                                        fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
 {
     ENTER(LEGAL_TO_ENTER);
-    return done(self, fmu_start_at(fmu, startTime) && fmu_enter_initialization(fmu));
+    return done(self, fmu_start_at(fmu, startTime, stopTimeDefined, stopTime) &&
+                          fmu_enter_initialization(fmu));
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)

@@ -8,6 +8,8 @@
 #include <string.h>
 
 #define LONGEST_STEP_S (1e6 * MAX_SUBSTEP_S)
+/* A host that adds its steps up passes the stop time by rounding; FMPy compares times to 1e-9. */
+#define STOP_TOLERANCE 1e-9
 
 typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
@@ -171,6 +173,7 @@ void fmu_reset(Fmu *fmu)
     memset(&fmu->memory, 0, sizeof fmu->memory);
     for (size_t i = 0; i < N_VARIABLES; i++)
         fmu->memory.value[i] = VARIABLES[i].start;
+    fmu->memory.stop_s = INFINITY;
     fmu->memory.mode = INSTANTIATED;
     fmu->memory.stale = 1;
 }
@@ -182,11 +185,15 @@ int fmu_check_token(Fmu *fmu, const char *token, const char *what)
     return fmu_refuse(fmu, "The %s is of another FMU.", what);
 }
 
-int fmu_start_at(Fmu *fmu, double start_s)
+int fmu_start_at(Fmu *fmu, double start_s, int stop_defined, double stop_s)
 {
     if (!isfinite(start_s))
         return fmu_refuse(fmu, "The start time is not a finite number.");
+    if (stop_defined && !(stop_s >= start_s))
+        return fmu_refuse(fmu, "The stop time of %.9g s is before the start time of %.9g s.",
+                          stop_s, start_s);
     fmu->memory.value[0] = start_s;
+    fmu->memory.stop_s = stop_defined ? stop_s : INFINITY;
     return 1;
 }
 
@@ -206,7 +213,7 @@ int fmu_exit_initialization(Fmu *fmu)
 
 int fmu_step(Fmu *fmu, double time_s, double step_s)
 {
-    Memory before = fmu->memory;
+    Memory *memory = &fmu->memory, before = *memory;
     double now_s = before.value[0];
     if (!(step_s > 0.0 && step_s <= LONGEST_STEP_S))
         return fmu_refuse(fmu, "The step of %g s is not within 0 to %g s.", step_s,
@@ -214,16 +221,19 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (!(fabs(time_s - now_s) <= 1e-6 * step_s + 1e-12 * fabs(now_s)))
         return fmu_refuse(fmu, "The step starts at %.9g s but the FMU stands at %.9g s.", time_s,
                           now_s);
+    if (time_s + step_s > memory->stop_s + 1e-6 * step_s + STOP_TOLERANCE * fabs(memory->stop_s))
+        return fmu_refuse(fmu, "The step to %.9g s leads beyond the stop time of %.9g s.",
+                          time_s + step_s, memory->stop_s);
     double count = MAX(1.0, ceil(step_s / MAX_SUBSTEP_S - 1e-9));
     advance(fmu, model_begin, step_s);
     for (double i = 0.0; i < count; i++)
         advance(fmu, model_flow, step_s / count);
     advance(fmu, model_finish, step_s);
-    fmu->memory.value[0] = time_s + step_s;
-    fmu->memory.stale = 1;
+    memory->value[0] = time_s + step_s;
+    memory->stale = 1;
     if (refresh(fmu))
         return 1;
-    fmu->memory = before;
+    *memory = before;
     return fmu_refuse(fmu, "The step from %.9g s gave values that are not finite numbers.", now_s);
 }
 

@@ -51,6 +51,7 @@ extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value referenc
 typedef struct {
     double value[N_VARIABLES]; /* time, inputs, parameters, outputs */
     double state[ROOM(N_STATES)];
+    double stop_s; /* end of the experiment; infinite where the host defines none */
     int32_t mode;
     int32_t stale; /* the outputs are older than the other values */
 } Memory;
@@ -79,7 +80,7 @@ int fmu_allow(Fmu *fmu, const char *call, int legal);
 void fmu_reset(Fmu *fmu);
 int fmu_check_token(Fmu *fmu, const char *token, const char *what);
 int fmu_check_log_categories(Fmu *fmu, const char *const category[], size_t count);
-int fmu_start_at(Fmu *fmu, double start_s);
+int fmu_start_at(Fmu *fmu, double start_s, int stop_defined, double stop_s);
 int fmu_enter_initialization(Fmu *fmu);
 int fmu_exit_initialization(Fmu *fmu);
 int fmu_step(Fmu *fmu, double time_s, double step_s);

@@ -3,7 +3,7 @@
 An effect is one small class in a file of this package: its name in the catalogue, its parameters
 (the first one is its strength: at zero the plant is exactly the one without it), the states that it
 adds, and the quantities of the scope that it changes at its port. A class is registered when it
-derives from `Effect`; docs/add-an-effect.md has an example.
+derives from `Effect`; docs/plant/add-an-effect.md has an example.
 """
 
 from __future__ import annotations

@@ -20,7 +20,9 @@ def hose_spring(monkeypatch):
     """What the guide's code leaves behind; the effect is forgotten afterwards."""
     monkeypatch.chdir(ROOT)
     known = dict(EFFECTS)
-    blocks = re.findall(r"```python\n(.*?)```", Path("docs/add-an-effect.md").read_text(), re.S)
+    blocks = re.findall(
+        r"```python\n(.*?)```", Path("docs/plant/add-an-effect.md").read_text(), re.S
+    )
     space = {}
     for block in blocks:
         exec(block, space)
