@@ -69,6 +69,31 @@ def dispatch(
     parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("--version", action="version", version=_VERSION)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    try:
+        module = _declared(subparsers, commands, chosen)
+        args = parser.parse_args(arguments)
+        return int(module.run(args)) if module else BAD_INPUT
+    except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
+        return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
+    except InputError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except SafetyTrip as error:
+        print(f"{prog}: stopped: {error}", file=sys.stderr)
+        return NEGATIVE
+    except KeyboardInterrupt:
+        print(f"{prog}: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    except BrokenPipeError:
+        return DONE
+
+
+def _declared(
+    subparsers: argparse._SubParsersAction[argparse.ArgumentParser],
+    commands: Sequence[Command],
+    chosen: Command | None,
+) -> Any:
+    """Declare every sub-command; return the module of the chosen one."""
     module = None
     for command in commands:
         if command is not chosen:
@@ -85,22 +110,7 @@ def dispatch(
         module.configure(sub)
         sub.add_argument("--version", action="version", version=_VERSION)
         sub.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
-    try:
-        args = parser.parse_args(arguments)
-        return int(module.run(args)) if module else BAD_INPUT
-    except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
-        return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
-    except InputError as error:
-        print(f"{prog}: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except SafetyTrip as error:
-        print(f"{prog}: stopped: {error}", file=sys.stderr)
-        return NEGATIVE
-    except KeyboardInterrupt:
-        print(f"{prog}: interrupted", file=sys.stderr)
-        return _INTERRUPTED
-    except BrokenPipeError:
-        return DONE
+    return module
 
 
 def emit(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:

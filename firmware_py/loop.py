@@ -16,10 +16,6 @@ clock differ.
 from __future__ import annotations
 
 import contextlib
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from types import FrameType
 from typing import Final
 
 import numpy as np
@@ -34,6 +30,7 @@ from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters, NoCounters
 from firmware_py.realtime.service import NoService, Service
+from firmware_py.realtime.stop_signals import signals_to
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.stop_reason import UNRELEASED
 from firmware_py.safety.supervisor import SafetySupervisor
@@ -155,7 +152,7 @@ class ControlLoop:
         """
         self._bus.connect()
         self._get_ready()
-        with _signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it
+        with signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it
             try:
                 self._start()
                 self._run_slots()
@@ -314,21 +311,3 @@ class ControlLoop:
             replugs=self._replugs,
             released=released,
         )
-
-
-@contextlib.contextmanager
-def _signals_to(stop: Callable[[str], None]) -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into requests for a controlled stop (main thread only)."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        stop(signal.Signals(number).name)
-
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, previous in before.items():
-            signal.signal(number, previous)

@@ -22,7 +22,7 @@ class Ended(Enum):
     FINISHED = "finished"
     """The motion, or the requested time, was over."""
     SIGNALLED = "signalled"
-    """SIGINT or SIGTERM; the robot came to a controlled stop."""
+    """A signal, like SIGINT; the robot came to a controlled stop."""
     TRIPPED = "tripped"
     """A fault stopped the robot, was seen while it stopped, or a torque was not confirmed off."""
 

@@ -183,7 +183,7 @@ class SocketTransport:
     def write(self, data: bytes) -> int:
         """See `Transport.write`."""
         try:
-            return self._socket.send(data)
+            return self._socket.send(data, socket.MSG_NOSIGNAL)  # SIGPIPE would stop the robot
         except BlockingIOError:
             return 0
 

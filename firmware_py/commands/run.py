@@ -1,10 +1,14 @@
 """Run of the control loop: drive the servos along the configured motion, predict, supervise, log.
 
-Every end that the program can handle switches the torque off: the end of the motion, SIGINT
-(Ctrl-C), SIGTERM, a stop by the supervisor, an exception. After SIGKILL or a power loss of the PC
-the torque stays on. A servo with a bus watchdog then stops and holds its position; a legacy PRO
-(-R), which has none, moves to its last goal and holds it. Switch the torque off with
-'dropstitch release', or switch the power of the servos off.
+Every end that the program can handle brings the arm to rest and switches the torque off: the end of
+the motion, Ctrl-C, SIGTERM, SIGHUP (a closed terminal, a lost ssh session) and every other signal
+that can be handled, a stop by the supervisor, an exception. Exit 0 only where no fault was seen and
+every servo confirmed torque off; else 1.
+
+What remains are SIGKILL, SIGSTOP, a crash of Python or of the kernel, and a power loss of the PC:
+the torque then stays on. A servo with a bus watchdog stops and holds its position; a legacy PRO
+(-R), which has none, moves to its last goal and holds it. Switch the torque off with 'dropstitch
+release', or switch the power of the servos off.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -85,11 +90,7 @@ def run(args: argparse.Namespace) -> int:
     document = summary.document(log, bus.plan.name)
     if log is not None:
         _write_summary(log.with_suffix(".timing.json"), document)
-    emit(
-        args,
-        msgspec.to_builtins(document),
-        f"{describe(summary, log)}\nservos were read by {bus.plan.name}",
-    )
+    _tell(args, document, f"{describe(summary, log)}\nservos were read by {bus.plan.name}")
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return DONE
@@ -101,6 +102,16 @@ def _write_summary(path: Path, document: RunDocument) -> None:
         write_run_summary(path, document)
     except OSError as error:
         print(f"dropstitch: {path}: cannot be written ({error.strerror})", file=sys.stderr)
+
+
+def _tell(args: argparse.Namespace, document: RunDocument, text: str) -> None:
+    """Print the result; a terminal or a pipe that has gone must not change the exit code."""
+    try:
+        emit(args, msgspec.to_builtins(document), text)
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):  # what is left would fail again at the exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:

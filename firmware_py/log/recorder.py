@@ -153,7 +153,7 @@ def _await_start(ours: socket.socket) -> None:
 
 def main() -> int:
     """Pass one run on until the loop closes its end; return 1 if a file could not be finished."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends after the loop
     os.nice(_NICENESS)
     task = msgspec.json.decode(sys.stdin.buffer.read(), type=RecorderTask)

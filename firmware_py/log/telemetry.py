@@ -59,6 +59,6 @@ class SocketTelemetry:
     def put(self, record: memoryview) -> None:
         """Send one record, or count it as dropped if the recorder is behind or gone."""
         try:
-            self._send(record)
+            self._send(record, socket.MSG_NOSIGNAL)  # SIGPIPE would stop the robot
         except OSError:
             self.drops += 1

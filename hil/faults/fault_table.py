@@ -8,6 +8,16 @@ as fresh that the servo did not send in the same tick; at the end no servo is dr
 from __future__ import annotations
 
 import math
+from signal import (
+    SIGHUP,
+    SIGPIPE,
+    SIGQUIT,
+    SIGTERM,
+    SIGTSTP,
+    SIGUSR1,
+    SIGUSR2,
+    Signals,
+)
 from typing import Final
 
 from firmware_py.bus.registers import HARDWARE_ERRORS
@@ -44,6 +54,10 @@ def _loses(ticks: int) -> Expectation:
 
 def _tripped(reason: str, within: int) -> Expectation:
     return Expectation("tripped", within=within, reason=reason)
+
+
+def _signalled(number: Signals) -> Expectation:
+    return Expectation("signalled", reason=number.name)
 
 
 def _refused(reason: str) -> Expectation:
@@ -91,7 +105,6 @@ def _process(
     return FaultRow(fault, how, must, (), ("process",), setup, models)
 
 
-_SIGNALLED: Final = Expectation("signalled", reason="SIGTERM")
 _KILLED: Final = Expectation("killed")
 _UNLOGGED: Final = Expectation("finished", lost=0, unlogged=True)
 _BACK: Final = Expectation("finished", within=1, reason="the motion is over", replugs=1)
@@ -244,7 +257,12 @@ STOPPING: Final = (
 )  # fmt: skip
 
 PROCESS: Final = (
-    _process("SIGTERM in motion", "once", _SIGNALLED, Setup(signal=15)),
+    *(
+        _process(f"{number.name} in motion", "once", _signalled(number), Setup(signal=number))
+        for number in (SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGPIPE, SIGTSTP)
+    ),
+    _process("SIGHUP in motion", "once, legacy PRO", _signalled(SIGHUP), Setup(signal=SIGHUP),
+             (LEGACY,)),
     _process("SIGKILL in motion", "once", _KILLED, Setup(signal=9)),
     _process("SIGKILL in motion", "once, legacy PRO", _KILLED, Setup(signal=9), (LEGACY,)),
     _process("host stall of 5 ms", "process stopped", _loses(1), Setup(freeze_s=5e-3)),
@@ -260,7 +278,7 @@ PROCESS: Final = (
     _process("unplug and replug", "another name, configured to go on", _BACK,
              Setup(unplug_s=1.0, replug_s=5.0, port_renamed=True)),
     _process("together: recorder dead, disk full, SIGTERM", "at once",
-             _SIGNALLED, Setup(recorder_signal=9, disk_full=True, signal=15)),
+             _signalled(SIGTERM), Setup(recorder_signal=9, disk_full=True, signal=15)),
 )  # fmt: skip
 
 PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {

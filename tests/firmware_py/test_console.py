@@ -64,6 +64,16 @@ def test_errors_become_exit_codes_and_one_sentence(error, code, message, capsys,
     assert capsys.readouterr().err == message
 
 
+def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypatch):
+    def interrupt(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("firmware_py.console.importlib.import_module", interrupt)
+    commands = (console.Command("go", "firmware_py.commands.release", "a command"),)
+    assert console.dispatch("tool", "", commands, ["go"]) == 130
+    assert capsys.readouterr().err == "tool: interrupted\n"
+
+
 def test_an_unknown_command_is_bad_input(capsys):
     assert ROOMS["firmware_py"].main(["fly"]) == console.BAD_INPUT
     assert "invalid choice" in capsys.readouterr().err

@@ -1,7 +1,6 @@
 """Ends of the loop in simulated time: stops, signals, errors, clocks that leap, ports that go."""
 
 import math
-import signal
 
 import numpy as np
 import pytest
@@ -95,24 +94,6 @@ def test_a_port_that_goes_on_the_way_to_the_motion_lets_the_robot_go_on():
     assert np.abs(np.diff(goals)).max() < 0.02
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_brings_a_controlled_stop(number):
-    class SignallingBus(Bus):
-        def read(self, deadline_ns):
-            if self.reads == 100:
-                signal.raise_signal(number)
-            return super().read(deadline_ns)
-
-    before = signal.getsignal(number)
-    loop, bus, *_ = make(bus=SignallingBus)
-    summary = loop.run()
-    assert (summary.ended, summary.reason) == (Ended.SIGNALLED, number.name)
-    assert summary.records["state"][100] == SafetyState.STOPPING
-    assert summary.ticks > 100 + Limits().hold_s / 0.017
-    assert not bus.driven
-    assert signal.getsignal(number) is before
-
-
 def test_a_hardware_error_stops_the_robot():
     loop, bus, *_ = make()
     bus.script, bus.alert = {30: BusStatus.ALERT}, 0b100000
@@ -120,20 +101,6 @@ def test_a_hardware_error_stops_the_robot():
     assert summary.ended is Ended.TRIPPED
     assert "overload" in summary.reason
     assert summary.records["alert"][30] == 0b100000
-
-
-def test_an_impatient_second_signal_does_not_leave_the_torque_on():
-    loop, bus, *_ = make(slots=10)
-    torque = bus.torque
-
-    def interrupted(on):
-        if not on:
-            signal.raise_signal(signal.SIGINT)
-        return torque(on)
-
-    bus.torque = interrupted
-    loop.run()
-    assert not bus.driven
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,21 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
 
 
+def test_a_terminal_that_has_gone_hides_no_trip(servos, config, capsys, monkeypatch):
+    config.write_text(
+        config.read_text().replace("hold_s = 0.05", "hold_s = 0.05\ntip_max_m = [1.2, 1.2, 0.1]")
+    )
+    from firmware_py.commands import run
+
+    def gone(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(run, "emit", gone)
+    code, output = call(capsys, "run", "--config", config)
+    assert code == 1
+    assert "the predicted tip has z" in output.err
+
+
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
 def test_a_senseless_time_is_refused(config, capsys, seconds):
     code, output = call(capsys, "run", "--config", config, "--seconds", seconds)

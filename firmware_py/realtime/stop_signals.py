@@ -1,0 +1,67 @@
+"""Signals that end or halt a process by default, turned into requests for a controlled stop.
+
+A closed terminal or a lost ssh session sends SIGHUP, Ctrl-C SIGINT, Ctrl-Z SIGTSTP; unhandled,
+each leaves the torque on. Not handled are:
+
+- SIGKILL and SIGSTOP, which the kernel lets nobody handle;
+- the signals of a crash (SIGSEGV, SIGABRT and the like), after which no program can go on;
+- signals without effect by default (SIGCHLD, SIGCONT, SIGURG, SIGWINCH).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Final
+
+__all__ = ["STOP_SIGNALS", "signals_to"]
+
+_UNHANDLED: Final = frozenset({
+    signal.SIGKILL, signal.SIGSTOP,
+    signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP,
+    signal.SIGSYS,
+    signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH,
+})  # fmt: skip
+STOP_SIGNALS: Final = tuple(sorted(set(map(int, signal.valid_signals())) - _UNHANDLED))
+"""Numbers of the signals that request a controlled stop, real-time signals included."""
+
+
+@contextlib.contextmanager
+def signals_to(stop: Callable[[str], None]) -> Iterator[None]:
+    """Turn `STOP_SIGNALS` into requests for a controlled stop (main thread only).
+
+    SIGHUP stays ignored where it was ignored at the start: `nohup` asks for that.
+
+    Parameters
+    ----------
+    stop : callable
+        Called with the name of the signal.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        stop(_name(number))
+
+    before = {
+        number: signal.signal(number, handler)
+        for number in STOP_SIGNALS
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
+
+
+def _name(number: int) -> str:
+    """Return the name of a signal; most real-time signals have none of their own."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"SIGRTMIN+{number - signal.SIGRTMIN}"
