@@ -79,7 +79,7 @@ def simulate_fmu(
     Raises
     ------
     InputError
-        If the FMU is not one of ours, or refuses a parameter.
+        If the FMU is not one of ours, or refuses a parameter, an input or a step.
     """
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
@@ -97,7 +97,10 @@ def simulate_fmu(
     with archive.instance() as instance:
         _set(archive, instance, parameters)
         driven = u[:-1] if goals else u
-        y = instance.run(inputs, driven, np.full(len(driven), step_s), outputs)
+        try:
+            y = instance.run(inputs, driven, np.full(len(driven), step_s), outputs)
+        except FMICallException:
+            raise _refusal(archive, instance) from None
     y = y if goals else y[1:]
     return FmuRun(
         title=f"{archive.path.name}: {source.name if isinstance(source, Trial) else source.kind}",
@@ -115,8 +118,12 @@ def _set(archive: FmuArchive, instance: FmpyInstance, parameters: Mapping[str, f
         try:
             instance.set({name: value})
         except FMICallException:
-            reason = instance.messages[-1].rstrip(".")
-            raise InputError(archive.path, reason, "choose another value") from None
+            raise _refusal(archive, instance) from None
+
+
+def _refusal(archive: FmuArchive, instance: FmpyInstance) -> InputError:
+    """The FMU's last message as an error of the user's input."""
+    return InputError(archive.path, instance.messages[-1].rstrip("."), "choose another value")
 
 
 def _measured(trial: Trial, outputs: Sequence[str]) -> dict[str, Array]:

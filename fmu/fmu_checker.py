@@ -11,6 +11,7 @@ import ctypes
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -176,15 +177,16 @@ def _refusals(archive: FmuArchive) -> Iterator[FmuCheck]:
         instance.initialize()
         number = next((v.name for v in variables if v.causality == "input"), None)
         output = next((v.name for v in variables if v.causality == "output"), None)
-        bounded = next((v for v in variables if v.causality == "parameter" and v.max), None)
+        settable = [v for v in variables if v.causality in ("input", "parameter")]
+        bounded = {v.causality: v for v in settable if v.max is not None}
         wrong = [("a step of zero", lambda: instance.step(0.0))]
         if number:
             wrong.append(("an input that is not a number", lambda: instance.set({number: np.nan})))
         if output:
             wrong.append(("setting an output", lambda: instance.set({output: 0.0})))
-        if bounded:
-            beyond = float(bounded.max) + 1.0
-            wrong.append(("a parameter out of range", lambda: instance.set({bounded.name: beyond})))
+        for causality, v in sorted(bounded.items()):
+            beyond = {v.name: float(v.max) + 1.0}
+            wrong.append((f"{causality} {v.name} out of bounds", partial(instance.set, beyond)))
         yield _refused(instance, wrong)
         instance.step(PERIOD_S)
 

@@ -121,8 +121,7 @@ static int settable(Fmu *fmu, const Variable *variable, double value)
     if (!isfinite(value))
         return fmu_refuse(fmu, "%s cannot be set to a value that is not a finite number.",
                           variable->name);
-    if (variable->causality == PARAMETER &&
-        (value < variable->minimum || value > variable->maximum))
+    if (value < variable->minimum || value > variable->maximum)
         return fmu_refuse(fmu, "%s = %g lies outside %g to %g.", variable->name, value,
                           variable->minimum, variable->maximum);
     return 1;

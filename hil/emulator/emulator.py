@@ -273,7 +273,8 @@ class Emulator:
     ) -> None:
         # An unusable FMU is reported by this process, which has a terminal.
         if isinstance(specification.source, Path):
-            FmuPhysics(specification.source, len(specification.ids)).fmu.close()
+            dof, payload_kg = len(specification.ids), specification.payload_kg
+            FmuPhysics(specification.source, dof, payload_kg).fmu.close()
         self._pipe, child_end = _SPAWN.Pipe()
         self._process = _SPAWN.Process(
             target=_run,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.errors import FmuRefusal, InputError
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.signals import tip_names
 
@@ -30,7 +30,8 @@ class FmuPhysics:
     Raises
     ------
     InputError
-        If the file cannot be used, is no twin, or is one of other joints.
+        If the file cannot be used, is no twin or is one of other joints, or if the payload is
+        outside of its bounds.
     """
 
     def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
@@ -49,7 +50,12 @@ class FmuPhysics:
         self._state = self.fmu.channel(names)
         self._tip = self.fmu.channel(tip_names())
         self.angle_rad, self.current_a = self._state.values[:dof], self._state.values[dof:]
-        self.fmu.set(["payload_kg"], [payload_kg])
+        try:
+            self.fmu.set(["payload_kg"], [payload_kg])
+        except FmuRefusal as refusal:
+            raise InputError(
+                "--payload-kg", str(refusal).rstrip("."), "choose one within the twin's bounds"
+            ) from None
         self.fmu.start()
         self._state.receive()
 

@@ -1,13 +1,18 @@
-"""Limits that an FMU keeps: the stop time of the experiment."""
+"""Limits that an FMU keeps: the stop time of the experiment, the bounds of its inputs."""
 
 import math
+from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
+from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
+from fmu.__main__ import main
 from fmu.fmpy_instance import FmuArchive
+from hil.emulator.fmu_physics import FmuPhysics
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +89,47 @@ def test_fmpys_own_simulation_reaches_the_stop_time_that_it_sets(toy_fmu):
         str(toy_fmu), stop_time=8.704, output_interval=PERIOD_S, set_stop_time=True
     )
     assert result["time"][-1] == pytest.approx(8.704)
+
+
+def _bounded_inputs(archive):
+    """Inputs whose bounds the model description publishes."""
+    inputs = [v for v in archive.description.modelVariables if v.causality == "input"]
+    return [(v.name, float(v.min), float(v.max)) for v in inputs if v.min is not None]
+
+
+def test_inputs_are_held_to_the_bounds_that_the_description_publishes(archive, instance):
+    bounds = _bounded_inputs(archive)
+    assert [name for name, _, _ in bounds] == ["torque_nm", "payload_kg"]
+    for started in (False, True):
+        if started:
+            instance.initialize()
+        for name, low, high in bounds:
+            for value in (low, high):
+                instance.set({name: value})
+            for value in (np.nextafter(low, -np.inf), high + 0.1):
+                told = len(instance.messages)
+                with pytest.raises(FMICallException, match="status 3"):
+                    instance.set({name: value})
+                assert f"{name} = " in instance.messages[told]
+                assert "outside" in instance.messages[told]
+    assert instance.get([name for name, _, _ in bounds]).tolist() == [b[2] for b in bounds]
+    instance.step(PERIOD_S)
+
+
+def test_of_several_inputs_none_is_taken_where_one_is_out_of_bounds(instance):
+    instance.initialize({"torque_nm": 1.0})
+    with pytest.raises(FMICallException):
+        instance.set({"torque_nm": 2.0, "payload_kg": -0.3})
+    assert instance.get(["torque_nm", "payload_kg"]).tolist() == [1.0, 0.25]
+
+
+def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof, tmp_path, capsys):
+    twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
+    assert main(["build", str(bundle_1dof), "--out", twin]) == 0
+    for payload in ("-0.3", "3.5"):
+        assert main(["simulate", twin, "--out", out, "--payload", payload]) == 2
+        error = capsys.readouterr().err
+        assert f"payload_kg = {payload} lies outside 0 to 3" in error
+        assert error.count("\n") == 1
+    with pytest.raises(InputError, match=r"payload_kg = 3\.5 lies outside 0 to 3"):
+        FmuPhysics(Path(twin), dof=1, payload_kg=3.5)
