@@ -5,8 +5,8 @@ the motion, Ctrl-C, SIGTERM, SIGHUP (a closed terminal, a lost ssh session) and 
 that can be handled, a stop by the supervisor, an exception. Exit 0 only where no fault was seen and
 every servo confirmed torque off; else 1.
 
-What remains are SIGKILL, SIGSTOP, a crash of Python or of the kernel, and a power loss of the PC:
-the torque then stays on. A servo with a bus watchdog stops and holds its position; a legacy PRO
+After SIGKILL or a power loss of the PC the torque stays on; so it does after SIGSTOP and a crash of
+Python or of the kernel. A servo with a bus watchdog stops and holds its position; a legacy PRO
 (-R), which has none, moves to its last goal and holds it. Switch the torque off with 'dropstitch
 release', or switch the power of the servos off.
 """

@@ -27,6 +27,8 @@ class Expectation:
         Times that the robot must go on after its port was gone.
     unlogged : bool
         Whether the log must lack ticks, and nothing but the log.
+    on_time : bool
+        Whether no slot may be missed.
     """
 
     ended: str
@@ -35,6 +37,7 @@ class Expectation:
     reason: str = ""
     replugs: int = 0
     unlogged: bool = False
+    on_time: bool = False
 
     def __str__(self) -> str:
         parts = [self.ended]
@@ -46,6 +49,8 @@ class Expectation:
             parts.append(f"at most {self.lost} {ticks} lost" if self.lost else "no tick lost")
         if self.unlogged:
             parts.append("only the log suffers")
+        if self.on_time:
+            parts.append("no slot missed")
         if self.replugs:
             parts.append("goes on from the measured position")
         if self.reason:

@@ -56,6 +56,10 @@ def _tripped(reason: str, within: int) -> Expectation:
     return Expectation("tripped", within=within, reason=reason)
 
 
+def _flooded(reason: str, within: int) -> Expectation:
+    return Expectation("tripped", within=within, reason=reason, on_time=True)
+
+
 def _signalled(number: Signals) -> Expectation:
     return Expectation("signalled", reason=number.name)
 
@@ -123,6 +127,12 @@ LINE: Final = (
     *_unheard("truncation", "truncated"),
     *_tolerated("noise before a packet", "noise"),
     *_unheard("reply from another id", "other id"),
+    FaultRow("babbling line", "4 kB before each reply", _flooded(_STALE, 1),
+        (Injection("babble", FOREVER, 4e-3),), BOTH),
+    FaultRow("flood of bytes", "at the rate of the fastest line, 4 Mbaud",
+        _flooded(_STALE, 2), (Injection("flood", FOREVER, 0.4e6),)),
+    FaultRow("flood of bytes", "without a pause, as from another process",
+        _flooded(_STALE, 2), (Injection("flood", FOREVER, 1e9),)),
     FaultRow("latency timer 16", "from the start", _refused("latency timer"),
         lines=BOTH, setup=Setup(latency_s=16e-3)),
     FaultRow("wrong baud", "from the start", _refused("baud rate is the servo's"),

@@ -135,6 +135,8 @@ def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
         complaints.append(f"seen in tick {seen.detected_ticks}, not within {must.within}")
     if must.lost is not None and seen.lost_ticks > must.lost:
         complaints.append(f"{seen.lost_ticks} ticks lost, not {must.lost} at most")
+    if must.on_time and seen.misses:
+        complaints.append(f"{sum(seen.misses.values())} slots missed")
     if must.replugs != seen.replugs:
         complaints.append(f"went on {seen.replugs} times, not {must.replugs}")
     return complaints

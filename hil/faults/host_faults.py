@@ -28,10 +28,14 @@ HOST_FAULTS: Final = (
     "clock",
     "port",
     "request",
+    "flood",
 )
 """The first two return the plan's value; the next delay by that many seconds, step the clock by
-them, or remove the port for them; the last requests a controlled stop."""
+them, or remove the port for them. "request" requests a controlled stop; "flood" puts that many
+bytes per second in place of what the port receives."""
 _GARBAGE_CYCLES: Final = 300
+_FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
+"""Header of a long status packet: the costliest bytes to search."""
 
 
 class HostFaults:
@@ -219,6 +223,9 @@ class FaultyTransport:
     def read(self, size: int, deadline_ns: int) -> bytes:
         """See `Transport.read`."""
         self._check()
+        if (bytes_per_s := self._host.value("flood")) is not None:
+            self._clock.advance(round(size / bytes_per_s * 1e9))
+            return (_FLOOD * size)[:size]
         return self._inner.read(size, deadline_ns - self._clock.step_ns)
 
     def write(self, data: bytes) -> int:

@@ -34,7 +34,7 @@ class Injection(NamedTuple):
     times : int
         Exchanges in a row.
     value : float
-        Delay in s, error in rad or A, or hardware error bits, by the kind.
+        Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind.
     joint : int or None
         Joint with the fault, from 0; None for all.
     after : int
@@ -74,6 +74,10 @@ def _noise(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     return [(0, chance.randbytes(chance.randint(1, 8)) + frame)]
 
 
+def _babble(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    return [(0, chance.randbytes(round(value * 1e6)) + frame)]
+
+
 def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     renamed = bytes((*frame[:4], _FOREIGN_ID, *frame[5:-_CRC_BYTES]))
     return [(0, renamed + packets.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
@@ -89,6 +93,7 @@ LINE_FAULTS: Final[dict[str, Callable[[bytes, float, random.Random], Arrivals]]]
     "flip in CRC": _flipped(-_CRC_BYTES, 0),
     "truncated": _truncated,
     "noise": _noise,
+    "babble": _babble,
     "other id": _foreign,
 }
 """Faults of the line: functions from (frame, value, chance) to what arrives in its place."""
