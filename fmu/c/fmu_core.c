@@ -83,20 +83,29 @@ static int all_finite(const double *value, size_t count)
     return 1;
 }
 
-/* Compute the outputs, and before the first step the state, from inputs and parameters. */
+/* Compute the outputs, and before the first step the state, from inputs and parameters. They are
+ * taken only where all are finite numbers, so that the memory never holds others. */
 static int refresh(Fmu *fmu)
 {
     Memory *memory = &fmu->memory;
+    const double *state = memory->state;
+    double *outputs = fmu->outputs;
     if (!memory->stale)
         return 1;
-    if (memory->mode & (INSTANTIATED | INITIALIZING))
-        evaluate(fmu, model_initial, NULL, 0.0, memory->state);
-    evaluate(fmu, model_output, memory->state, 0.0, memory->value + FIRST_OUTPUT);
+    if (memory->mode & (INSTANTIATED | INITIALIZING)) {
+        evaluate(fmu, model_initial, NULL, 0.0, fmu->next);
+        state = fmu->next;
+    }
+    evaluate(fmu, model_output, state, 0.0, outputs);
+    if (!all_finite(state, N_STATES) || !all_finite(memory->value, FIRST_OUTPUT) ||
+        !all_finite(outputs, N_OUTPUTS))
+        return fmu_refuse(fmu, "The outputs are not finite numbers with these inputs and "
+                               "parameters.");
+    memcpy(memory->value + FIRST_OUTPUT, outputs, N_OUTPUTS * sizeof *outputs);
+    if (state == fmu->next)
+        memcpy(memory->state, fmu->next, sizeof fmu->next);
     memory->stale = 0;
-    if (all_finite(memory->state, N_STATES) && all_finite(memory->value, N_VARIABLES))
-        return 1;
-    memory->stale = 1;
-    return fmu_refuse(fmu, "The outputs are not finite numbers with these inputs and parameters.");
+    return 1;
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
@@ -114,17 +123,27 @@ static int check_type(Fmu *fmu, const uint32_t reference[], size_t count, Type t
     return 1;
 }
 
-static int settable(Fmu *fmu, const Variable *variable, double value)
+static int is_settable(const Variable *variable)
 {
-    if (variable->causality != INPUT && variable->causality != PARAMETER)
-        return fmu_refuse(fmu, "%s cannot be set: it is calculated.", variable->name);
+    return variable->causality == INPUT || variable->causality == PARAMETER;
+}
+
+static int check_value(Fmu *fmu, const Variable *variable, double value)
+{
     if (!isfinite(value))
-        return fmu_refuse(fmu, "%s cannot be set to a value that is not a finite number.",
+        return fmu_refuse(fmu, "%s cannot have a value that is not a finite number.",
                           variable->name);
-    if (value < variable->minimum || value > variable->maximum)
+    if (is_settable(variable) && (value < variable->minimum || value > variable->maximum))
         return fmu_refuse(fmu, "%s = %g lies outside %g to %g.", variable->name, value,
                           variable->minimum, variable->maximum);
     return 1;
+}
+
+static int check_set(Fmu *fmu, const Variable *variable, double value)
+{
+    if (!is_settable(variable))
+        return fmu_refuse(fmu, "%s cannot be set: it is calculated.", variable->name);
+    return check_value(fmu, variable, value);
 }
 
 int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const double value[])
@@ -132,7 +151,7 @@ int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const do
     if (!check_type(fmu, reference, count, FLOAT64))
         return 0;
     for (size_t i = 0; i < count; i++)
-        if (!settable(fmu, &VARIABLES[reference[i]], value[i]))
+        if (!check_set(fmu, &VARIABLES[reference[i]], value[i]))
             return 0;
     for (size_t i = 0; i < count; i++)
         fmu->memory.value[reference[i]] = value[i];
@@ -244,19 +263,37 @@ int fmu_terminate(Fmu *fmu)
 
 /* ---- Saved states -------------------------------------------------------------------------- */
 
+/* FNV-1a in 64 bits (Fowler, Noll and Vo): any single changed byte changes it. */
+static uint64_t hash_of(const Saved *saved)
+{
+    const unsigned char *byte = (const unsigned char *)saved;
+    uint64_t hash = UINT64_C(0xcbf29ce484222325);
+    for (size_t i = sizeof saved->hash; i < sizeof *saved; i++)
+        hash = (hash ^ byte[i]) * UINT64_C(0x100000001b3);
+    return hash;
+}
+
 static int check_saved(Fmu *fmu, const void *bytes, size_t size)
 {
     Saved saved;
+    const Memory *memory = &saved.memory;
     if (!bytes)
         return fmu_refuse(fmu, "There is no saved state.");
     if (size != sizeof saved)
         return fmu_refuse(fmu, "A saved state of this FMU has %u bytes, not %u.",
                           (unsigned)sizeof saved, (unsigned)size);
     memcpy(&saved, bytes, sizeof saved); /* the importer's bytes may lie unaligned */
-    int mode = saved.memory.mode;
-    if (memcmp(saved.token, FMU_TOKEN, sizeof FMU_TOKEN) != 0 ||
-        !(mode == INSTANTIATED || mode == INITIALIZING || mode == STEPPING || mode == TERMINATED))
+    int mode = memory->mode;
+    if (memcmp(saved.token, FMU_TOKEN, sizeof FMU_TOKEN) != 0)
         return fmu_refuse(fmu, "The saved state comes from another FMU.");
+    if (saved.hash != hash_of(&saved) || isnan(memory->stop_s) ||
+        !(mode == INSTANTIATED || mode == INITIALIZING || mode == STEPPING || mode == TERMINATED))
+        return fmu_refuse(fmu, "The saved state is damaged.");
+    if (!all_finite(memory->state, N_STATES))
+        return fmu_refuse(fmu, "The saved state holds values that are not finite numbers.");
+    for (size_t i = 0; i < N_VARIABLES; i++)
+        if (!check_value(fmu, &VARIABLES[i], memory->value[i]))
+            return 0;
     return 1;
 }
 
@@ -268,6 +305,7 @@ int fmu_save(Fmu *fmu, Saved **saved)
         return fmu_refuse(fmu, "There is no memory left for a saved state.");
     memcpy((*saved)->token, FMU_TOKEN, sizeof FMU_TOKEN);
     (*saved)->memory = fmu->memory;
+    (*saved)->hash = hash_of(*saved);
     return 1;
 }
 

@@ -45,6 +45,8 @@ typedef struct {
     double start, minimum, maximum;
 } Variable;
 
+enum { N_OUTPUTS = N_VARIABLES - FIRST_OUTPUT };
+
 extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value reference */
 
 /* Content of a saved state. */
@@ -57,6 +59,7 @@ typedef struct {
 } Memory;
 
 typedef struct {
+    uint64_t hash; /* of all bytes behind it */
     char token[sizeof FMU_TOKEN]; /* a state is valid only for the FMU that saved it */
     Memory memory;
 } Saved;
@@ -69,6 +72,7 @@ typedef struct {
     casadi_int integers[WORK(SZ_IW)];
     casadi_real reals[WORK(SZ_W)];
     double next[ROOM(N_STATES)];
+    double outputs[ROOM(N_OUTPUTS)];
 } Fmu;
 
 /* Functions that return int return 1 on success, else 0 with a message. */
