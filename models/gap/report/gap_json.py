@@ -239,6 +239,9 @@ class GapDocument(Document, frozen=True):
         Errors on what was left out in turn.
     hypotheses : tuple of HypothesisRecord
         Sets of effects that may be missing, by their probability.
+    effect_probabilities : dict of str to float
+        Probability of each effect that it is among those missing, given that they are in the
+        catalogue; those below 1 % are left out.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; none in documents of earlier versions.
     unexplained_fraction : float
@@ -269,6 +272,7 @@ class GapDocument(Document, frozen=True):
     held_out: HeldOutSummary | None = None
     unexplained_fraction: float | None = None
     hypotheses: tuple[HypothesisRecord, ...] = ()
+    effect_probabilities: dict[str, float] = msgspec.field(default_factory=dict)
     inputs: DiagnosisInputs | None = None
 
 

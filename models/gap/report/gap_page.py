@@ -18,7 +18,9 @@ from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
     goal_not_followed_in_words,
+    next_step_in_words,
     nuisance_bias_in_words,
+    probabilities_in_words,
     refusals_in_words,
     verdict_in_words,
 )
@@ -78,7 +80,7 @@ def write_gap_page(
 
 
 def gap_lead(document: GapDocument) -> list[Part]:
-    """Verdict, place of the gap in one sentence, and the plant's tip error before and after."""
+    """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
     said = document.sentence
     for more in (goal_not_followed_in_words(document), nuisance_bias_in_words(document)):
         said += f" {more[0].upper() + more[1:]}." if more else ""
@@ -86,7 +88,12 @@ def gap_lead(document: GapDocument) -> list[Part]:
     if any(row.kept for row in document.named) and tip_m[0]:
         before, after = (LENGTH.significant(value) for value in tip_m)
         said += f" The tip error of the plant is {before} RMS before and {after} RMS after."
-    return [Paragraph(Markup("<b>{}</b> {}").format(verdict_in_words(document), said), "lead")]
+    known = probabilities_in_words(document)
+    next_step = Markup("{} <b>Next:</b> {}").format(known, next_step_in_words(document))
+    return [
+        Paragraph(Markup("<b>{}</b> {}").format(verdict_in_words(document), said), "lead"),
+        Paragraph(next_step),
+    ]
 
 
 def gap_sections(

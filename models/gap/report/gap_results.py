@@ -32,7 +32,7 @@ from models.gap.report.gap_json import (
 from models.gap.report.separating_motion import separating_motion
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
-from models.gap.search.posterior import Hypothesis
+from models.gap.search.posterior import Hypothesis, effect_probabilities
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
@@ -41,6 +41,7 @@ __all__ = ["errors_in_floors", "gap_document"]
 
 MOST_LOCATED: Final = 40
 MOST_REMAINING: Final = 10
+LISTED_PROBABILITY: Final = 0.01
 """Significant regions that are listed before and after; `map` holds all."""
 
 
@@ -86,8 +87,7 @@ def gap_document(
         before=before,
         after=after,
         remaining=RemainingGap(
-            _place(found, found.remaining),
-            _located(found.remaining, MOST_REMAINING),
+            _place(found, found.remaining), _located(found.remaining, MOST_REMAINING)
         ),
         rejected=found.rejected,
         waterfall=tuple(WaterfallStep(step, floors) for step, floors in waterfall),
@@ -103,7 +103,12 @@ def gap_document(
         ),
         unexplained_fraction=round(found.unexplained_fraction, 4),
         hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
+        effect_probabilities=_listed(effect_probabilities(found.hypotheses)),
     )  # fmt: skip
+
+
+def _listed(probabilities: Mapping[str, float]) -> dict[str, float]:
+    return {e: round(p, 4) for e, p in probabilities.items() if p >= LISTED_PROBABILITY}
 
 
 def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.gap.search.rejected_effects import UNEXCITED
+
+DECIDED: Final = 0.9
+"""Probability from which on an effect counts as decided; below the rest of it, as excluded."""
 
 
 def goal_not_followed_in_words(document: GapDocument) -> str:
@@ -86,6 +91,43 @@ def refusals_in_words(document: GapDocument) -> list[str]:
     return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
 
 
+def probabilities_in_words(document: GapDocument) -> str:
+    """Effects that are missing or may be, with their probabilities; empty where there are none."""
+    likely = {
+        effect: probability
+        for effect, probability in document.effect_probabilities.items()
+        if probability > 1 - DECIDED
+    }
+    if not likely:
+        return ""
+    rows = ", ".join(f"{e.replace('_', ' ')} {p:.0%}" for e, p in likely.items())
+    return f"Probability of being missing, if what is missing is in the catalogue: {rows}."
+
+
+def next_step_in_words(document: GapDocument) -> str:
+    """What the user does next, in one sentence."""
+    if document.verdict == "no floor":
+        return "Repeat at least one trial: only repetitions tell noise from error."
+    if document.verdict == "not in the catalogue":
+        return (
+            "Record another motion or payload, so that more is left out, or describe the effect in "
+            "one file (models/plant/effects)."
+        )
+    undecided = [
+        effect.replace("_", " ")
+        for effect, probability in document.effect_probabilities.items()
+        if 1 - DECIDED < probability < DECIDED
+    ]
+    if undecided:
+        return (
+            f"These trials do not decide on {', '.join(undecided)}: python -m models experiment "
+            "designs the motion that does."
+        )
+    if any(row.kept for row in document.named):
+        return "Use the improved plant: train a bundle with it (python -m models train --plant)."
+    return "Nothing: the plant explains these trials."
+
+
 def gap_in_words(document: GapDocument) -> str:
     """Text for the console.
 
@@ -104,6 +146,8 @@ def gap_in_words(document: GapDocument) -> str:
     lines += [text for text in notes if text]
     for row in document.named:
         lines += _named_in_words(row)
+    if said := probabilities_in_words(document):
+        lines.append(said)
     lines += refusals_in_words(document)
     if document.refused and not any(row.kept for row in document.named):
         lines.append("The plant that was written is the plant as given, unchanged.")
@@ -118,6 +162,7 @@ def gap_in_words(document: GapDocument) -> str:
     unexcited = [r.effect for r in document.rejected if r.reason == UNEXCITED]
     if unexcited:
         lines.append("not excited: " + ", ".join(unexcited))
+    lines.append("next: " + next_step_in_words(document))
     return "\n".join(lines)
 
 

@@ -4,10 +4,16 @@ The weight of a set is exp(score / 2T): the score is the fall of twice the cost,
 effects reach where nothing is missing (`models.gap.search.null_distribution`). The temperature T
 keeps the errors of the equations in: an equation that misses a fraction of the gap shifts the score
 of every set by a fraction of the gap's own, so T grows with the best score.
+
+Before the trials the number of missing effects is Poisson distributed with mean one, and every set
+of one number is equally likely: in a large catalogue of N effects each effect of a set then counts
+1/N. Without such a prior the many sets that add a useless effect to the right one outweigh it.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -76,7 +82,9 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
     least = np.array([null.least(effects) ** 2 if effects else 0.0 for effects in sets])
     score = gain - least
     temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
-    weight = np.exp((score - score.max()) / (2 * temperature))
+    size = np.array([len(effects) for effects in sets])
+    logarithm = score / (2 * temperature) - size * np.log(max(len(search.of), 1))
+    weight = np.exp(logarithm - logarithm.max())
     probability = weight / weight.sum()
     return tuple(
         Hypothesis(
@@ -86,3 +94,18 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
         for k in np.argsort(-probability, kind="stable")
         if probability[k] >= LEAST_PROBABILITY
     )  # fmt: skip
+
+
+def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
+    """Probability of each effect that it is among those missing, likeliest first.
+
+    Parameters
+    ----------
+    hypotheses : sequence of Hypothesis
+        From `posterior_of`.
+    """
+    found: dict[str, float] = defaultdict(float)
+    for hypothesis in hypotheses:
+        for effect in hypothesis.effects:
+            found[effect] += hypothesis.probability
+    return dict(sorted(found.items(), key=lambda row: -row[1]))

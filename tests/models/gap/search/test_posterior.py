@@ -8,7 +8,7 @@ import pytest
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult
 from models.gap.search.null_distribution import NullDistribution
-from models.gap.search.posterior import posterior_of
+from models.gap.search.posterior import effect_probabilities, posterior_of
 
 
 @dataclass
@@ -16,6 +16,7 @@ class Search:
     """What the posterior needs of a search."""
 
     learned: bool = True
+    of: dict = field(default_factory=lambda: dict.fromkeys(range(30)))
     null_distribution: NullDistribution = field(
         default_factory=lambda: NullDistribution(threshold=4.5, explained=2.0)
     )
@@ -60,3 +61,18 @@ def test_a_large_gap_separates_no_better_than_its_equation_allows():
     near = found(1e4, creep=100.0, hysteresis=99.0)
     assert near["creep",] < 0.8
     assert found(1e4, creep=100.0, hysteresis=80.0)["creep",] > 0.99
+
+
+def test_useless_effects_beside_the_right_one_do_not_outweigh_it():
+    """Every pair with the right effect fits as well; one more effect is as improbable as many."""
+    before = point(5000.0)
+    result = SearchResult(before, before)
+    result.explore(["softening"], point(5000.0 - 70.0**2 / 2))
+    for k in range(29):
+        result.explore(["softening", f"other_{k}"], point(5000.0 - 70.0**2 / 2))
+    hypotheses = posterior_of(Search(), result)
+    assert hypotheses[0].effects == ("softening",)
+    assert hypotheses[0].probability > 0.4
+    by_effect = effect_probabilities(hypotheses)
+    assert by_effect["softening"] == pytest.approx(1.0, abs=0.03)
+    assert max(p for effect, p in by_effect.items() if effect != "softening") < 0.05
