@@ -18,12 +18,10 @@ from __future__ import annotations
 import contextlib
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.goals.goal_source import GoalSource
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -40,8 +38,6 @@ from firmware_py.tick_log import Tick, TickLog
 
 __all__ = ["ControlLoop"]
 
-Array = NDArray[np.float64]
-
 _START_DELAY_NS: Final = 2_000_000
 _REPLUG_POLL_NS: Final = 50_000_000
 _LONGEST_STEP_SLOTS: Final = 100
@@ -49,7 +45,7 @@ _LONGEST_STEP_SLOTS: Final = 100
 
 
 class ControlLoop:
-    """Control loop that drives the servos along a table of goals.
+    """Control loop that drives the servos along the goals of a source.
 
     Parameters
     ----------
@@ -61,12 +57,12 @@ class ControlLoop:
         Tip from angle, current and DI.
     supervisor : SafetySupervisor
         A supervisor in the state STARTING.
-    goals_rad : ndarray, shape (n, dof)
-        Goal of each slot, see `Motion.table_rad`.
+    goals : GoalSource
+        Goals of each slot, as a rule a table, see `firmware_py.goals.goal_source`.
     clock : Clock
         Real or simulated.
     slots : int, optional
-        Slots to run before the controlled stop; the table repeats. None runs the table once.
+        Slots to run before the controlled stop; the goals repeat. None runs them once.
     period_s : float
         Control period.
     reply_timeout_s : float
@@ -94,7 +90,7 @@ class ControlLoop:
         estimator: DeformationEstimator,
         predictor: Predictor,
         supervisor: SafetySupervisor,
-        goals_rad: Array,
+        goals: GoalSource,
         clock: Clock,
         *,
         slots: int | None = None,
@@ -106,15 +102,15 @@ class ControlLoop:
         service: Service | None = None,
         keep: int = 4096,
     ) -> None:
-        if goals_rad.ndim != 2 or goals_rad.shape[1] != bus.dof or len(goals_rad) < 1:
+        if goals.dof != bus.dof:
             raise InputError(
-                "motion", f"has goals of shape {goals_rad.shape}, the bus {bus.dof} joints",
+                "motion", f"has goals for {goals.dof} joints, the bus has {bus.dof} joints",
                 "give one column per joint",
             )  # fmt: skip
         self._bus, self._clock, self._supervisor = bus, clock, supervisor
         self._estimator, self._predictor = estimator, predictor
-        self._goals = np.ascontiguousarray(goals_rad, dtype=np.float64)
-        self._slots = len(goals_rad) if slots is None else slots
+        self._goals = goals
+        self._slots = goals.slots if slots is None else slots
         self._period_ns = round(period_s * 1e9)
         self._period_s = self._period_ns * 1e-9
         self._timeout_ns = min(round(reply_timeout_s * 1e9), self._period_ns)
@@ -218,7 +214,7 @@ class ControlLoop:
         clock, period_ns = self._clock, self._period_ns
         self._log.start()
         if self._start_ns is None:
-            approach_ns = self._supervisor.approach(self._goals[0]) * period_ns
+            approach_ns = self._supervisor.approach(self._goals.at(0)) * period_ns
             self._start_ns = clock.now_ns() + approach_ns + _START_DELAY_NS
         else:
             self._supervisor.resume()
@@ -256,9 +252,10 @@ class ControlLoop:
         prediction = self._predictor.predict(bus.angle_rad, bus.current_a, estimate.di)
         predict_ns = now()
 
-        desired_rad = goals[max(slot, 0) % len(goals)]
+        goals.heed(estimate, step_s)
+        desired_rad = goals.at(slot)
         if missed:
-            supervisor.rebase(goals[max(slot - 1, 0) % len(goals)])
+            supervisor.rebase(goals.at(slot - 1))
         command_ns = now()
 
         supervisor.check(

@@ -30,8 +30,6 @@ from pathlib import Path
 from typing import Protocol
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from firmware_py import __version__
 from firmware_py.bus.dynamixel import DynamixelBus
@@ -39,6 +37,7 @@ from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
+from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
@@ -50,8 +49,6 @@ from firmware_py.realtime.service import Service
 from firmware_py.safety.supervisor import SafetySupervisor
 
 __all__ = ["LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus"]
-
-Array = NDArray[np.float64]
 
 
 class LoopModels(Protocol):
@@ -176,7 +173,7 @@ def build_loop(
     bus: ServoBus,
     clock: Clock,
     *,
-    goals_rad: Array | None = None,
+    goals: GoalSource | None = None,
     slots: int | None = None,
     telemetry: Telemetry | None = None,
     counters: Counters | None = None,
@@ -195,8 +192,8 @@ def build_loop(
         The servos; the caller closes it.
     clock : Clock
         The clock of the bus.
-    goals_rad : ndarray, shape (n, dof), optional
-        Goal of each slot; by default the configured motion, made to repeat where `slots` is given.
+    goals : GoalSource, optional
+        Goals of each slot; by default the configured motion, made to repeat where `slots` is given.
     slots : int, optional
         Slots to run before the controlled stop; the goals repeat. None runs them once.
     telemetry, counters, service, keep
@@ -207,11 +204,11 @@ def build_loop(
     InputError
         If the motion breaks a limit or has another number of joints than the bus.
     """
-    if goals_rad is None:
-        goals_rad = config.goals_rad(repeated=slots is not None)
+    if goals is None:
+        goals = GoalTable(config.goals_rad(repeated=slots is not None))
     return ControlLoop(
         bus, bundle.estimator, bundle.predictor,
-        SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals_rad, clock,
+        SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals, clock,
         slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
         replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters, service=service,
         keep=keep,

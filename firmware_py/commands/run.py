@@ -29,6 +29,7 @@ from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     """
     config = _overridden(read_config(args.config), args)
     bundle = load_bundle(config, args.config)
-    goals_rad = config.goals_rad(repeated=args.seconds is not None)
+    goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
     slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
-            config, bundle, bus, clock, goals_rad=goals_rad, slots=slots, telemetry=telemetry,
+            config, bundle, bus, clock, goals=goals, slots=slots, telemetry=telemetry,
             counters=counters, service=service,
         )  # fmt: skip
         for sentence in stack.enter_context(real_time(config.real_time)):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.loop import ControlLoop
@@ -89,8 +90,8 @@ def make(goals=GOALS, *, slots=None, bus=None, estimator=None, keep=4096, **opti
     supervisor = SafetySupervisor(Limits(), goals.shape[1])
     predictor, telemetry = StillPredictor(), Sent(goals.shape[1])
     loop = ControlLoop(
-        bus, estimator or NoEstimator(), predictor, supervisor, goals, clock, slots=slots,
-        telemetry=telemetry, keep=keep, **options,
+        bus, estimator or NoEstimator(), predictor, supervisor, GoalTable(goals), clock,
+        slots=slots, telemetry=telemetry, keep=keep, **options,
     )  # fmt: skip
     return loop, bus, predictor, supervisor, telemetry
 

@@ -7,6 +7,7 @@ import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.limits import Limits
@@ -117,7 +118,7 @@ def test_a_clock_that_leaps_stops_the_robot_in_its_own_time(by_s, reason):
 
     clock.at_ns, clock.by_ns = 2_000_000_000, by_s * 1_000_000_000
     loop = ControlLoop(
-        bus, Listening(), StillPredictor(), SafetySupervisor(Limits(), 1), GOALS, clock
+        bus, Listening(), StillPredictor(), SafetySupervisor(Limits(), 1), GoalTable(GOALS), clock
     )
     summary = loop.run()
     assert (summary.ended, reason in summary.reason) == (Ended.TRIPPED, True)

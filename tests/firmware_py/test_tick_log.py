@@ -11,6 +11,7 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.motion import Motion
@@ -89,7 +90,7 @@ def test_a_tick_leaves_no_memory_behind():
 
     goals = Motion(dof=2).table_rad()
     loop = ControlLoop(
-        bus, Measuring(), StillPredictor(), SafetySupervisor(Limits(), 2), goals, clock,
+        bus, Measuring(), StillPredictor(), SafetySupervisor(Limits(), 2), GoalTable(goals), clock,
         slots=2750, keep=64,
     )  # fmt: skip
     tracemalloc.start()

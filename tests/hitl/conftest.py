@@ -20,6 +20,7 @@ import pytest
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig, check_config
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.robot import build_loop, open_bus
@@ -85,7 +86,7 @@ class Hardware:
         if limits is not None:
             config = msgspec.structs.replace(config, limits=limits)
         return build_loop(
-            config, NoModels(), bus, self.clock, goals_rad=goals_rad, telemetry=telemetry
+            config, NoModels(), bus, self.clock, goals=GoalTable(goals_rad), telemetry=telemetry
         )
 
     def run(self, loop):

@@ -14,6 +14,7 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters
@@ -177,8 +178,8 @@ def run_case_loop(
     try:
         bus = build_bus(config, opener(), clock, opener)
         loop = build_loop(
-            config, FaultyModels(robot.bundle, host), bus, clock, goals_rad=goals_rad, slots=slots,
-            counters=counters, keep=2 * slots,
+            config, FaultyModels(robot.bundle, host), bus, clock, goals=GoalTable(goals_rad),
+            slots=slots, counters=counters, keep=2 * slots,
         )  # fmt: skip
         host.request_stop = loop.stop
         try:

@@ -1,0 +1,1 @@
+"""Sources of the goals that the control loop sends."""

@@ -1,0 +1,98 @@
+"""Interface of the goals that the control loop sends, and the fixed table of a motion.
+
+The loop asks a source in every tick, after the estimator and before the supervisor, which has the
+last word on each goal.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.inference.estimator import Estimate
+
+__all__ = ["GoalSource", "GoalTable"]
+
+Array = NDArray[np.float64]
+
+
+class GoalSource(Protocol):
+    """Goals of every slot; before slot 0 those of slot 0, after the last again from the first.
+
+    Attributes
+    ----------
+    dof : int
+        Number of joints.
+    slots : int
+        Slots after which the goals repeat.
+    """
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        ...
+
+    @property
+    def slots(self) -> int:
+        """Slots after which the goals repeat."""
+        ...
+
+    def heed(self, estimate: Estimate, step_s: float) -> None:
+        """Take the estimate of a tick.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            Of the estimator, in this tick.
+        step_s : float
+            Time since the previous tick.
+        """
+
+    def at(self, slot: int) -> Array:
+        """Return the goals of a slot, shape (dof,).
+
+        Parameters
+        ----------
+        slot : int
+            Number of the slot; negative during the approach.
+        """
+        ...
+
+
+class GoalTable:
+    """Table of goals that depends on no estimate.
+
+    Parameters
+    ----------
+    goals_rad : ndarray, shape (n, dof)
+        Goal of each slot.
+
+    Raises
+    ------
+    InputError
+        If the table is empty or has no such shape.
+
+    Examples
+    --------
+    >>> table = GoalTable(np.array([[0.0], [0.1]]))
+    >>> [table.at(slot).tolist() for slot in (-1, 1, 2)]
+    [[0.0], [0.1], [0.0]]
+    """
+
+    def __init__(self, goals_rad: Array) -> None:
+        if goals_rad.ndim != 2 or min(goals_rad.shape) < 1:
+            raise InputError(
+                "motion", f"has goals of shape {goals_rad.shape}", "give one row per slot"
+            )
+        self._goals = np.ascontiguousarray(goals_rad, dtype=np.float64)
+        self.slots, self.dof = self._goals.shape
+
+    def heed(self, estimate: Estimate, step_s: float) -> None:
+        """Do nothing."""
+
+    def at(self, slot: int) -> Array:
+        """Return the goals of a slot; see `GoalSource.at`."""
+        return np.asarray(self._goals[max(slot, 0) % self.slots])
