@@ -15,9 +15,8 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
 What fails is taken out, the rest is fitted again and tested again, down to the plant as given.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
-these trials. It is written as refitted where the held-out error falls by more than its standard
-error (the one-standard-error rule of Breiman et al. 1984) and the signal that fares worst does not
-fare worse for it.
+these trials. It is written as refitted where the held-out error falls by as much as would count as
+harm if it rose, and the signal that fares worst does not fare worse for it.
 
 A stand-in for an effect that the catalogue lacks fits the motion that it was found on. It is
 written only where other motions were left out and it passed there.
@@ -45,6 +44,7 @@ from models.gap.search.refused_effect import (
     refusal_of_value,
     values_at_bounds,
 )
+from models.gap.settings import GapSettings
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Acceptance:
 
     def _by_preference(self, undone: AcceptedFit, refitted: AcceptedFit) -> list[AcceptedFit]:
         """Fits with the nuisance undone and refitted, the better one first."""
-        if refit_is_earned(undone.errors, refitted.errors, self.held_out.given):
+        if refit_is_earned(undone.errors, refitted.errors, self.held_out.given, self.settings):
             return [refitted, undone]
         return [undone, refitted]
 
@@ -272,7 +272,9 @@ class Acceptance:
         self.result.after = self._refitted(self.result.after.values, free)
 
 
-def refit_is_earned(undone: HeldOutErrors, refitted: HeldOutErrors, given: HeldOutErrors) -> bool:
+def refit_is_earned(
+    undone: HeldOutErrors, refitted: HeldOutErrors, given: HeldOutErrors, settings: GapSettings
+) -> bool:
     """Whether a nuisance is better written as refitted than as in the plant as given.
 
     Parameters
@@ -281,8 +283,9 @@ def refit_is_earned(undone: HeldOutErrors, refitted: HeldOutErrors, given: HeldO
         Of the effects with the nuisance as given, and as refitted beside them.
     given : HeldOutErrors
         Of the plant as given.
+    settings : GapSettings
+        Tuned numbers.
     """
-    falls = refitted.falls_from(undone)
-    error = float(np.std(falls, ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else 0.0
     before, after = (max(fit.ratios(given).values()) for fit in (undone, refitted))
-    return float(np.mean(falls)) > error and after <= max(before, 1.0)
+    falls = refitted.fraction_of(undone) < 1 - settings.harm_fraction
+    return falls and after <= max(before, 1.0)

@@ -5,6 +5,7 @@ import pytest
 from models.gap.acceptance import refit_is_earned
 from models.gap.residuals.partial_residuals import SquaredError
 from models.gap.search.held_out_errors import HeldOutErrors
+from models.gap.settings import DEFAULT_SETTINGS
 
 ROWS = 100
 
@@ -32,7 +33,8 @@ UNDONE = errors(tip=(2.0, 2.0, 2.0), angle=(1.0, 1.0, 1.0))
     [
         ((1.0, 1.1, 0.9), (1.0, 1.0, 1.0), True),  # a clear fall everywhere
         ((2.0, 2.0, 2.0), (1.0, 1.0, 1.0), False),  # no fall
-        ((1.0, 2.1, 2.1), (1.0, 1.0, 1.0), False),  # one fold of three: within its standard error
+        ((1.9, 1.9, 1.9), (1.0, 1.0, 1.0), False),  # by 2.5 % over both signals
+        ((2.1, 1.5, 1.5), (1.0, 1.0, 1.0), True),  # over all folds together, not in each
         ((1.0, 1.0, 1.0), (1.04, 1.04, 1.04), False),  # the tip falls, the angle rises
         ((3.0, 3.1, 2.9), (0.9, 0.9, 0.9), False),
     ],
@@ -40,11 +42,11 @@ UNDONE = errors(tip=(2.0, 2.0, 2.0), angle=(1.0, 1.0, 1.0))
 def test_a_refit_is_written_only_where_the_error_falls_and_no_signal_pays_for_it(
     tip, angle, earned
 ):
-    assert refit_is_earned(UNDONE, errors(tip=tip, angle=angle), GIVEN) is earned
+    assert refit_is_earned(UNDONE, errors(tip=tip, angle=angle), GIVEN, DEFAULT_SETTINGS) is earned
 
 
 def test_a_refit_may_repair_a_signal_that_the_effect_alone_makes_worse():
     undone = errors(tip=(2.0, 2.0, 2.0), angle=(1.2, 1.2, 1.2))
     refitted = errors(tip=(1.9, 1.8, 1.7), angle=(1.1, 1.0, 1.0))
-    assert refit_is_earned(undone, refitted, GIVEN)
-    assert not refit_is_earned(refitted, undone, GIVEN)
+    assert refit_is_earned(undone, refitted, GIVEN, DEFAULT_SETTINGS)
+    assert not refit_is_earned(refitted, undone, GIVEN, DEFAULT_SETTINGS)
