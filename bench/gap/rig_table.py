@@ -7,9 +7,12 @@ for tests alone, and only their figures say how the workflow does on a rig that 
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from bench.gap.score_summary import (
     fraction_with_interval,
@@ -18,6 +21,7 @@ from bench.gap.score_summary import (
     is_said_outside,
     is_strength_covered,
 )
+from models.gap.search.posterior import set_probabilities
 from models.rig.rig_structure import named_structures
 from models.shared.catalogue import CATALOGUE
 
@@ -59,6 +63,10 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         "wrong_and_closed": fraction_with_interval([_is_wrong_and_closed(r) for r in single]),
         "strength_covered": fraction_with_interval(covered),
         "outside_said": fraction_with_interval([is_said_outside(r) for r in outside]),
+        "probable_right": fraction_with_interval(
+            [e in _missing(r) for r in possible for e, p in _probabilities(r).items() if p >= 0.9]
+        ),
+        "brier": _brier([r for r in possible if r["case"]["kind"] != "outside"]),
         "worse": fraction_with_interval([_is_worse(r) for r in possible]),
         "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
         "worst_rise": max((x for r in possible for x in _rises(r)), default=0.0),
@@ -95,9 +103,40 @@ def rig_table_text(figures: Mapping[str, Figures]) -> str:
     return "\n".join(lines)
 
 
+def _missing(r: Result) -> list[str]:
+    """Effects that were hidden and could be named."""
+    return [] if r["case"]["kind"] == "outside" else list(r["case"]["hidden"])
+
+
+def _probabilities(r: Result) -> dict[str, float]:
+    """Probability of each effect that it is missing, by the hypotheses of a result."""
+    if not r.get("hypotheses"):
+        return {}
+    sets, gain, least = zip(*r["hypotheses"], strict=True)
+    size = np.array([len(effects) for effects in sets])
+    rows = set_probabilities(size, np.subtract(gain, least), len(CATALOGUE))
+    found: dict[str, float] = defaultdict(float)
+    for effects, probability in zip(sets, rows, strict=True):
+        for effect in effects:
+            found[effect] += float(probability)
+    return found
+
+
+def _brier(results: Sequence[Result]) -> float | None:
+    """Mean over the cases of the sum of squares of probability less outcome, over the effects."""
+    scores = []
+    for r in results:
+        probabilities, missing = _probabilities(r), _missing(r)
+        effects = {*probabilities, *missing}
+        scores.append(sum((probabilities.get(e, 0.0) - (e in missing)) ** 2 for e in effects))
+    return float(np.mean(scores)) if scores else None
+
+
 def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
     if isinstance(value, float):
-        return f"{value:+.0%}"
+        return f"{value:.2f}"
     if not isinstance(value, dict):
         return str(value)
     return f"{round(value['fraction'] * value['of'])} of {value['of']}" if value["of"] else "–"

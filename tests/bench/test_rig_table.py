@@ -46,6 +46,17 @@ def test_a_plant_is_worse_from_five_percent_in_any_signal(after, worse):
     assert figures["worst_rise"] == pytest.approx(after - 1.0)
 
 
+def test_probabilities_are_scored_against_what_was_hidden():
+    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0]]}
+    wrong = result({"creep": 0.3}) | {"hypotheses": [[["prebend"], 900.0, 20.0]]}
+    denied = result({"creep": 0.3}, kind="outside") | {"hypotheses": right["hypotheses"]}
+    figures = rig_figures([right, wrong])
+    assert figures["probable_right"] == {**figures["probable_right"], "fraction": 0.5, "of": 2}
+    assert figures["brier"] == pytest.approx((0.0 + 2.0) / 2)
+    assert rig_figures([denied])["probable_right"]["fraction"] == 0.0
+    assert rig_figures([denied])["brier"] is None
+
+
 def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):
     for k, rig in enumerate(("default", "drive", "test_a")):
         row = result({"creep": 0.3}, ["creep"], rig=rig)

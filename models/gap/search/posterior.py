@@ -80,12 +80,8 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
     gain = 2 * (nothing - cost)
     null = search.null_distribution
     least = np.array([null.least(effects) ** 2 if effects else 0.0 for effects in sets])
-    score = gain - least
-    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
     size = np.array([len(effects) for effects in sets])
-    logarithm = score / (2 * temperature) - size * np.log(max(len(search.of), 1))
-    weight = np.exp(logarithm - logarithm.max())
-    probability = weight / weight.sum()
+    probability = set_probabilities(size, gain - least, len(search.of))
     return tuple(
         Hypothesis(
             sets[k], float(probability[k]), float(gain[k]), float(least[k]),
@@ -94,6 +90,24 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
         for k in np.argsort(-probability, kind="stable")
         if probability[k] >= LEAST_PROBABILITY
     )  # fmt: skip
+
+
+def set_probabilities(size: Array, score: Array, catalogue: int) -> Array:
+    """Probability of each of some sets of effects, shape (n,); see the module's text.
+
+    Parameters
+    ----------
+    size : ndarray of int, shape (n,)
+        Effects in each set.
+    score : ndarray, shape (n,)
+        Fall of twice the cost, less what it must reach.
+    catalogue : int
+        Effects that could be missing.
+    """
+    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
+    logarithm = score / (2 * temperature) - size * np.log(max(catalogue, 1))
+    weight: Array = np.exp(logarithm - logarithm.max())
+    return weight / float(weight.sum())
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
