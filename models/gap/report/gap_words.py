@@ -100,8 +100,11 @@ def probabilities_in_words(document: GapDocument) -> str:
     }
     if not likely:
         return ""
-    rows = ", ".join(f"{e.replace('_', ' ')} {p:.0%}" for e, p in likely.items())
-    return f"Probability of being missing, if what is missing is in the catalogue: {rows}."
+    rows = ", ".join(f"{e.replace('_', ' ')} {min(p, 0.99):.0%}" for e, p in likely.items())
+    return (
+        "Probability of being missing, if what is missing is in the catalogue (not calibrated): "
+        f"{rows}."
+    )
 
 
 def next_step_in_words(document: GapDocument) -> str:
