@@ -79,6 +79,9 @@ class StepModel:
         Longest internal step.
     rate : casadi.Function, optional
         (x, u, p) -> dx/dt of the continuous part, which `flow` integrates.
+    smooth_finish : casadi.Function, optional
+        `finish` as it is differentiated, where `finish` sets states to zero that are too small to
+        matter: a state of zero may depend on parameters. None where `finish` does not.
     inputs_at_end : bool
         Whether the inputs of a step are measured at its end; else they are sent at its begin.
     """
@@ -95,6 +98,7 @@ class StepModel:
     output: ca.Function
     max_substep_s: float = 1e-3
     rate: ca.Function | None = None
+    smooth_finish: ca.Function | None = None
     inputs_at_end: bool = False
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:

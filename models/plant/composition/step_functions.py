@@ -14,6 +14,12 @@ from models.plant.step_model import StepModel, Variable, runge_kutta
 MAX_SUBSTEP_S: Final = 1e-3
 """Longest Runge–Kutta step: dry friction is stiff."""
 
+SMALLEST_STATE: Final = 1e-30
+"""Magnitude below which a state is set to zero at the end of a step. A state that decays at rest
+would become a subnormal number, which slows the processor (docs/sources.md, "FMI"). Assumed: no
+state has a meaning below it in SI units, and products of ten such states are still normal numbers
+(2.2e-308 and above)."""
+
 COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
 """Name of a joint's measured coordinate, by the suffix of its unit."""
 
@@ -79,6 +85,7 @@ def build_step_model(
     initial = ca.cse(ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states))))
     begin = [s.symbol if s.begin is None else s.begin for s in states]
     finish = [s.symbol if s.finish is None else s.finish for s in states]
+    flushed = [ca.if_else(ca.fabs(value) < SMALLEST_STATE, 0, value) for value in finish]
     rate = function("rate", [], [s.rate for s in states])
     return StepModel(
         name=name,
@@ -89,7 +96,8 @@ def build_step_model(
         initial=ca.Function(f"{name}_initial", [u, p], [initial], ["u", "p"], ["x"]),
         begin=function("begin", [h], begin),
         flow=runge_kutta(f"{name}_flow", rate),
-        finish=function("finish", [h], finish),
+        finish=function("finish", [h], flushed),
+        smooth_finish=function("smooth_finish", [h], finish),
         output=function("output", [], [expression for _, expression in outputs.values()]),
         max_substep_s=max_substep_s,
         rate=rate,

@@ -45,6 +45,8 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         The C files.
     """
     derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
+    if model.smooth_finish is not None:
+        derived["finish"] = _Derivatives(model.finish, index, model.smooth_finish)
     states, columns = _reached(derived)
     generators = {
         name: ca.CodeGenerator(name, {"with_header": True, "mex": False})
@@ -81,16 +83,27 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
 
 
 class _Derivatives:
-    """Value of a function of a model, and its derivatives by states and chosen parameters."""
+    """Value of a function of a model, and its derivatives by states and chosen parameters.
 
-    def __init__(self, function: Any, index: Sequence[int]) -> None:
+    Parameters
+    ----------
+    function : casadi.Function
+        Function whose value is calculated.
+    index : sequence of int
+        Indices of the chosen parameters.
+    smooth : casadi.Function, optional
+        Function to differentiate in its place.
+    """
+
+    def __init__(self, function: Any, index: Sequence[int], smooth: Any = None) -> None:
         sizes = [function.size1_in(k) for k in range(function.n_in())]
         self.arguments = [ca.SX.sym(f"i{k}", size) for k, size in enumerate(sizes)]
         self.value = ca.densify(function(*self.arguments))
+        self.smooth = self.value if smooth is None else ca.densify(smooth(*self.arguments))
         *before, p = self.arguments[: min(3, len(sizes))]
         x = before[0] if len(before) == 2 else ca.SX(0, 1)  # the initial state depends on no state
-        self.by_x = ca.jacobian(self.value, x)
-        self.by_p = ca.jacobian(self.value, p)[:, list(index)]
+        self.by_x = ca.jacobian(self.smooth, x)
+        self.by_p = ca.jacobian(self.smooth, p)[:, list(index)]
 
     def rows(self, what: str, states: Sequence[int]) -> list[int]:
         """Rows of the derivatives to compute.
@@ -106,7 +119,7 @@ class _Derivatives:
             both = _pattern(ca.horzcat(self.by_x, self.by_p))
             return [i for i in states if both[i].any()]
         x = self.arguments[0]
-        return [i for i in states if not ca.is_equal(self.value[i], x[i])]
+        return [i for i in states if not ca.is_equal(self.smooth[i], x[i])]
 
 
 def _reached(derived: dict[str, _Derivatives]) -> tuple[list[int], list[int]]:
