@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from firmware_py.bus import bus_plan
 from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
 from firmware_py.bus.servo_models import model_named
-from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
+from firmware_py.bus.servo_setup import ServoSetup, check_assumed
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
 from firmware_py.motion import GLIDE_S
@@ -72,10 +73,26 @@ class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Id on the bus, 0 to 252.
     model : str
         Name of the model, see `firmware_py.bus.servo_models.MODELS`.
+    reverse : bool
+        Whether the servo counts the other way (register Drive Mode).
+    homing_offset_rad : float
+        Its Homing Offset: the angle that it adds so that zero is where the link is upright.
+    gains : ServoGains or None
+        Gains with which the plant was identified; None does not compare them.
+
+    A servo with another direction, offset or gain is refused.
     """
 
     id: int
     model: str
+    reverse: bool = False
+    homing_offset_rad: float = 0.0
+    gains: ServoGains | None = None
+
+    def assumed(self) -> AssumedSettings:
+        """Return the settings that the servo must have."""
+        gains = self.gains.registers() if self.gains else {}
+        return AssumedSettings(self.reverse, self.homing_offset_rad, gains)
 
 
 class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -146,7 +163,10 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def setups(self) -> tuple[ServoSetup, ...]:
         """Return the servos as `firmware_py.bus.dynamixel.DynamixelBus` takes them."""
         (low, high), rate = self.limits.angle_rad, self.limits_in_force.rate_rad_s
-        return tuple(ServoSetup(s.id, model_named(s.model), low, high, rate) for s in self.servos)
+        return tuple(
+            ServoSetup(s.id, model_named(s.model), low, high, rate, s.assumed())
+            for s in self.servos
+        )
 
     @property
     def transmission_budget_s(self) -> float:
@@ -280,6 +300,8 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     ids = [servo.id for servo in config.servos]
     if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
         raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
+    for setup in config.setups():
+        check_assumed(setup, path)
 
 
 def _check_ranges(config: RobotConfig, path: Path | str) -> None:

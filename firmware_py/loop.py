@@ -157,7 +157,7 @@ class ControlLoop:
                     self._run_slots()
             except BaseException as error:
                 if not self._released():
-                    if isinstance(error, InputError):
+                    if self._supervisor.state is SafetyState.READY:  # never switched on
                         raise SafetyTrip(f"{error} {UNRELEASED}") from error
                     error.add_note(UNRELEASED)
                 raise

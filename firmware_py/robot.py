@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
@@ -215,7 +215,12 @@ def build_loop(
     )  # fmt: skip
 
 
-def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) -> dict[str, str]:
+def log_metadata(
+    config: RobotConfig,
+    bundle: ModelBundle,
+    started: datetime,
+    settings: Sequence[Mapping[str, int]] = (),
+) -> dict[str, str]:
     """Return the facts about a run that its log holds.
 
     Parameters
@@ -226,6 +231,8 @@ def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) ->
         Bundle of the run.
     started : datetime
         Start of the run, with time zone.
+    settings : sequence of mapping of str to int, optional
+        Settings of the servos, see `DynamixelBus.found_settings`.
     """
     return {
         "started_utc": started.isoformat(),
@@ -236,4 +243,5 @@ def log_metadata(config: RobotConfig, bundle: ModelBundle, started: datetime) ->
         "payload_kg": msgspec.json.encode(config.payload_kg).decode(),
         "rest_samples": str(round(config.motion.rest_s / config.period_s)),
         "config": msgspec.json.encode(config).decode(),
+        "servo_settings": msgspec.json.encode(settings).decode(),
     }

@@ -188,7 +188,8 @@ class DynamixelBus:
         ------
         InputError
             If a servo is silent, is a different model, reports a hardware error, is not in position
-            mode, has narrower limits than the configuration, or answers too slowly.
+            mode, has narrower limits than the configuration or settings that the plant does not
+            assume, or answers too slowly.
         """
         self.alert, self._driving = 0, False
         self.firmware_versions = tuple(map(self._preparation.prepare, self._servos))
@@ -202,6 +203,16 @@ class DynamixelBus:
                 f"a servo raises an alert ({describe_alert(self.alert)})",
                 "remove its cause, then switch the servo off and on",
             )
+
+    def found_settings(self) -> tuple[dict[str, int], ...]:
+        """Return the settings of every servo on which the plant depends; nothing is written.
+
+        Raises
+        ------
+        InputError
+            If a servo is silent or is a different model.
+        """
+        return tuple(map(self._preparation.found, self._servos))
 
     def _follow(self, plan: Plan) -> None:
         """Read the servos by this plan from now on."""

@@ -12,11 +12,11 @@ from typing import Final
 from dynamixel_sdk.robotis_def import BROADCAST_ID
 
 from firmware_py.bus.port import PacketHandler
-from firmware_py.bus.registers import POSITION_MODE, Register
+from firmware_py.bus.registers import ANSWERS_ALL, POSITION_MODE, Register
 from firmware_py.bus.servo_models import Model
 
 _HEADER: Final = [0xFF, 0xFF, 0xFD, 0x00]
-_READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x02, 0x03, 0x82, 0x83, 0x55
+_PING, _READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x01, 0x02, 0x03, 0x82, 0x83, 0x55
 _FAST_SYNC_READ: Final = 0x8A
 _LENGTH_END: Final = 7
 _MEMORY_BYTES: Final = 1024
@@ -48,6 +48,7 @@ class LoopbackTransport:
                 Register.MODEL_NUMBER: model.number,
                 Register.FIRMWARE_VERSION: 1,
                 Register.OPERATING_MODE: POSITION_MODE,
+                Register.STATUS_RETURN_LEVEL: ANSWERS_ALL,
                 Register.MIN_POSITION_LIMIT: model.zero_pulse - half_turn,
                 Register.MAX_POSITION_LIMIT: model.zero_pulse + half_turn - 1,
                 Register.PRESENT_POSITION: model.zero_pulse,
@@ -109,6 +110,9 @@ class LoopbackTransport:
     def _execute(self, packet: list[int]) -> None:
         id_, instruction, parameters = packet[4], packet[7], packet[8:-2]
         if id_ not in self.memory and id_ != BROADCAST_ID:
+            return
+        if instruction == _PING:
+            self._answer(id_, [*self._load(id_, 0, 2), self.get(id_, Register.FIRMWARE_VERSION)])
             return
         address = parameters[0] | parameters[1] << 8
         if instruction == _WRITE:

@@ -73,6 +73,16 @@ class RegisterAccess:
                 return None
         return None
 
+    def ping(self, id_: int) -> bool:
+        """Return whether a servo answers a ping, which it does at every status return level."""
+        self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
+        try:
+            result: int = self._packets.ping(self._port, id_)[1]
+        except OSError:
+            self._port.is_using = False
+            return False
+        return result == int(COMM_SUCCESS)
+
     def get(self, id_: int, cell: RegisterField) -> int | None:
         """Read a register, up to three times.
 

@@ -22,6 +22,7 @@ class Register(Enum):
     ID = "ID"
     BAUD_RATE = "Baud Rate"
     RETURN_DELAY = "Return Delay Time"
+    DRIVE_MODE = "Drive Mode"
     OPERATING_MODE = "Operating Mode"
     HOMING_OFFSET = "Homing Offset"
     CURRENT_LIMIT = "Current Limit"
@@ -269,6 +270,7 @@ PRO_P: Final = _table(
         Register.ID: (7, 1),
         Register.BAUD_RATE: (8, 1),
         Register.RETURN_DELAY: (9, 1),
+        Register.DRIVE_MODE: (10, 1),
         Register.OPERATING_MODE: (11, 1),
         Register.HOMING_OFFSET: RegisterField(20, 4, _SIGNED),
         Register.CURRENT_LIMIT: (38, 2),
@@ -303,6 +305,8 @@ PRO_P: Final = _table(
 X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
 """X series (XM430): the table of the P with the RAM area at addresses 448 lower."""
 
+ANSWERS_ALL: Final = 2
+"""Status return level at which a servo answers every instruction; below it confirms no write."""
 POSITION_MODE: Final = 3
 """Value of the operating mode register in which the goal is an angle."""
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import (
+    ANSWERS_ALL,
     POSITION_MODE,
     RETURN_DELAY_STEP_S,
     Register,
@@ -14,9 +16,10 @@ from firmware_py.bus.registers import (
     describe_alert,
 )
 from firmware_py.bus.servo_models import MODELS, Model, round_half_away
+from firmware_py.bus.servo_settings import DRIVE_REVERSE, GAINS, AssumedSettings
 from firmware_py.errors import InputError
 
-__all__ = ["ServoPreparation", "ServoSetup"]
+__all__ = ["ServoPreparation", "ServoSetup", "check_assumed"]
 
 
 class ServoSetup(NamedTuple):
@@ -33,6 +36,8 @@ class ServoSetup(NamedTuple):
     max_rate_rad_s : float
         Largest rate of the goals. It is written as profile velocity to a servo without a watchdog,
         so that the servo moves no faster when the loop has died; infinity writes nothing.
+    settings : AssumedSettings
+        Settings that the plant assumes.
     """
 
     id: int
@@ -40,6 +45,36 @@ class ServoSetup(NamedTuple):
     min_angle_rad: float
     max_angle_rad: float
     max_rate_rad_s: float = math.inf
+    settings: AssumedSettings = AssumedSettings()
+
+
+def check_assumed(servo: ServoSetup, where: Path | str) -> None:
+    """Refuse a configuration of settings that the model does not have.
+
+    Parameters
+    ----------
+    servo : ServoSetup
+        Configuration of the servo.
+    where : Path or str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        Naming the servo and the register.
+    """
+    registers = [*servo.settings.gains, *[Register.DRIVE_MODE] * servo.settings.reverse]
+    lacking = [r.value for r in registers if r not in servo.model.table]
+    if lacking:
+        raise InputError(
+            where, f"servo {servo.id}: a {servo.model.name} has no {lacking[0]}",
+            "leave the key out of [[servos]]",
+        )  # fmt: skip
+    if not abs(servo.settings.homing_offset_rad) <= math.pi:
+        raise InputError(
+            where, f"servo {servo.id}: homing_offset_rad is {servo.settings.homing_offset_rad}",
+            "give an angle within half a turn, in rad",
+        )  # fmt: skip
 
 
 class ServoPreparation:
@@ -69,17 +104,12 @@ class ServoPreparation:
         Raises
         ------
         InputError
-            If it is silent, is a different model, reports a hardware error, is not in position mode
-            or has narrower limits than the configuration.
+            If it is silent, is a different model, reports a hardware error, is not in position
+            mode, has narrower limits than the configuration, or settings that the plant does not
+            assume.
         """
         table = servo.model.table
-        number = self._get(servo, Register.MODEL_NUMBER)
-        if number != servo.model.number:
-            found = MODELS[number].name if number in MODELS else f"model number {number}"
-            raise self.unfit(
-                f"servo {servo.id} is {found}, not {servo.model.name}",
-                "correct the model in the configuration",
-            )
+        self._identify(servo)
         self._set(servo, Register.TORQUE_ENABLE, 0)
         if Register.BUS_WATCHDOG in table:
             self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
@@ -105,10 +135,92 @@ class ServoPreparation:
             delay = round_half_away(self._return_delay_s / RETURN_DELAY_STEP_S)
             if self._get(servo, Register.RETURN_DELAY) != delay:
                 self._set(servo, Register.RETURN_DELAY, delay)
-        if Register.BUS_WATCHDOG not in table and math.isfinite(servo.max_rate_rad_s):
-            lsb = servo.model.velocity_rad_s_per_lsb
-            self._set(servo, Register.PROFILE_VELOCITY, math.ceil(servo.max_rate_rad_s / lsb))
+        self._check_settings(servo)
+        self._remove_profile(servo)
         return self._get(servo, Register.FIRMWARE_VERSION)
+
+    def found(self, servo: ServoSetup) -> dict[str, int]:
+        """Return the settings of a servo on which the plant depends, by name of the register.
+
+        Parameters
+        ----------
+        servo : ServoSetup
+            The servo.
+
+        Raises
+        ------
+        InputError
+            If it is silent or is a different model.
+        """
+        self._identify(servo)
+        return {
+            register.value: self._get(servo, register)
+            for register in (Register.FIRMWARE_VERSION, Register.HOMING_OFFSET, *GAINS.values())
+            if register in servo.model.table
+        }
+
+    def _identify(self, servo: ServoSetup) -> None:
+        """Check that it is the expected model, and answers reads and writes."""
+        remedy = f"set register Status Return Level to {ANSWERS_ALL}, or switch it off and on"
+        number = self._registers.get(servo.id, servo.model.table[Register.MODEL_NUMBER])
+        if number is None and self._registers.ping(servo.id):
+            raise self.unfit(
+                f"servo {servo.id} answers a ping but no read: its Status Return Level is 0", remedy
+            )
+        if number is None:
+            raise self._silent(servo, f"read {Register.MODEL_NUMBER.value}")
+        if number != servo.model.number:
+            found = MODELS[number].name if number in MODELS else f"model number {number}"
+            raise self.unfit(
+                f"servo {servo.id} is {found}, not {servo.model.name}",
+                "correct the model in the configuration",
+            )
+        if (level := self._get(servo, Register.STATUS_RETURN_LEVEL)) < ANSWERS_ALL:
+            raise self.unfit(
+                f"servo {servo.id} has Status Return Level {level}: it confirms no write", remedy
+            )
+
+    def _check_settings(self, servo: ServoSetup) -> None:
+        """Refuse direction, zero and gains that the plant does not assume."""
+        table, assumed, name = servo.model.table, servo.settings, f"servo {servo.id}"
+        mode = 0
+        if Register.DRIVE_MODE in table:  # firmware without the register refuses to read it
+            mode = self._registers.get(servo.id, table[Register.DRIVE_MODE]) or 0
+        if mode != (DRIVE_REVERSE if assumed.reverse else 0):
+            found = "reverse" if mode == DRIVE_REVERSE else "not reverse" if mode == 0 else "other"
+            raise self.unfit(
+                f"{name} has Drive Mode {mode} ({found})",
+                f"set register Drive Mode to {int(assumed.reverse)}, or correct reverse in "
+                "[[servos]]",
+            )
+        step_rad = servo.model.rad_per_pulse
+        offset_rad = self._get(servo, Register.HOMING_OFFSET) * step_rad
+        if abs(offset_rad - assumed.homing_offset_rad) > step_rad:
+            raise self.unfit(
+                f"{name} has a Homing Offset of {offset_rad:.4f} rad, the configuration "
+                f"{assumed.homing_offset_rad:.4f} rad",
+                "correct homing_offset_rad in [[servos]], or the register",
+            )
+        for register, wanted in assumed.gains.items():
+            if (raw := self._get(servo, register)) != wanted:
+                raise self.unfit(
+                    f"{name} has {register.value} {raw}, the plant was identified with {wanted}",
+                    "restore the register, or identify the plant anew and correct gains in "
+                    "[[servos]]",
+                )
+
+    def _remove_profile(self, servo: ServoSetup) -> None:
+        """Let goals act at once; without a watchdog the servo keeps the limit of their rate."""
+        table = servo.model.table
+        wanted = {Register.PROFILE_ACCELERATION: 0, Register.PROFILE_VELOCITY: 0}
+        if Register.BUS_WATCHDOG not in table:
+            rate, lsb = servo.max_rate_rad_s, servo.model.velocity_rad_s_per_lsb
+            del wanted[Register.PROFILE_VELOCITY]
+            if math.isfinite(rate):
+                wanted[Register.PROFILE_VELOCITY] = math.ceil(rate / lsb)
+        for register, raw in wanted.items():
+            if self._get(servo, register) != raw:
+                self._set(servo, register, raw)
 
     def gather(self, servo: ServoSetup) -> bool:
         """Point the first indirect addresses of a servo to the registers that a tick reads.

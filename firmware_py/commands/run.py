@@ -25,6 +25,7 @@ from pathlib import Path
 
 import msgspec
 
+from firmware_py.bus.servo_settings import GAINS
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import CPU_TIME
@@ -40,6 +41,7 @@ from firmware_py.realtime.service import SystemdService
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
 
+Settings = tuple[dict[str, int], ...]
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 
 
@@ -78,7 +80,10 @@ def run(args: argparse.Namespace) -> int:
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_bus(config, clock))
-        telemetry, log = stack.enter_context(_telemetry(config, args, bundle))
+        settings = bus.found_settings()
+        for sentence in _uncompared(config, settings):
+            print(f"dropstitch: {sentence}", file=sys.stderr)
+        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
@@ -130,9 +135,24 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     return msgspec.structs.replace(config, motion=motion)
 
 
+def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:
+    """Yield a sentence for every servo whose gains the configuration does not give."""
+    for servo, found in zip(config.servos, settings, strict=True):
+        if servo.gains is None:
+            gains = {name: found[r.value] for name, r in GAINS.items() if r.value in found}
+            text = ", ".join(f"{name} = {raw}" for name, raw in gains.items())
+            yield (
+                f"the gains of servo {servo.id} are compared with none; if the plant was "
+                f"identified with them, add gains = {{ {text} }} in [[servos]]"
+            )
+
+
 @contextlib.contextmanager
 def _telemetry(
-    config: RobotConfig, args: argparse.Namespace, bundle: ModelBundle
+    config: RobotConfig,
+    args: argparse.Namespace,
+    bundle: ModelBundle,
+    settings: Settings,
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
         yield NoTelemetry(), None
@@ -141,7 +161,7 @@ def _telemetry(
     name = f"{started:%Y%m%dT%H%M%SZ}_{config.motion.motion(config.dof).name}.mcap"
     log = (args.log or args.config.parent / config.logs / name) if config.record else None
     live = (config.live.host, config.live.port) if args.live else None
-    metadata = log_metadata(config, bundle, started)
+    metadata = log_metadata(config, bundle, started, settings)
     with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
         yield telemetry, log
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from firmware_py.bus.registers import Register
 from hil.faults.injection import Injection
 
 
@@ -82,6 +83,8 @@ class Setup:
         Whether the servos refuse indirect addresses.
     wrong_model : bool
         Whether every servo is of another model than the configuration says.
+    setting : tuple of Register and int, or None
+        Register of the first servo that somebody has changed, and its value.
     second_model : {"as the first", "declared", "undeclared"}
         Whether servo 2 is of another model, and whether the configuration says so.
     replug_s : float
@@ -111,6 +114,7 @@ class Setup:
     rebooted: bool = False
     refuses_indirect: bool = False
     wrong_model: bool = False
+    setting: tuple[Register, int] | None = None
     second_model: Literal["as the first", "declared", "undeclared"] = "as the first"
     replug_s: float = 0.0
     signal: int | None = None

@@ -20,7 +20,7 @@ from signal import (
 )
 from typing import Final
 
-from firmware_py.bus.registers import HARDWARE_ERRORS
+from firmware_py.bus.registers import HARDWARE_ERRORS, Register
 from firmware_py.safety.stop_reason import UNRELEASED
 from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.injection import FOREVER, Injection
@@ -35,6 +35,7 @@ BOTH_READS: Final = 2
 """Exchanges of a tick in which the first read fails."""
 BOTH: Final = ("virtual", "socket")
 LEGACY: Final = 54024
+ALL_MODELS: Final = (54025, LEGACY)
 WATCHED: Final = (54025,)
 """Models with a bus watchdog; the legacy PRO (54024) has none."""
 UNNOTICED_TICKS: Final = 90
@@ -101,6 +102,14 @@ def _persistent(fault: str, kind: str, value: float, reason: str) -> list[FaultR
         FaultRow(fault, "once", HARMLESS, (Injection(kind, 1, value),)),
         FaultRow(fault, "three in a row", _tripped(reason, 3), (Injection(kind, 3, value),)),
     ]
+
+
+def _changed(
+    how: str, register: Register, raw: int, reason: str, models: tuple[int, ...] = ALL_MODELS
+) -> FaultRow:
+    """Servo with a setting that the plant does not assume."""
+    setup = Setup(setting=(register, raw))
+    return FaultRow("changed servo setting", how, _refused(reason), setup=setup, models=models)
 
 
 def _process(
@@ -182,6 +191,17 @@ SERVO: Final = (
         setup=Setup(second_model="declared"), joints=2),
     FaultRow("legacy and new PRO on one bus", "undeclared", _refused("servo 2 is"),
         setup=Setup(second_model="undeclared"), joints=2),
+    _changed("Drive Mode reverse", Register.DRIVE_MODE, 1, "has Drive Mode 1 (reverse)", WATCHED),
+    _changed("Drive Mode torque on by a goal", Register.DRIVE_MODE, 8, "has Drive Mode 8", WATCHED),
+    _changed("Homing Offset", Register.HOMING_OFFSET, 1000, "has a Homing Offset of"),
+    _changed("Position P Gain", Register.POSITION_P_GAIN, 400, "has Position P Gain 400"),
+    _changed("Velocity I Gain", Register.VELOCITY_I_GAIN, 14, "has Velocity I Gain 14"),
+    _changed("Status Return Level 0", Register.STATUS_RETURN_LEVEL, 0,
+        "answers a ping but no read: its Status Return Level is 0"),
+    _changed("Status Return Level 1", Register.STATUS_RETURN_LEVEL, 1,
+        "has Status Return Level 1: it confirms no write"),
+    FaultRow("changed servo setting", "profile of acceleration, which is removed", HARMLESS,
+        setup=Setup(setting=(Register.PROFILE_ACCELERATION, 10))),
     *_persistent("encoder jump of 0.3 rad", "encoder", 0.3, "away from its goal"),
     *_persistent("current spike of 12 A", "current", 12.0, "draws"),
 )  # fmt: skip

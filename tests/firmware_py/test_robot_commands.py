@@ -34,6 +34,7 @@ rest_s = 0.2
 [limits]
 hold_s = 0.05
 stale_ticks = 100 # the servos share a busy machine with the tests
+missed_slots = 1000
 [real_time]
 priority = 0
 lock_memory = false
@@ -137,6 +138,26 @@ def test_a_replay_through_another_bundle_disagrees(
     result = json.loads(output.out)
     assert (code, result["agree"]) == (1, False)
     assert result["largest_difference"]["di"] == pytest.approx(1e-6)
+
+
+def test_gains_that_are_compared_with_none_are_said_and_kept_in_the_log(servos, config, capsys):
+    servos.put(1, Register.POSITION_P_GAIN, 32)
+    code, output = call(capsys, "run", "--config", config, "--json")
+    assert code == 0, output.err
+    assert "gains = { position_p = 32, velocity_p = 0, velocity_i = 0 }" in output.err
+    log = read_recording(json.loads(output.out)["log"])
+    (settings,) = json.loads(log.metadata["servo_settings"])
+    assert settings["Position P Gain"] == 32
+
+
+def test_gains_that_are_declared_are_compared(servos, config, capsys):
+    servos.put(1, Register.POSITION_P_GAIN, 32)
+    text = config.read_text()
+    config.write_text(text.replace("[motion]", "gains = { position_p = 31 }\n[motion]", 1))
+    code, output = call(capsys, "run", "--config", config)
+    assert code == 2
+    assert "has Position P Gain 32, the plant was identified with 31" in output.err
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
 
 
 def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
@@ -326,7 +347,8 @@ def test_a_run_tells_systemd_when_it_is_ready_and_when_it_stops(
         systemd.setblocking(False)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setenv("WATCHDOG_USEC", "2000000")
-        assert call(capsys, "run", "--config", config)[0] == 0
+        code, output = call(capsys, "run", "--config", config)
+        assert code == 0, output.err
         heard = [systemd.recv(100)]
         while heard[-1] != b"STOPPING=1":
             heard.append(systemd.recv(100))

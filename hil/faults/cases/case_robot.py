@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
@@ -29,6 +30,8 @@ from hil.faults.servo_log import LoggedServo
 
 Array = NDArray[np.float64]
 REST_S: Final = 0.3
+GAINS: Final = ServoGains(position_p=800, velocity_i=0)
+"""Gains of the emulated servos."""
 _LEAN_STEP_S: Final = 0.05
 _OTHER_MODEL: Final = {54025: 54024, 54024: 54025}
 
@@ -87,7 +90,7 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
         bundle=str(robot.bundle.directory.resolve()),
         bus=BusConfig(port=port, replug_s=setup.replug_s),
         servos=tuple(
-            ServoConfig(id=joint, model=MODELS[model].name)
+            ServoConfig(id=joint, model=MODELS[model].name, gains=GAINS)
             for joint, model in enumerate(models, start=1)
         ),
         period_s=robot.bundle.manifest.period_s,
@@ -123,6 +126,8 @@ def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
             servo.refuses_indirect = True
     if setup.hardware_error:
         servos[0].fail(setup.hardware_error)
+    if setup.setting is not None:
+        servos[0].put(*setup.setting)
     if setup.rebooted:
         servos[0].reboot()
     return servos

@@ -1,0 +1,65 @@
+"""Settings of a servo that the plant assumes: direction, zero and gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import msgspec
+
+from firmware_py.bus.registers import Register
+
+__all__ = ["DRIVE_REVERSE", "GAINS", "AssumedSettings", "ServoGains"]
+
+DRIVE_REVERSE: Final = 1
+"""Bit of the register Drive Mode: positions count the other way. The other bits, time-based
+profiles and torque on by a goal, are never assumed (docs/sources.md, "Control tables")."""
+
+
+class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Gains with which the plant was identified (`gains` in `[[servos]]`), as register values.
+
+    Attributes
+    ----------
+    position_p, position_i, position_d, velocity_p, velocity_i : int or None
+        Value of the register; None does not compare it.
+    """
+
+    position_p: int | None = None
+    position_i: int | None = None
+    position_d: int | None = None
+    velocity_p: int | None = None
+    velocity_i: int | None = None
+
+    def registers(self) -> dict[Register, int]:
+        """Return the gains that are given, by register."""
+        given = {register: getattr(self, name) for name, register in GAINS.items()}
+        return {register: raw for register, raw in given.items() if raw is not None}
+
+
+GAINS: Final = {
+    "position_p": Register.POSITION_P_GAIN,
+    "position_i": Register.POSITION_I_GAIN,
+    "position_d": Register.POSITION_D_GAIN,
+    "velocity_p": Register.VELOCITY_P_GAIN,
+    "velocity_i": Register.VELOCITY_I_GAIN,
+}
+"""Register of each gain in `ServoGains`."""
+
+
+class AssumedSettings(NamedTuple):
+    """Settings that a servo must have.
+
+    Attributes
+    ----------
+    reverse : bool
+        Whether its positions count the other way.
+    homing_offset_rad : float
+        Angle that the servo adds to its encoder.
+    gains : mapping of Register to int
+        Gains to compare.
+    """
+
+    reverse: bool = False
+    homing_offset_rad: float = 0.0
+    gains: Mapping[Register, int] = {}
