@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.documents import Document, schema_of
+from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.faults.faults_document import FaultsDocument
@@ -29,6 +30,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "faults": FaultsDocument,
     "gap": GapDocument,
     "motion": MotionDocument,
+    "plan": TipPlan,
     "plant": PlantDocument,
     "study": StudyDocument,
     "timing": TimingDocument,

@@ -14,6 +14,7 @@ COMMANDS = (
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
     Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
     Command("experiment", "models.commands.experiment", "design the motion that separates best"),
+    Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
 )
 

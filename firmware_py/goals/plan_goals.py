@@ -1,0 +1,159 @@
+"""Goals of a plan: interpolated between the plans for two payloads, by the payload at the tip.
+
+The payload is known, or it is the observer's estimate, which the interpolation follows at a limited
+rate. So goals never jump when the estimate does. Every goal lies between those of two plans that
+keep the limits, and the rate that a change of the payload adds is part of the check before the run.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.inference.estimator import Estimate
+from firmware_py.safety.limits import Limits
+
+__all__ = ["PlanGoals", "check_plan_goals"]
+
+Array = NDArray[np.float64]
+_REMEDY = "make the path slower or smaller, or widen [limits]"
+
+
+class PlanGoals:
+    """Goals of a plan as `firmware_py.goals.goal_source.GoalSource`.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    payload_kg : float or None
+        Payload where it is known; None follows the estimate, from the middle of the grid.
+
+    Attributes
+    ----------
+    dof, slots : int
+        Joints and rows of the plan.
+    payload_kg : float
+        Payload of the goals of this tick; beyond the grid its nearest end.
+
+    Raises
+    ------
+    InputError
+        If the known payload lies outside of the grid.
+    """
+
+    def __init__(self, plan: TipPlan, payload_kg: float | None = None) -> None:
+        self._goals, self._grid = plan.goals_rad(), plan.grid_kg.tolist()
+        self.slots, self.dof = self._goals.shape[1:]
+        low, high = self._grid[0], self._grid[-1]
+        if payload_kg is not None and not low <= payload_kg <= high:
+            raise InputError(
+                "payload_kg", f"is {payload_kg:g}, the plan holds {low:g} to {high:g} kg",
+                "plan again with --payloads that enclose it",
+            )  # fmt: skip
+        self._known = payload_kg is not None
+        self._rate_kg_s = plan.payload_rate_kg_s
+        self.payload_kg = 0.5 * (low + high) if payload_kg is None else float(payload_kg)
+
+    def heed(self, estimate: Estimate, step_s: float) -> None:
+        """Follow the estimated payload; one that is not finite changes nothing.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            Of this tick.
+        step_s : float
+            Time since the previous tick.
+        """
+        if self._known or not math.isfinite(estimate.payload_kg):
+            return
+        wanted = min(max(estimate.payload_kg, self._grid[0]), self._grid[-1])
+        most = self._rate_kg_s * step_s
+        self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
+
+    def at(self, slot: int) -> Array:
+        """Return the goals of a slot for the payload, shape (dof,).
+
+        Parameters
+        ----------
+        slot : int
+            Number of the slot; before the first the goals wait at the start.
+        """
+        row, grid = max(slot, 0) % self.slots, self._grid
+        if len(grid) == 1:
+            return np.asarray(self._goals[0, row])
+        k = 0
+        while k < len(grid) - 2 and self.payload_kg > grid[k + 1]:
+            k += 1
+        part = (self.payload_kg - grid[k]) / (grid[k + 1] - grid[k])
+        below, above = self._goals[k, row], self._goals[k + 1, row]
+        return np.asarray(below + part * (above - below))
+
+
+def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
+    """Refuse a plan whose goals break a limit for some payload, or while the payload changes.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    limits : Limits
+        Limits of the robot, as in force.
+    where : str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If a goal violates a limit; it names the first row, and the payload.
+    """
+    goals, step_s = plan.goals_rad(), plan.period_s
+    for own, table in zip(plan.payloads, goals, strict=True):
+        before, velocity = table[0], np.zeros(plan.dof)
+        for row, goal in enumerate(table):
+            violation = limits.goal_violation(
+                goal.tolist(), before=before.tolist(), velocity=velocity.tolist(), period_s=step_s
+            )
+            if violation:
+                raise InputError(
+                    where, f"row {row} ({row * step_s:.2f} s), {own.payload_kg:g} kg: {violation}",
+                    _REMEDY,
+                )  # fmt: skip
+            before, velocity = goal, (goal - before) / step_s
+    _check_change_of_payload(plan, goals, limits, where)
+
+
+def _check_change_of_payload(plan: TipPlan, goals: Array, limits: Limits, where: str) -> None:
+    """Refuse goals that keep the limits only while the payload stands still.
+
+    With the payload m changing at m', the goal g(t, m) moves at ∂g/∂t + m' ∂g/∂m; where the change
+    begins within a period h, it accelerates by another m' ∂g/∂m / h, and 2 m' ∂²g/∂t∂m.
+    """
+    if len(plan.payloads) < 2:
+        return
+    step_s, change = plan.period_s, plan.payload_rate_kg_s
+    by_payload = np.diff(goals, axis=0) / np.diff(plan.grid_kg)[:, None, None]
+    rate = np.diff(goals, axis=1, prepend=goals[:, :1]) / step_s
+    acceleration = np.diff(rate, axis=1, prepend=np.zeros_like(rate[:, :1])) / step_s
+    mixed = np.abs(np.diff(rate, axis=0)) / np.diff(plan.grid_kg)[:, None, None]
+    own = change * np.abs(by_payload)
+    both = np.maximum(np.abs(rate[1:]), np.abs(rate[:-1])) + own
+    total = np.maximum(np.abs(acceleration[1:]), np.abs(acceleration[:-1]))
+    total = total + own / step_s + 2.0 * change * mixed
+    for what, values, limit, unit in (
+        ("moves at", both, limits.rate_rad_s, "rad/s"),
+        ("accelerates at", total, limits.acceleration_rad_s2, "rad/s2"),
+    ):
+        k, row, joint = np.unravel_index(int(np.argmax(values)), values.shape)
+        most = float(values[k, row, joint])
+        if most > limit:
+            raise InputError(
+                where, f"row {row} ({row * step_s:.2f} s), {plan.grid_kg[k]:g} to "
+                f"{plan.grid_kg[k + 1]:g} kg: the goal of joint {joint + 1} {what} {most:.2f} "
+                f"{unit} while the estimate of the payload changes, the limit is {limit:g} {unit}",
+                _REMEDY,
+            )  # fmt: skip

@@ -1,0 +1,181 @@
+"""Document of a plan: goals over a grid of payloads that lead the tip along a path.
+
+`python -m models plan` writes it, the robot reads it. Rows are control periods: first the rest,
+then the way to the path, the path, and the way back to rest, so that a plan can be repeated.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.documents import Document, read_document
+from firmware_py.errors import InputError
+
+__all__ = ["PayloadPlan", "TipPlan", "read_tip_plan"]
+
+Array = NDArray[np.float64]
+MOST_ROWS: Final = 100_000
+"""Rows of the longest plan that is read: 28 minutes [assumed]."""
+_MAKE: Final = "write it anew with python -m models plan"
+
+Columns = tuple[tuple[float, ...], ...]
+
+
+class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Plan for one payload, as the twin predicts it.
+
+    Attributes
+    ----------
+    payload_kg : float
+        Mass at the tip.
+    goals_rad : tuple of columns
+        Goals, one column per joint.
+    tip_m : tuple of columns
+        Tip that they give: x, and y where there are two joints.
+    current_a : tuple of columns
+        Motor currents, one column per joint.
+    residual_rms_m : float
+        Root mean square distance of that tip from the path.
+    rigid_rms_m : float
+        The same for goals from rigid kinematics.
+    expected_rms_m : float
+        The residual together with the plant's own error on trials that it was not fitted to.
+    """
+
+    payload_kg: float
+    goals_rad: Columns
+    tip_m: Columns
+    current_a: Columns
+    residual_rms_m: float
+    rigid_rms_m: float
+    expected_rms_m: float
+
+
+class TipPlan(Document, frozen=True):
+    """Plan of a path of the tip.
+
+    Attributes
+    ----------
+    path : str
+        Name of the path.
+    method : {"inverse", "rigid"}
+        Whether the twin was inverted, or the link taken as rigid, for comparison.
+    dof : int
+        Joints.
+    period_s : float
+        Control period: the time between two rows.
+    rest_s : float
+        Rest before the motion.
+    start_row, end_row : int
+        First row of the path, and the first after it; outside is the way there and back.
+    drawn : tuple of (int, int)
+        Rows between which the path is drawn: the strokes of a text; first and after the last.
+    desired_m : tuple of columns
+        Where the tip is wanted: x, and y where there are two joints.
+    payloads : tuple of PayloadPlan
+        In rising order of payload.
+    payload_rate_kg_s : float
+        Largest rate at which the robot changes the payload between whose plans it interpolates.
+    plant_error_rms_m : float or None
+        Error of the tip of the plant on trials that it was not fitted to.
+    plant_sha256, bundle_sha256 : str
+        Hashes of the plant that was inverted and of the manifest of the robot's bundle.
+    """
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "python -m models plan"
+
+    path: str
+    method: str
+    dof: int
+    period_s: float
+    rest_s: float
+    start_row: int
+    end_row: int
+    drawn: tuple[tuple[int, int], ...]
+    desired_m: Columns
+    payloads: tuple[PayloadPlan, ...]
+    payload_rate_kg_s: float
+    plant_error_rms_m: float | None
+    plant_sha256: str
+    bundle_sha256: str
+
+    @property
+    def name(self) -> str:
+        """Name of the motion in trials and logs."""
+        words = "".join(c if c.isalnum() else "_" for c in self.path)
+        return f"plan_{words}" if self.method == "inverse" else f"plan_{words}_{self.method}"
+
+    @property
+    def rows(self) -> int:
+        """Number of control periods."""
+        return len(self.desired_m[0])
+
+    @property
+    def duration_s(self) -> float:
+        """Time of one run of the plan, the rest included."""
+        return self.rows * self.period_s
+
+    @property
+    def grid_kg(self) -> Array:
+        """Payloads, rising, shape (p,)."""
+        return np.array([own.payload_kg for own in self.payloads])
+
+    def goals_rad(self) -> Array:
+        """Goals for each payload, shape (p, n, dof)."""
+        return np.array([np.transpose(own.goals_rad) for own in self.payloads])
+
+    def desired_tip_m(self) -> Array:
+        """Desired tip, shape (n, dof)."""
+        return np.transpose(self.desired_m)
+
+
+def read_tip_plan(path: Path) -> TipPlan:
+    """Read and check a plan.
+
+    Parameters
+    ----------
+    path : Path
+        JSON file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, of another version, or holds what cannot be run.
+    """
+    plan = read_document(path, TipPlan)
+    if wrong := _wrong_in(plan):
+        raise InputError(path, wrong, _MAKE)
+    return plan
+
+
+def _wrong_in(plan: TipPlan) -> str:
+    """First thing in a plan that cannot be, as a sentence; empty for none."""
+    if plan.dof not in (1, 2):
+        return f"is for {plan.dof} joints; 1 or 2 can move"
+    if len(plan.desired_m) != plan.dof or not 2 <= plan.rows <= MOST_ROWS:
+        return f"needs {plan.dof} columns of 2 to {MOST_ROWS} rows in desired_m"
+    if not 1e-3 <= plan.period_s <= 1.0:
+        return f"has a period of {plan.period_s:g} s, outside 0.001 to 1 s"
+    if not 0 <= plan.rest_s < plan.duration_s:
+        return f"rests for {plan.rest_s:g} s of {plan.duration_s:g} s"
+    if not plan.payloads:
+        return "has no payload"
+    if not 0 < plan.payload_rate_kg_s <= 100:
+        return f"changes the payload by {plan.payload_rate_kg_s:g} kg/s, outside 0 to 100 kg/s"
+    grid = plan.grid_kg
+    if not (np.isfinite(grid).all() and grid[0] >= 0 and (np.diff(grid) > 0).all()):
+        return "has payloads that are negative or do not rise"
+    for own in plan.payloads:
+        for name in ("goals_rad", "tip_m", "current_a"):
+            columns: Columns = getattr(own, name)
+            if len(columns) != plan.dof or any(len(c) != plan.rows for c in columns):
+                return f"needs {plan.dof} columns of {plan.rows} rows in {name}"
+            if not np.isfinite(columns).all():
+                return f"has a value in {name} that is not finite"
+    return ""

@@ -1,0 +1,145 @@
+"""Plan of a path of the tip: the goals that lead it there, although the link bends.
+
+PATH is circle, figure_eight, line, square, star, hold, point_to_point, text:HELLO, or a CSV file
+with the columns time_s, x_m and, for two joints, y_m. The plan holds goals for a grid of payloads,
+the tip and the currents that the twin predicts with them, and the error to expect; 'dropstitch run
+--plan' and 'python -m hil sil --plan' run it. A picture is written beside it. What the arm cannot
+reach, or what breaks a limit, is refused with the row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
+from firmware_py.console import DONE, Progress, emit
+from firmware_py.display_units import CURRENT, LENGTH
+from firmware_py.documents import write_document
+from firmware_py.errors import InputError
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.inference.bundle import MANIFEST, read_manifest, sha256_of
+from firmware_py.safety.limits import Limits
+from models.plan.path_file import read_path
+from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
+from models.plant.plant import read_plant
+
+EXAMPLE = (
+    "python -m models plan circle --plant build/plant.json --bundle build/bundle_2dof "
+    "--seconds 8 --out build/circle.json"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("path", metavar="PATH", help="built-in path or CSV file")
+    add("--plant", type=Path, required=True, help="plant to invert")
+    add("--bundle", type=Path, required=True, help="bundle of the robot: its joints and its period")
+    add("--out", type=Path, required=True, metavar="PLAN.json", help="file to write")
+    add(
+        "--limits", type=Path, metavar="ROBOT.toml",
+        help="limits of the robot (default: those of a robot.toml without [limits])",
+    )  # fmt: skip
+    add("--size", type=float, default=DEFAULT_SIZE_M, metavar="M",
+        help="half of the largest extent, m (0.3)")  # fmt: skip
+    add("--centre", type=float, nargs="+", default=[], metavar="M", help="x, and y, in m (0)")
+    add("--seconds", type=float, default=8.0, help="duration of one turn, or of the text (8)")
+    add("--turns", type=int, default=1, help="times that the path is passed (1)")
+    add("--angle-deg", type=float, default=0.0, help="direction of a line, from x towards y (0)")
+    add("--payloads", type=float, nargs="+", metavar="KG", help="grid of payloads (0 0.5 1 1.5 2)")
+    add("--rigid", action="store_true", help="take the link as rigid, for comparison")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, write, report."""
+    manifest = read_manifest(args.bundle)
+    path = _path(args, manifest.dof, manifest.period_s)
+    plant = read_plant(args.plant)
+    limits = _limits(args.limits)
+    # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
+    from models.plan.plan_picture import draw_plan
+    from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path
+
+    payloads = tuple(args.payloads or PAYLOADS_KG)
+    progress = Progress("plan", 1 if args.rigid else 1 + len(payloads))
+    request = PlanRequest(
+        plant, manifest.dof, manifest.period_s, limits, payloads,
+        sha256_of(args.bundle / MANIFEST), args.rigid,
+    )  # fmt: skip
+    plan = plan_path(path, request, progress.step)
+    try:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        write_document(args.out, plan)
+        picture = args.out.with_suffix(".svg")
+        draw_plan(plan, picture)
+    except OSError as error:
+        raise InputError(
+            args.out, f"cannot be written ({error.strerror})", "name another"
+        ) from error
+    emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
+    return DONE
+
+
+def _path(args: argparse.Namespace, dof: int, period_s: float) -> DesiredPath:
+    if args.path.endswith(".csv"):
+        return read_path(Path(args.path), dof, period_s)
+    options = PathOptions(
+        args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg)
+    )
+    return built_in_path(args.path, dof, period_s, options)
+
+
+def _limits(path: Path | None) -> Limits:
+    """Limits of a robot; the default holds for servos without a bus watchdog as well."""
+    if path is not None:
+        return read_config(path).limits_in_force
+    return msgspec.structs.replace(Limits(), rate_rad_s=UNWATCHED_RATE_RAD_S)
+
+
+def _result(plan: TipPlan, out: Path) -> dict[str, Any]:
+    return {
+        "plan": str(out),
+        "path": plan.path,
+        "seconds": plan.duration_s,
+        "plant_error_rms_m": plan.plant_error_rms_m,
+        "payloads": [
+            {
+                name: getattr(own, name)
+                for name in ("payload_kg", "residual_rms_m", "rigid_rms_m", "expected_rms_m")
+            }
+            for own in plan.payloads
+        ],
+    }
+
+
+def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
+    """What a plan holds, as text.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    out, picture : Path
+        Its files.
+    """
+    lines = [
+        f"{out}: {plan.path}, {plan.method}, {plan.duration_s:.1f} s with rest and ways, "
+        f"{plan.dof}DOF",
+        "tip error in mm, RMS    predicted  expected     rigid  largest current",
+    ]
+    for own in plan.payloads:
+        current = max(abs(value) for column in own.current_a for value in column)
+        lines.append(
+            f"  {own.payload_kg:4g} kg            {LENGTH.number(own.residual_rms_m, 2):>10}"
+            f"{LENGTH.number(own.expected_rms_m, 2):>10}{LENGTH.number(own.rigid_rms_m):>10}"
+            f"{CURRENT.text(current):>17}"
+        )
+    if plan.plant_error_rms_m is None:
+        lines.append("the plant does not tell its own error: expected is what the inversion leaves")
+    lines.append(f"see {picture}")
+    return "\n".join(lines)

@@ -1,0 +1,67 @@
+"""Path of the tip from a CSV file of time and position."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.plan.path_shapes import DesiredPath
+
+LONGEST_S: Final = 600.0
+"""Longest path [assumed]."""
+
+
+def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
+    """Read a path: a line of names (time_s, x_m, and y_m with two joints), then rising times.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file.
+    dof : int
+        Joints of the robot.
+    period_s : float
+        Control period, to which the path is interpolated.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, has other columns or a value that cannot be; it names the row.
+    """
+    names = ["time_s", "x_m", "y_m"][: dof + 1]
+    remedy = f"give the columns {','.join(names)} in s and m"
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read", remedy) from error
+    except UnicodeDecodeError:
+        raise InputError(path, "is no text", remedy) from None
+    head = [name.strip() for name in lines[0].split(",")]
+    if head != names:
+        raise InputError(path, f"has the columns {lines[0].strip()[:80]!r}", remedy)
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        try:
+            row = [float(cell) for cell in line.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != len(names) or not np.isfinite(row).all():
+            raise InputError(
+                path, f"row {number} is {line.strip()[:80]!r}", f"write {len(names)} numbers"
+            )
+        if rows and row[0] <= rows[-1][0]:
+            raise InputError(path, f"row {number}: time_s does not rise", "sort the rows by time")
+        rows.append(row)
+    if len(rows) < 2:
+        raise InputError(path, f"has {len(rows)} rows", "give 2 or more")
+    if not 2 * period_s <= (lasts_s := rows[-1][0] - rows[0][0]) <= LONGEST_S:
+        raise InputError(path, f"lasts {lasts_s:g} s", f"give {2 * period_s:g} to {LONGEST_S:g} s")
+    table = np.array(rows)
+    at_s = np.arange(table[0, 0], table[-1, 0] + 0.5 * period_s, period_s)
+    tip = np.column_stack([np.interp(at_s, table[:, 0], table[:, k + 1]) for k in range(dof)])
+    return DesiredPath(path.stem, tip, ((0, len(at_s)),))

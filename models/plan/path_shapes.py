@@ -1,0 +1,229 @@
+"""Built-in paths of the tip: shape over one turn, and the time in which it is passed.
+
+Every path starts and ends at rest. A closed curve is passed at constant speed between an eased
+start and an eased end; a polygon and a text stop at their corners, because the tip cannot turn at
+speed. `size_m` is half of the largest extent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from models.plan.stroke_font import text_strokes
+
+Array = NDArray[np.float64]
+EASE_FRACTION: Final = 0.25
+"""Part of the first and of the last turn in which the speed rises and falls [assumed]."""
+CORNER_RAD: Final = 0.9
+"""Turn of a stroke from which on the tip stops at the corner [assumed]."""
+TIME_EXPONENT: Final = 0.6
+"""Power of its length to which a piece of a stroke gets time: between equal speeds (1) and equal
+accelerations (1/2) [assumed]."""
+DEFAULT_SIZE_M: Final = 0.3
+
+SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")
+"""Names of the built-in paths, beside `text:…`."""
+FOR_ONE_JOINT: Final = ("line", "hold", "point_to_point")
+
+
+@dataclass(frozen=True)
+class DesiredPath:
+    """Path of the tip, sampled with the control period.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    tip_m : ndarray, shape (n, dof)
+        Desired tip: x, and y with two joints.
+    drawn : tuple of (int, int)
+        Rows that are drawn, first and after the last.
+    """
+
+    name: str
+    tip_m: Array
+    drawn: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class PathOptions:
+    """Size, place and time of a built-in path.
+
+    Attributes
+    ----------
+    size_m : float
+        Half of the largest extent.
+    centre_m : tuple of float
+        Centre; what is not given is 0.
+    seconds : float
+        Duration of one turn, of a text the whole.
+    turns : int
+        Times that it is passed.
+    angle_rad : float
+        Direction of a line in the plane, from x towards y.
+    """
+
+    size_m: float = DEFAULT_SIZE_M
+    centre_m: tuple[float, ...] = ()
+    seconds: float = 8.0
+    turns: int = 1
+    angle_rad: float = 0.0
+
+
+def quintic(x: Array) -> Array:
+    """Quintic from 0 to 1, at rest at both ends (Flash and Hogan, J. Neuroscience 5, 1985).
+
+    Parameters
+    ----------
+    x : ndarray
+        Fraction of the time; clipped to 0 to 1.
+    """
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
+
+
+def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) -> DesiredPath:
+    """Return a built-in path.
+
+    Parameters
+    ----------
+    name : str
+        One of `SHAPES`, or `text:` and letters.
+    dof : int
+        Joints of the robot.
+    period_s : float
+        Control period.
+    options : PathOptions
+        Size, place and time.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the path needs another joint, or an option is out of range.
+    """
+    _check_options(options, dof)
+    if name not in SHAPES and not name.startswith("text:"):
+        raise InputError(
+            f"path {name}", "is no built-in path and no file",
+            f"choose {', '.join(SHAPES)}, text:… or a CSV file",
+        )  # fmt: skip
+    if dof == 1 and name not in FOR_ONE_JOINT:
+        raise InputError(
+            f"path {name}", "lies in the plane, the arm has one joint",
+            f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints",
+        )  # fmt: skip
+    centre = np.zeros(2)
+    centre[: len(options.centre_m)] = options.centre_m
+    way = np.array([np.cos(options.angle_rad), np.sin(options.angle_rad)])
+    rows = max(2, round(options.seconds * options.turns / period_s)) + 1
+    fraction = np.linspace(0.0, 1.0, rows)
+    drawn: tuple[tuple[int, int], ...] = ((0, rows),)
+    if name in _CURVES:
+        turn = options.turns * _eased(fraction, EASE_FRACTION / options.turns)
+        tip = options.size_m * _CURVES[name](2.0 * np.pi * turn, way)
+    elif name in ("hold", "point_to_point"):
+        tip = options.size_m * _points(name, fraction, options.turns)[:, None] * way
+    else:
+        strokes = text_strokes(name[5:]) if name.startswith("text:") else [_polygon(name)]
+        turns = 1 if name.startswith("text:") else options.turns
+        tip, drawn = _along(strokes * turns, fraction, joined=not name.startswith("text:"))
+        tip = options.size_m * tip
+    return DesiredPath(name, np.asarray((tip + centre)[:, :dof]), drawn)
+
+
+def _check_options(options: PathOptions, dof: int) -> None:
+    centre = options.centre_m
+    for name, value, low, high in (
+        ("--size", options.size_m, 1e-3, 2.0),
+        ("--seconds", options.seconds, 0.5, 600.0),
+        ("--turns", options.turns, 1, 100),
+        ("--centre", max(map(abs, centre), default=0.0), 0.0, 2.0),
+        ("--angle-deg", options.angle_rad, -10.0, 10.0),
+    ):
+        if not low <= value <= high:
+            raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
+    if len(centre) > dof:
+        raise InputError("--centre", f"has {len(centre)} coordinates", f"give {dof}")
+
+
+def _eased(fraction: Array, ease: float) -> Array:
+    """Way over time, from 0 to 1, whose speed rises and falls in a part of the time each."""
+    ease = min(ease, 0.5)
+    fine = np.linspace(0.0, 1.0, 4001)
+    speed = quintic(np.minimum(fine, 1.0 - fine) / ease)
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
+    return np.asarray(np.interp(fraction, fine, way / way[-1]))
+
+
+def _circle(phase: Array, way: Array) -> Array:
+    return np.column_stack([np.cos(phase), np.sin(phase)])
+
+
+def _figure_eight(phase: Array, way: Array) -> Array:
+    return np.column_stack([np.sin(phase), np.sin(phase) * np.cos(phase)])
+
+
+def _line(phase: Array, way: Array) -> Array:
+    return np.sin(phase)[:, None] * way
+
+
+_CURVES: Final[dict[str, Callable[[Array, Array], Array]]] = {
+    "circle": _circle, "figure_eight": _figure_eight, "line": _line,
+}  # fmt: skip
+"""Shapes of size 1 over the phase; the line is a sinusoid of the time."""
+
+
+def _points(name: str, fraction: Array, turns: int) -> Array:
+    """Place along the way: held, or moved to the other side and back with each turn."""
+    if name == "hold":
+        return np.ones_like(fraction)
+    at = fraction * turns % 1.0
+    there = quintic(at / 0.25) - quintic((at - 0.5) / 0.25)
+    return np.asarray(2.0 * np.where(fraction < 1.0, there, 0.0) - 1.0)
+
+
+def _polygon(name: str) -> Array:
+    """Corners of size 1, the first again at the end."""
+    count, skip, first = {"square": (4, 1, 0.25 * np.pi), "star": (5, 2, 0.5 * np.pi)}[name]
+    turn = first + 2.0 * np.pi * skip / count * np.arange(count + 1)
+    corners = np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.asarray(corners / np.max(np.abs(corners)))
+
+
+def _along(
+    strokes: Sequence[Array], fraction: Array, *, joined: bool
+) -> tuple[Array, tuple[tuple[int, int], ...]]:
+    """Points along strokes and the ways between them, and the rows of each stroke."""
+    pieces: list[tuple[Array, int]] = []  # points, number of the stroke or -1
+    for number, stroke in enumerate(strokes):
+        if number and not np.allclose(strokes[number - 1][-1], stroke[0]):
+            pieces.append((np.array([strokes[number - 1][-1], stroke[0]]), -1))
+        pieces += [(piece, number) for piece in _split(stroke)]
+    steps = [np.append(0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))) for p, _ in pieces]
+    share = np.array([s[-1] ** TIME_EXPONENT for s in steps])
+    limits = np.concatenate([[0.0], np.cumsum(share / share.sum())])
+    tip = np.empty((len(fraction), 2))
+    rows: dict[int, list[int]] = {}
+    for k, ((points, number), step) in enumerate(zip(pieces, steps, strict=True)):
+        inside = np.flatnonzero((fraction >= limits[k]) & (fraction <= limits[k + 1] + 1e-12))
+        at = quintic((fraction[inside] - limits[k]) / (limits[k + 1] - limits[k])) * step[-1]
+        tip[inside] = np.column_stack([np.interp(at, step, points[:, i]) for i in (0, 1)])
+        if number >= 0 and len(inside):
+            rows.setdefault(0 if joined else number, []).extend(inside.tolist())
+    return tip, tuple((min(own), max(own) + 1) for own in rows.values())
+
+
+def _split(stroke: Array) -> list[Array]:
+    """Pieces of a stroke between its corners."""
+    way = np.diff(stroke, axis=0)
+    heading = np.arctan2(way[:, 1], way[:, 0])
+    turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
+    corners = [0, *(np.flatnonzero(turn > CORNER_RAD) + 1).tolist(), len(stroke) - 1]
+    return [stroke[a : b + 1] for a, b in pairwise(corners)]

@@ -1,0 +1,97 @@
+"""Reach of the arm: whether its tip can rest where a path leads, with every payload."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.safety.limits import Limits
+from models.plan.twin_sensitivity import TipTwin
+
+Array = NDArray[np.float64]
+CLOSE_M: Final = 2e-3
+"""Distance from which on a place counts as out of reach [assumed]."""
+STEPS: Final = 6
+"""Steps of the search: the tip is nearly linear in the goals."""
+PROBE_RAD: Final = 1e-3
+
+
+def check_reach(
+    twin: TipTwin, desired_m: Array, payloads_kg: Sequence[float], limits: Limits, where: str
+) -> None:
+    """Refuse a path whose farthest points the resting tip cannot reach within the angle limits.
+
+    Parameters
+    ----------
+    twin : TipTwin
+        The twin.
+    desired_m : ndarray, shape (n, dof)
+        Desired tip.
+    payloads_kg : sequence of float
+        Of the plan.
+    limits : Limits
+        Limits of the robot.
+    where : str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If a point is out of reach; it names the first of the farthest, and the nearest that the
+        tip can reach.
+    """
+    for row in _farthest(desired_m):
+        for payload_kg in (payloads_kg[0], payloads_kg[-1]):
+            nearest = nearest_rest_m(twin, desired_m[row], payload_kg, limits)
+            if np.linalg.norm(nearest - desired_m[row]) > CLOSE_M:
+                raise InputError(
+                    where, f"row {row} ({row * twin.period_s:.2f} s) leads to "
+                    f"{_place(desired_m[row])}, which the tip cannot reach with {payload_kg:g} kg "
+                    f"and goals within limits.angle_rad; the nearest place is {_place(nearest)}",
+                    "make the path smaller, or move its centre",
+                )  # fmt: skip
+
+
+def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Limits) -> Array:
+    """Place nearest to a wanted one at which the tip can rest, shape (dof,).
+
+    Parameters
+    ----------
+    twin : TipTwin
+        The twin.
+    wanted_m : ndarray, shape (dof,)
+        Wanted place.
+    payload_kg : float
+        Mass at the tip.
+    limits : Limits
+        Limits of the robot: the range of the goals.
+    """
+    low, high = limits.angle_rad
+    goal = np.zeros(twin.dof)
+    tip = twin.resting_tip_m(goal, payload_kg)
+    for _ in range(STEPS):
+        slope = np.column_stack(
+            [
+                (twin.resting_tip_m(goal + PROBE_RAD * unit, payload_kg) - tip) / PROBE_RAD
+                for unit in np.eye(twin.dof)
+            ]
+        )
+        goal = np.clip(goal + np.linalg.solve(slope, wanted_m - tip), low, high)
+        tip = twin.resting_tip_m(goal, payload_kg)
+    return tip
+
+
+def _farthest(desired_m: Array) -> list[int]:
+    """First rows of the largest distance, and of the largest and smallest coordinates."""
+    extreme = [int(np.argmax(np.sum(desired_m**2, axis=1)))]
+    for column in desired_m.T:
+        extreme += [int(np.argmax(column)), int(np.argmin(column))]
+    return sorted(set(extreme))
+
+
+def _place(tip_m: Array) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in tip_m) + ") m"

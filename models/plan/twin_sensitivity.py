@@ -1,0 +1,160 @@
+"""Twin that is run together with the exact derivatives of its tip by coefficients of the goals.
+
+The derivatives A = ∂x⁺/∂x and B = ∂x⁺/∂u of each step of the compiled twin are those of the
+discrete step (variational equation, `models.plant.simulation.sensitivity`). Along a run they give
+the derivatives of the state by the coefficients c of the goals u = b(t) c by S⁺ = A S + B b. So the
+C code does not depend on the path, and a path of any length needs no other compilation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.step_model import StepModel, Variable, names
+
+Array = NDArray[np.float64]
+
+
+class TipTwin:
+    """The twin of a plant, driven by goals, with its tip in the horizontal plane.
+
+    Parameters
+    ----------
+    model : StepModel
+        Twin with the inputs `goal_j_rad` and `payload_kg` and the outputs `tip_x_m`, `tip_y_m`.
+    dof : int
+        Joints; with one only x is planned.
+    period_s : float
+        Control period.
+
+    Attributes
+    ----------
+    dof : int
+        As given.
+    period_s : float
+        As given.
+    """
+
+    def __init__(self, model: StepModel, dof: int, period_s: float) -> None:
+        self.dof, self.period_s = dof, period_s
+        self._model, self._plain = model, CompiledModel(model)
+        self._p = model.parameter_values()
+        outputs = names(model.outputs)
+        self._tip = [outputs.index(n) for n in ("tip_x_m", "tip_y_m")[:dof]]
+        self._tip3 = [outputs.index(f"tip_{a}_m") for a in "xyz"]
+        self._current = [outputs.index(f"current_{j + 1}_a") for j in range(dof)]
+        self._angle = [outputs.index(f"angle_{j + 1}_rad") for j in range(dof)]
+        self._stepper: SensitiveModel | None = None
+
+    def run(self, goals_rad: Array, payload_kg: float) -> Array:
+        """Outputs at every row of a table of goals, shape (n, outputs), from rest at the first.
+
+        Parameters
+        ----------
+        goals_rad : ndarray, shape (n, dof)
+            Row k is sent at k periods.
+        payload_kg : float
+            Mass at the tip.
+        """
+        u = np.column_stack([goals_rad, np.full(len(goals_rad), payload_kg)])
+        x = self._plain.start(u[0], self._p)
+        return self._plain.simulate(u[:-1], self.period_s, self._p, x)
+
+    def tip_m(self, outputs: Array) -> Array:
+        """Planned coordinates of the tip among outputs, shape (n, dof)."""
+        return outputs[:, self._tip]
+
+    def tip_in_space_m(self, outputs: Array) -> Array:
+        """Tip in the world frame among outputs, shape (n, 3)."""
+        return outputs[:, self._tip3]
+
+    def current_a(self, outputs: Array) -> Array:
+        """Motor currents among outputs, shape (n, dof)."""
+        return outputs[:, self._current]
+
+    def angle_rad(self, outputs: Array) -> Array:
+        """Joint angles among outputs, shape (n, dof)."""
+        return outputs[:, self._angle]
+
+    def resting_tip_m(self, goal_rad: Array, payload_kg: float) -> Array:
+        """Tip of the arm at rest, shape (dof,).
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goals at which it rests.
+        payload_kg : float
+            Mass at the tip.
+        """
+        return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
+
+    def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
+        """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
+
+        Parameters
+        ----------
+        goals_rad : ndarray, shape (n, dof)
+            Goals about which to derive.
+        basis : ndarray, shape (n, count)
+            Value of each basis function at each row; every joint has its own coefficients.
+        payload_kg : float
+            Mass at the tip.
+        """
+        if self._stepper is None:
+            self._stepper = _step_derivatives(self._model, self.dof)
+        sizes, count = len(self._model.states), basis.shape[1]
+        payload = np.array([[payload_kg]])
+        u0 = np.append(goals_rad[0], payload_kg)
+        x, slope = self._plain.start(u0, self._p), np.zeros((sizes, self.dof * count))
+        result = np.zeros((len(goals_rad), self.dof, self.dof * count))
+        for k, goal in enumerate(goals_rad[:-1]):
+            p = np.concatenate([self._p, x, goal])
+            y, by = self._stepper.simulate(payload, self.period_s, p)
+            x, by_x, by_u = y[1, :sizes], by[1, :, :sizes], by[1, :, sizes:]
+            moved = by_x @ slope
+            for j in range(self.dof):
+                moved[:, j * count : (j + 1) * count] += np.outer(by_u[:, j], basis[k])
+            slope, tip = moved[:sizes], moved[sizes:]
+            result[k + 1] = tip[self._tip]
+        return result
+
+
+def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
+    """One step of a model, by its state at the start and the goals that are held over it."""
+    states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
+    goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(dof))
+    kept, size = len(model.parameters), len(model.states)
+    sizes = {"x": size, "u": 1, "p": kept + size + dof, "h": 1}
+
+    def wrapped(what: str, labels: str) -> ca.Function:
+        own: Callable[..., ca.SX] = getattr(model, what)
+        symbols = {name: ca.SX.sym(name, sizes[name]) for name in labels}
+        p = symbols["p"]
+        given = symbols | {"u": ca.vertcat(p[kept + size :], symbols["u"]), "p": p[:kept]}
+        result = own(*(given[name] for name in labels))
+        if what == "output":
+            result = ca.vertcat(symbols["x"], result)
+        return ca.Function(what, list(symbols.values()), [result])
+
+    u, p = ca.SX.sym("u", 1), ca.SX.sym("p", sizes["p"])
+    driven = replace(
+        model,
+        name=f"{model.name}_one_step",
+        inputs=(model.inputs[-1],),
+        parameters=model.parameters + states + goals,
+        outputs=model.states + model.outputs,
+        initial=ca.Function("initial", [u, p], [p[kept : kept + size]]),
+        begin=wrapped("begin", "xuph"),
+        flow=wrapped("flow", "xuph"),
+        finish=wrapped("finish", "xuph"),
+        output=wrapped("output", "xup"),
+        rate=wrapped("rate", "xup"),
+    )
+    return SensitiveModel(driven, names(states + goals))

@@ -1,0 +1,127 @@
+"""Paths: shapes by their geometry, the font, files, and what is refused."""
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.signals import PERIOD_S
+from models.plan.path_file import read_path
+from models.plan.path_shapes import SHAPES, PathOptions, built_in_path
+from models.plan.plan_timeline import LEAD_S, REST_S, SETTLE_S, timeline
+from models.plan.stroke_font import GLYPHS, text_strokes
+
+
+def shape(name, dof=2, **options):
+    return built_in_path(name, dof, PERIOD_S, PathOptions(**options)).tip_m
+
+
+def test_a_circle_has_its_radius_and_centre():
+    tip = shape("circle", size_m=0.2, centre_m=(0.1, -0.05))
+    assert np.hypot(tip[:, 0] - 0.1, tip[:, 1] + 0.05) == pytest.approx(0.2)
+    assert tip[0] == pytest.approx(tip[-1])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_every_shape_has_its_size_and_begins_and_ends_at_rest(name):
+    tip = shape(name, size_m=0.25, seconds=6.0)
+    assert np.max(np.abs(tip)) == pytest.approx(0.25, abs=2e-3)
+    speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / PERIOD_S
+    assert max(speed[0], speed[-1]) < 0.02
+    assert speed.max() < 1.5
+    acceleration = np.linalg.norm(np.diff(tip, 2, axis=0), axis=1) / PERIOD_S**2
+    assert acceleration.max() < 10.0, "no jump of the speed"
+
+
+def test_a_square_and_a_star_have_their_corners():
+    square = shape("square", size_m=0.2)
+    for corner in ((0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2)):
+        assert np.min(np.linalg.norm(square - corner, axis=1)) < 1e-3
+    star = shape("star", size_m=0.2)
+    assert np.min(np.linalg.norm(star - np.array([0.0, 0.2]), axis=1)) < 1e-3
+
+
+def test_a_line_moves_as_a_sinusoid_in_its_direction():
+    tip = shape("line", size_m=0.3, angle_rad=np.pi / 2)
+    assert np.abs(tip[:, 0]).max() < 1e-12
+    assert tip[:, 1].max() == pytest.approx(0.3, abs=1e-3)
+    assert shape("line", dof=1).shape[1] == 1
+
+
+def test_more_turns_take_more_time_and_pass_the_same_places():
+    once, twice = shape("circle", seconds=4.0), shape("circle", seconds=4.0, turns=2)
+    assert len(twice) == pytest.approx(2 * len(once), abs=2)
+    assert np.hypot(*twice.T) == pytest.approx(0.3)
+
+
+def test_every_letter_is_drawn_within_its_cell():
+    for letter in set(GLYPHS) - {" "}:
+        points = np.concatenate(text_strokes(letter))
+        assert np.max(np.abs(points)) == pytest.approx(1.0)
+
+
+def test_a_text_lifts_between_strokes_that_do_not_touch():
+    path = built_in_path("text:HI", 2, PERIOD_S, PathOptions(size_m=0.2))
+    assert len(path.drawn) == 4, "three strokes of H, one of I"
+    for start, end in path.drawn:
+        assert 0 <= start < end <= len(path.tip_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "dof", "options", "sentence"),
+    [
+        ("spiral", 2, {}, "no built-in path and no file"),
+        ("circle", 1, {}, "the arm has one joint"),
+        ("text:Ü", 2, {}, "which the font lacks"),
+        ("text: ", 2, {}, "is empty"),
+        ("circle", 2, {"size_m": -1.0}, r"--size: is -1"),
+        ("circle", 2, {"seconds": float("nan")}, r"--seconds: is nan"),
+        ("line", 1, {"centre_m": (0.0, 0.1)}, r"--centre: has 2 coordinates"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(name, dof, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        built_in_path(name, dof, PERIOD_S, PathOptions(**options))
+
+
+def test_a_file_is_read_with_the_control_period(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("time_s,x_m,y_m\n0,0,0\n1,0.1,0.2\n3,0.1,0\n")
+    path = read_path(file, 2, 0.5)
+    assert path.tip_m == pytest.approx(
+        np.array([[0, 0], [0.05, 0.1], [0.1, 0.2], [0.1, 0.15], [0.1, 0.1], [0.1, 0.05], [0.1, 0]])
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (
+            "time_s,x_m\n0,0\n1,1\n",
+            r"has the columns 'time_s,x_m'; give .*time_s,x_m,y_m",
+        ),
+        ("time_s,x_m,y_m\n0,0,0\n1,here,0\n", "row 3 is '1,here,0'"),
+        ("time_s,x_m,y_m\n0,0,0\n1,0,nan\n", "row 3"),
+        ("time_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 4: time_s does not rise"),
+        ("time_s,x_m,y_m\n0,0,0\n", "has 1 rows"),
+        ("time_s,x_m,y_m\n0,0,0\n0.01,0,0\n", r"lasts 0\.01 s"),
+    ],
+)
+def test_a_file_that_is_no_path_is_refused_with_its_row(tmp_path, text, sentence):
+    file = tmp_path / "path.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        read_path(file, 2, PERIOD_S)
+
+
+def test_the_timeline_rests_goes_there_and_comes_back_without_a_jump():
+    path = built_in_path("circle", 2, PERIOD_S, PathOptions(size_m=0.2, seconds=3.0))
+    rest = np.array([0.005, 0.0])
+    line = timeline(path, rest, PERIOD_S)
+    assert line.rest_rows == round(REST_S / PERIOD_S)
+    still = round((REST_S + LEAD_S) / PERIOD_S)
+    assert np.array_equal(line.desired_m[:still], np.tile(rest, (still, 1)))
+    assert np.array_equal(line.desired_m[line.start_row : line.end_row], path.tip_m)
+    settle = round(SETTLE_S / PERIOD_S)
+    assert np.array_equal(line.desired_m[-settle:], np.tile(rest, (settle, 1)))
+    acceleration = np.diff(line.desired_m, 2, axis=0) / PERIOD_S**2
+    assert np.abs(acceleration).max() < 3.0
