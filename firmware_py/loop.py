@@ -297,7 +297,7 @@ class ControlLoop:
         supervisor, log = self._supervisor, self._log
         supervisor.conclude(self._bus.alert, released=released)
         return RunSummary(
-            ended=Ended.TRIPPED if supervisor.faulty else self._ended,
+            ended=Ended.TRIPPED if supervisor.faults else self._ended,
             reason=supervisor.reason,
             ticks=log.ticks,
             bus_faults=log.bus_faults(),
@@ -307,4 +307,5 @@ class ControlLoop:
             telemetry_drops=log.drops,
             replugs=self._replugs,
             released=released,
+            faults=supervisor.faults,
         )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
+from firmware_py.safety.stop_reason import Fault
 
 __all__ = ["Ended", "RunDocument", "RunSummary", "read_run_summary", "write_run_summary"]
 
@@ -53,6 +54,8 @@ class RunSummary:
         Times that the robot continued after its port had gone.
     released : bool
         Whether every servo confirmed torque off at the end.
+    faults : frozenset of Fault
+        Kinds of fault that stopped the robot or were seen while it stopped.
     """
 
     ended: Ended
@@ -65,6 +68,7 @@ class RunSummary:
     telemetry_drops: int
     replugs: int = 0
     released: bool = True
+    faults: frozenset[Fault] = frozenset()
 
     def document(self, log: Path | None, bus_plan: str) -> RunDocument:
         """Return everything but the records as a document.

@@ -31,8 +31,8 @@ class StopReason:
         Cause of the stop, then the faults seen later; empty before a stop.
     tripped : bool
         Whether the cause is a fault, not a request.
-    faulty : bool
-        Whether the cause is a fault, or a fault was seen later.
+    faults : set of Fault
+        Kinds of fault that caused the stop or were seen later.
 
     Examples
     --------
@@ -40,13 +40,13 @@ class StopReason:
     >>> reason.begin("the motion is over")
     >>> reason.add(Fault.DATA, "no fresh data for 3 ticks")
     >>> reason.add(Fault.DATA, "no fresh data for 4 ticks")  # known
-    >>> reason.text, reason.tripped, reason.faulty
+    >>> reason.text, reason.tripped, reason.faults == {Fault.DATA}
     ('the motion is over; then no fresh data for 3 ticks', False, True)
     """
 
     def __init__(self) -> None:
-        self.text, self.tripped, self.faulty = "", False, False
-        self._seen: set[Fault] = set()
+        self.text, self.tripped = "", False
+        self.faults: set[Fault] = set()
 
     def begin(self, text: str, fault: Fault | None = None) -> None:
         """Set the cause of a stop.
@@ -59,8 +59,8 @@ class StopReason:
             Its kind; None for a request.
         """
         self.text = text
-        self.tripped = self.faulty = fault is not None
-        self._seen = set() if fault is None else {fault}
+        self.tripped = fault is not None
+        self.faults = set() if fault is None else {fault}
 
     def add(self, fault: Fault, text: str) -> None:
         """Add a fault that was seen later, unless one of its kind is known.
@@ -72,7 +72,6 @@ class StopReason:
         text : str
             The fault, one sentence.
         """
-        if fault not in self._seen:
-            self._seen.add(fault)
-            self.faulty = True
+        if fault not in self.faults:
+            self.faults.add(fault)
             self.text += f"; then {text}"

@@ -87,9 +87,9 @@ class SafetySupervisor:
         return self._reason.tripped
 
     @property
-    def faulty(self) -> bool:
-        """Whether a fault stopped the robot, or was seen while it stopped."""
-        return self._reason.faulty
+    def faults(self) -> frozenset[Fault]:
+        """Kinds of fault that stopped the robot or were seen while it stopped."""
+        return frozenset(self._reason.faults)
 
     # Transitions -------------------------------------------------------------------------------
 

@@ -62,7 +62,7 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
     stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
     verdict = judge_timing(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
-        result.outcome.releases, stopped,
+        result.outcome.releases, stopped, summary.faults,
     )  # fmt: skip
     jitter, plan = probe_jitter(result.loop_cpu), plan_times(result.plan)
     reference = result.reference or jitter

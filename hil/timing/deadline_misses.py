@@ -28,17 +28,25 @@ came in time but for the host.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import Final
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
+from firmware_py.safety.stop_reason import Fault
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 
 __all__ = ["Miss", "find_misses", "host_time_ns", "stopped_by_host"]
 
 Nanoseconds = NDArray[np.int64]
+
+_OF_A_HOST: Final = {Fault.DATA, Fault.SLOTS}
+"""Faults that a host can cause."""
 
 
 class Miss(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -141,12 +149,15 @@ def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int)
     return misses
 
 
-def stopped_by_host(records: NDArray[np.void], host_ns: Nanoseconds) -> bool:
-    """Whether the supervisor stopped the robot for ticks that the host spoiled.
+def stopped_by_host(
+    records: NDArray[np.void], host_ns: Nanoseconds, faults: Collection[Fault]
+) -> bool:
+    """Whether the supervisor saw nothing but missed slots and late data, all by the host.
 
-    Those ticks are the stopping one and all before it without a fresh measurement. The host spoiled
-    one where slots were missed just before it, or where the wait for its data, less the host time,
-    is no longer than that of a tick which got them.
+    The ticks that count are the first one of the stop with all before it that had no fresh
+    measurement, and those of the stop itself. The host spoiled one where slots were missed just
+    before it, or where the wait for its data, less the host time, is no longer than that of a tick
+    which got them.
 
     Parameters
     ----------
@@ -154,14 +165,18 @@ def stopped_by_host(records: NDArray[np.void], host_ns: Nanoseconds) -> bool:
         A run none of whose missed slots is the loop's own.
     host_ns : ndarray, shape (n,)
         Possible host time of each tick, see `host_time_ns`.
+    faults : collection of Fault
+        Kinds of fault that the supervisor saw.
     """
     stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
     fresh = records["stale_ticks"] == 0
-    if not len(stopping) or not fresh.any():
+    if not set(faults) <= _OF_A_HOST or not len(stopping) or not fresh.any():
         return False
-    last = int(stopping[0])
-    measured = np.flatnonzero(fresh[: last + 1])
-    led = slice(min(int(measured[-1]) + 1 if len(measured) else 0, last), last + 1)
+    measured = np.flatnonzero(fresh[: int(stopping[0]) + 1])
+    first = min(int(measured[-1]) + 1 if len(measured) else 0, int(stopping[0]))
     remaining = records["bus_wait_ns"] - host_ns
-    spoiled = ~fresh & (remaining <= remaining[fresh].max())
-    return bool(np.all((spoiled | (records["missed"] > 0))[led]))
+    late = (records["bus_status"] < BusStatus.PORT_GONE) & (remaining <= remaining[fresh].max())
+    missed = records["missed"] > 0
+    counted = (~fresh | missed)[first : int(stopping[-1]) + 1]
+    spoiled = ((~fresh & late) | missed)[first : int(stopping[-1]) + 1]
+    return bool(counted.any() and spoiled[counted].all())

@@ -13,7 +13,7 @@ pass                 0    else; misses that are the host's are listed
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 import msgspec
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from firmware_py.documents import Document
 from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
 from firmware_py.realtime.timing import Cause, miss_rate_bound
+from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import STAGES
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
@@ -132,6 +133,7 @@ def judge_timing(
     line_cpu: ProbeRecord | None = None,
     releases: Releases | None = None,
     stopped: str = "",
+    faults: Collection[Fault] = (),
 ) -> TimingVerdict:
     """Judge the timing of a run.
 
@@ -147,6 +149,8 @@ def judge_timing(
         The emulator's own record.
     stopped : str
         Why the safety supervisor stopped the robot; empty where it did not.
+    faults : collection of Fault
+        Kinds of fault that it saw.
     """
     targets = TimingTargets(period_ns=round(period_s * 1e9))
     certain_ns, possible_ns = host_time_ns(
@@ -157,7 +161,7 @@ def judge_timing(
     lost = sum(causes.values())
     own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
     host = _host_time(certain_ns)
-    excused = bool(stopped) and not own and stopped_by_host(records, possible_ns)
+    excused = bool(faults) and not own and stopped_by_host(records, possible_ns, faults)
     verdict, reason = _decide(len(records), stopped, own, slots, host, excused=excused)
     return TimingVerdict(
         schema=TimingVerdict.VERSION,

@@ -115,11 +115,11 @@ def test_a_fault_while_the_robot_stops_is_said_and_ends_the_hold_where_holding_i
 ):
     supervisor = stopping()
     for _ in range(times):
-        assert (supervisor.reason, supervisor.faulty) == ("enough", False)
+        assert (supervisor.reason, supervisor.faults) == ("enough", frozenset())
         check(supervisor, **measured)
     assert supervisor.reason.startswith("enough; then ")
     assert words in supervisor.reason
-    assert (supervisor.tripped, supervisor.faulty) == (False, True)
+    assert (supervisor.tripped, bool(supervisor.faults)) == (False, True)
     assert ticks_to_off(supervisor) == (1 if ends_hold else HELD_TICKS)
 
 
@@ -148,7 +148,7 @@ def test_what_the_servos_answer_to_torque_off_belongs_to_the_reason(alert, relea
     supervisor.conclude(alert, released=released)
     assert ("motor encoder" in supervisor.reason) is bool(alert)
     assert (UNRELEASED in supervisor.reason) is not released
-    assert supervisor.faulty is (bool(alert) or not released)
+    assert bool(supervisor.faults) is (bool(alert) or not released)
     assert not supervisor.tripped
 
 
@@ -250,5 +250,5 @@ def test_a_restarted_robot_is_at_rest(sign):
 def test_a_fresh_supervisor_has_nothing_to_complain_about():
     fresh = SafetySupervisor(LIMITS, 1, EXACT_S)
     assert (fresh.state, fresh.reason, fresh.tripped) == (SafetyState.STARTING, "", False)
-    assert not fresh.faulty
+    assert not fresh.faults
     assert fresh.stale_ticks == 0

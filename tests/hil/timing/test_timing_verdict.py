@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.realtime.percentiles import Percentiles
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
+from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import tick_dtype
 from hil.timing import timing_verdict
 from hil.timing.cpu_accounts import PROBE_PERIOD_NS, ProbeRecord, Releases
@@ -232,7 +234,13 @@ def test_percentiles_are_values_that_at_least_that_fraction_does_not_exceed(valu
 
 def test_a_robot_that_was_stopped_has_not_passed():
     records = run_of()
-    timing = judge(records, probe_over(records), probe_over(records), stopped="no fresh data")
+    timing = judge(
+        records,
+        probe_over(records),
+        probe_over(records),
+        stopped="no fresh data",
+        faults={Fault.DATA},
+    )
     assert (timing.verdict, timing.verdict.exit_code) == ("fail", 1)
     assert "no fresh data" in timing.reason
 
@@ -245,16 +253,14 @@ def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
     records["state"][501:] = SafetyState.STOPPING
     stalls = [(int(records["deadline_ns"][500]) + 30_000, 70 * MS)] if stalled else []
     watch = probe_over(records, *stalls)
-    timing = judge(records, watch, probe_over(records), stopped="4 slots missed in a row")
+    why = {"stopped": "4 slots missed in a row", "faults": {Fault.SLOTS}}
+    timing = judge(records, watch, probe_over(records), **why)
     assert timing.verdict == verdict
-    records["missed"][501], records["missed"][502] = (
-        0,
-        4,
-    )  # it was stopped before, by something else
-    timing = judge(records, watch, probe_over(records), stopped="a limit")
-    assert timing.verdict == "fail"
+    why = {"stopped": "a limit; then 4 slots missed", "faults": {Fault.MEASUREMENT, Fault.SLOTS}}
+    assert judge(records, watch, probe_over(records), **why).verdict == "fail"
 
 
+@pytest.mark.parametrize("stopping_from", [502, 480])  # stopped by it, or while it stopped
 @pytest.mark.parametrize(
     ("stalls_ns", "verdict"),
     [
@@ -265,21 +271,26 @@ def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
     ],
 )
 def test_a_stop_for_want_of_data_proves_nothing_where_the_host_held_up_every_reply(
-    stalls_ns, verdict
+    stalls_ns, verdict, stopping_from
 ):
     records = run_of()
     records["stale_ticks"][500:503] = 1, 2, 3
     records["busy_ns"][500:503], records["bus_wait_ns"][500:503] = 8_300_000, 8 * MS
     records["state"] = SafetyState.RUNNING
-    records["state"][502:] = SafetyState.STOPPING
+    records["bus_status"][500:503] = BusStatus.TIMEOUT
+    records["state"][stopping_from:] = SafetyState.STOPPING
     stalls = [
         (int(records["deadline_ns"][500 + k]) + 300_000, stall_ns)
         for k, stall_ns in enumerate(stalls_ns)
         if stall_ns
     ]
     line = probe_over(records, *stalls)
-    timing = judge(records, probe_over(records), line, stopped="no fresh data for 3 ticks")
+    why = {"stopped": "no fresh data for 3 ticks", "faults": {Fault.DATA}}
+    timing = judge(records, probe_over(records), line, **why)
     assert (timing.verdict, timing.own_misses) == (verdict, 0)
+    records["bus_status"][501] = BusStatus.PORT_GONE  # no wait for the host to lengthen
+    records["bus_wait_ns"][501] = 0
+    assert judge(records, probe_over(records), line, **why).verdict == "fail"
 
 
 @pytest.mark.parametrize(
