@@ -1,8 +1,9 @@
 """Verdict on a case of the campaign: its observation against its row of the table.
 
-A case passes where no complaint is left. On a line in real time the host may preempt the loop.
-Where the kernel's counters show that this lost slots, and the case is safe, a complaint about its
-course proves nothing and the case is inconclusive.
+A case passes where no complaint is left. In real time the host may preempt the loop, or hold up the
+process of the servos. Where the kernel's counters show that the first lost slots, or the servos
+sent a reply late, and the case is safe, a complaint about its course proves nothing and the case is
+inconclusive.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ class CaseVerdict:
         if not self.deviations:
             return Verdict.PASS
         preempted = self.observation.misses.get(Cause.PREEMPTED.value, 0)
-        excused = preempted and self.case.line != "virtual"
+        held_up = preempted or self.observation.late_replies
+        excused = held_up and self.case.line != "virtual"
         return Verdict.INCONCLUSIVE if excused else Verdict.FAIL
 
 

@@ -81,6 +81,8 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
     stale_as_fresh : int
         Ticks that took data as fresh which the servos had not sent in them.
+    late_replies : int
+        Replies that the host let the servos' process send late.
     """
 
     ended: str
@@ -100,6 +102,7 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     drift_rad: float = 0.0
     goal_jump_rad: float = 0.0
     stale_as_fresh: int = 0
+    late_replies: int = 0
 
 
 def observe_case(
@@ -145,7 +148,7 @@ def observe_case(
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
         misses=outcome.misses, told=_told(outcome, servo_log),
         unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,
-        drift_rad=servo_log.drift_rad,
+        drift_rad=servo_log.drift_rad, late_replies=servo_log.late_replies,
         goal_jump_rad=_goal_jump_rad(servo_log, period_s, rate_rad_s),
         **facts,
     )  # fmt: skip

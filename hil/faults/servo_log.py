@@ -24,6 +24,8 @@ from hil.emulator.physics import Physics
 
 Array = NDArray[np.float64]
 _HUSHED_ID: Final = 255
+LATE_NS: Final = 1_000_000
+"""Half of what a read leaves for the host; a reply takes 0.1 ms of computing. [assumed]"""
 _READS: Final = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 
 
@@ -148,6 +150,9 @@ class ServoLog:
         Whether one is still driven at the end; whether one was stopped by its watchdog.
     drift_rad : float
         Largest movement of one after its last instruction.
+    late_replies : int
+        Replies that left more than `LATE_NS` after they were due, because the host held their
+        process up; 0 in simulated time.
     """
 
     began_ns: int | None
@@ -161,6 +166,7 @@ class ServoLog:
     live: bool
     stopped_by_watchdog: bool
     drift_rad: float
+    late_replies: int
 
 
 class LoggedBus(EmulatedBus):
@@ -185,6 +191,7 @@ class LoggedBus(EmulatedBus):
         self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
         self._last_heard_rad = self.physics.angle_rad.copy()
         self._stopped_by_watchdog = False
+        self._late_replies = 0
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
         """See `EmulatedBus.execute`."""
@@ -219,6 +226,16 @@ class LoggedBus(EmulatedBus):
         super().advance(now_ns)
         self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
 
+    def note_release(self, due_ns: int, written_ns: int) -> None:
+        """Account for a reply, in real time.
+
+        Parameters
+        ----------
+        due_ns, written_ns : int
+            When it was due, and when it left.
+        """
+        self._late_replies += written_ns - due_ns > LATE_NS
+
     def log(self, now_ns: int) -> ServoLog:
         """Let time pass up to `now_ns`, then return the record."""
         self.advance(now_ns)
@@ -237,4 +254,5 @@ class LoggedBus(EmulatedBus):
             live=any(servo.live for servo in self._watched),
             stopped_by_watchdog=self._stopped_by_watchdog,
             drift_rad=float(np.abs(self.physics.angle_rad - self._last_heard_rad).max()),
+            late_replies=self._late_replies,
         )

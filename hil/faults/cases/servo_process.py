@@ -103,8 +103,9 @@ def _run(pipe: Connection, counter: Any, task: ServoProcessTask) -> None:
         pipe.send(os.getpid())
         while port is not None:
             with _plugged(task, port, pipe.fileno()) as connect:
-                while (fd := connect()) is not None and serve_line(line, fd, pipe.fileno()):
-                    pass
+                while (fd := connect()) is not None:
+                    if not serve_line(line, fd, pipe.fileno(), bus.note_release):
+                        break
             command = pipe.recv()
             while command == "unplug":
                 pipe.send(time.monotonic_ns())

@@ -31,7 +31,7 @@ from hil.faults.fault_verdict import FaultCase, judge_case
 from hil.faults.faults_document import faults_document, read_faults, write_faults
 from hil.faults.injection import LINE_FAULTS, SERVO_FAULTS, FaultSchedule, Injection
 from hil.faults.observation import CaseObservation
-from hil.faults.servo_log import LoggedBus, LoggedServo
+from hil.faults.servo_log import LATE_NS, LoggedBus, LoggedServo
 
 LEGACY, PRO_A, PERIOD_S = 54024, 54025, 0.017
 MANIFEST = {
@@ -159,15 +159,25 @@ def test_each_thing_that_must_hold_is_looked_at(change, words):
     assert any(words in complaint for complaint in judged.safety_violations + judged.deviations)
 
 
-def test_the_host_is_an_excuse_for_the_course_but_not_for_safety():
+@pytest.mark.parametrize("witness", [{"misses": {"preempted by the host": 1}}, {"late_replies": 1}])
+def test_the_host_is_an_excuse_for_the_course_but_not_for_safety(witness):
     case = FaultCase(FaultRow("x", "y", Expectation("finished", lost=0)), "socket", PRO_A, 0)
-    seen = CaseObservation("finished", "", lost_ticks=1, misses={"preempted by the host": 1})
+    without = CaseObservation("finished", "", lost_ticks=1)
+    assert judge_case(case, without, PERIOD_S).verdict == "fail"
+    seen = msgspec.structs.replace(without, **witness)
     assert judge_case(case, seen, PERIOD_S).verdict == "inconclusive"
     assert judge_case(replace(case, line="virtual"), seen, PERIOD_S).verdict == "fail"
     assert (
         judge_case(case, msgspec.structs.replace(seen, stale_as_fresh=1), PERIOD_S).verdict
         == "fail"
     )
+
+
+def test_a_reply_that_leaves_late_is_counted(bus_of):
+    bus = LoggedBus([LoggedServo(MODELS[PRO_A])], type(bus_of().physics)(1), FaultSchedule((), 1))
+    for late_ns in (0, LATE_NS, LATE_NS + 1):
+        bus.note_release(5, 5 + late_ns)
+    assert bus.log(10).late_replies == 1
 
 
 def test_verdicts_are_counted_and_written(tmp_path):
