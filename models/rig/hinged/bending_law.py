@@ -138,8 +138,10 @@ class BendLaw:
         branch_nm *= self._decay
         branch_nm += self._branch_nm_rad * du
 
-        size = u * u
-        size = np.sqrt(size[:, 0] + size[:, 1]) + 1e-12
+        square = u * u
+        size = square[:, 0] + square[:, 1]
+        np.sqrt(size, out=size)
+        size += 1e-12
         level = size * self._per_limit
         if self._wrinkling:
             level = np.maximum(level, 0.5)

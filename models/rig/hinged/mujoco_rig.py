@@ -67,9 +67,15 @@ class MujocoRig:
         self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
         self._play = MarkerPlay(p, dof, self.step_s)
         self._load_nm = p["servo.load_offset_nm"]
-        self._drag = p["world.drag_nm"] * self._drag_coefficients()
-        self._dragged = bool(self._drag.any())
-        self._centres = self.data.xipos[self.link.bodies]
+        self._minus_drag = -p["world.drag_nm"] * self._drag_coefficients()
+        self._dragged = bool(self._minus_drag.any())
+        # MuJoCo's arrays stay in place: views of them spare a look-up and a copy in every step.
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._applied_nm = self.data.qfrc_applied
+        pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # one after the other
+        self._body_centres = self.data.xipos[pieces]
+        self._force_n = self.data.xfrc_applied[pieces, :3]
+        self._centres = self._body_centres.copy()
         self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
         self._steps = 0
         self._leak_from_s = np.inf
@@ -107,28 +113,31 @@ class MujocoRig:
 
     def step(self) -> None:
         """Advance by one integration step."""
-        data, link, time_s = self.data, self.link, self.time_s
-        qpos, qvel, applied_nm = data.qpos, data.qvel, data.qfrc_applied
+        time_s, hinges = self.time_s, self.link.hinges
+        qpos, qvel, applied_nm = self._qpos, self._qvel, self._applied_nm
         for servo, joint in self._drives:
             torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
             applied_nm[joint] = torque + self._load_nm
         leaking_s = max(time_s - self._leak_from_s, 0.0)
-        applied_nm[link.hinges] = self.bending_law.torque_nm(qpos.take(link.hinges), leaking_s)
+        applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), leaking_s))
         if self._dragged:
             self._apply_drag()
         if not self._play.absent:
             self._play.advance([servo.gear_nm for servo in self.servos])
-        mujoco.mj_step(link.model, data)
+        mujoco.mj_step(self.link.model, self.data)
         self._steps += 1
 
     def _apply_drag(self) -> None:
         """Quadratic drag on the centre of every piece of the link."""
-        centres = self.data.xipos.take(self.link.bodies, axis=0)
-        velocity = (centres - self._centres) / self.step_s
+        velocity = self._body_centres - self._centres
+        velocity /= self.step_s
         square = velocity * velocity
-        speed = np.sqrt(square[:, 0] + square[:, 1] + square[:, 2])
-        self.data.xfrc_applied[self.link.bodies, :3] = -(self._drag * speed)[:, None] * velocity
-        self._centres = centres
+        speed = square[:, 0] + square[:, 1]
+        speed += square[:, 2]
+        np.sqrt(speed, out=speed)
+        speed *= self._minus_drag
+        np.multiply(speed[:, None], velocity, out=self._force_n)
+        np.copyto(self._centres, self._body_centres)
 
     def _drag_coefficients(self) -> Array:
         """Force per speed squared of each piece, so that 1 rad/s about joint 1 gives 1 N·m."""
