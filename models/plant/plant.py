@@ -40,7 +40,7 @@ from models.plant.plant_document import (
     write_plant_document,
 )
 from models.plant.provenance import Provenance
-from models.plant.scope import Scope
+from models.plant.scope import Scope, variables_of, without_values
 from models.plant.step_model import StepModel
 from models.trials.trial import SignalRole
 
@@ -129,8 +129,9 @@ class Plant:
                 "use the twin",
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        values, columns = tuple(self.parameters.items()), tuple(self.signals)
-        return _composed(self.load, self.drive, effects, values, dof, kind, columns)
+        known, columns = without_values(self.parameters), tuple(self.signals)
+        model = _composed(self.load, self.drive, effects, known, dof, kind, columns)
+        return replace(model, parameters=variables_of(self.parameters, model.parameters))
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -318,17 +319,16 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
     )  # fmt: skip
 
 
-@lru_cache(maxsize=16)  # an observer of two joints takes three seconds to compose
+@lru_cache(maxsize=64)  # an observer of two joints takes three seconds to compose
 def _composed(
     load: str, drive: str, effects: tuple[type[Effect], ...],
     parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
     columns: tuple[str, ...],
 ) -> StepModel:  # fmt: skip
-    """Compose a plant from hashable parts; a `StepModel` is immutable, so it can be shared."""
+    """Compose a plant from hashable parts; values are arguments, so plants share a model."""
     scope, held = _scope(load, dof, columns), [effect() for effect in effects]
-    declared = _declared(scope, drive, load, held, observer=kind != "twin")
-    known = dict(parameters)
-    scope.declare([known[q.name] for q in declared])
+    known, observer = dict(parameters), kind != "twin"
+    scope.declare([known[q.name] for q in _declared(scope, drive, load, held, observer)])
     imposed = kind == "twin" and "imposed motion" in DRIVES[drive].features
     compose = compose_imposed if imposed else COMPOSERS[kind]
     return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)

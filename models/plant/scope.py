@@ -9,11 +9,12 @@ symbolic expressions by joint or by hinge, in the order of the ports
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import casadi as ca
+import msgspec
 
 from models.plant.parameter import Parameter
 from models.plant.step_model import Variable
@@ -198,12 +199,8 @@ class Scope:
     def declare(self, parameters: Sequence[Parameter]) -> None:
         """Add parameters, each with its symbol."""
         for q in parameters:
-            variable = Variable(
-                q.name, q.unit, q.value, q.description, q.low, q.high,
-                max(abs(q.value), abs(q.high) * 1e-3, 1e-9),
-            )  # fmt: skip
-            self.parameters[q.name] = (variable, ca.SX.sym(q.name))
-            if q.role == "fixed" and q.value == 0:
+            self.parameters[q.name] = (variable_of(q), ca.SX.sym(q.name))
+            if is_absent(q):
                 self.absent.add(q.name)
 
     def name(self, pattern: str, joint: int | None = None) -> str:
@@ -284,6 +281,43 @@ class Scope:
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
+
+
+def variable_of(parameter: Parameter) -> Variable:
+    """Parameter as a variable of a step model."""
+    q = parameter
+    return Variable(
+        q.name, q.unit, q.value, q.description, q.low, q.high,
+        max(abs(q.value), abs(q.high) * 1e-3, 1e-9),
+    )  # fmt: skip
+
+
+def variables_of(
+    parameters: Mapping[str, Parameter], variables: Sequence[Variable]
+) -> tuple[Variable, ...]:
+    """Parameters as variables of a step model, in the order of others with the same names.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter
+        By name.
+    variables : sequence of Variable
+        Their order.
+    """
+    return tuple(variable_of(parameters[v.name]) for v in variables)
+
+
+def without_values(parameters: Mapping[str, Parameter]) -> tuple[tuple[str, Parameter], ...]:
+    """Parameters with what a composition depends on: all but values, unless fixed at zero."""
+    return tuple(
+        (name, msgspec.structs.replace(q, value=float(not is_absent(q)), error=None, source=""))
+        for name, q in parameters.items()
+    )
+
+
+def is_absent(parameter: Parameter) -> bool:
+    """Whether a parameter is fixed at zero."""
+    return parameter.role == "fixed" and parameter.value == 0
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:

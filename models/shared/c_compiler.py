@@ -73,8 +73,7 @@ def compile_library(
     DropstitchError
         If the compiler refuses the sources; the message is the compiler's.
     """
-    extra = os.environ.get(OPTIONS_VARIABLE, "").split()
-    options = [*_FLAGS, *flags, *extra, "-target", target]
+    options = [*_FLAGS, *flags, *compiler_options(), "-target", target]
     cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
     if not cached.is_file():
         CACHE.mkdir(parents=True, exist_ok=True)
@@ -85,6 +84,11 @@ def compile_library(
     output.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(cached, output)
     return output
+
+
+def compiler_options() -> list[str]:
+    """Further options of the compiler, from the environment."""
+    return os.environ.get(OPTIONS_VARIABLE, "").split()
 
 
 def _compile(

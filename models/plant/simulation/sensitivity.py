@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,9 +13,9 @@ from typing import Final
 import numpy as np
 
 from models.plant.simulation.compiled_model import trial_inputs, trial_parameters
-from models.plant.simulation.sensitivity_c import write_sensitivity_c
+from models.plant.simulation.sensitivity_c import FUNCTIONS, write_sensitivity_c
 from models.plant.step_model import Array, StepModel, names
-from models.shared.c_compiler import compile_library
+from models.shared.c_compiler import compile_library, compiler_options
 from models.trials.trial import Trial
 
 __all__ = ["SensitiveModel", "run_sensitive_trial"]
@@ -61,16 +62,7 @@ class SensitiveModel:
         self.model = replace(model, max_substep_s=max_substep_s or model.max_substep_s)
         self.wrt = tuple(wrt)
         known = names(model.parameters)
-        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
-            directory = Path(scratch)
-            sources = write_sensitivity_c(model, [known.index(n) for n in wrt], directory)
-            path = compile_library(
-                [*sources, _DRIVER],
-                directory / "model.so",
-                include=[directory],
-                flags=_vector_flags(),
-            )
-            self._library = ctypes.CDLL(str(path))
+        self._library = _library(model, [known.index(n) for n in wrt])
 
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, first: Array | None = None
@@ -135,6 +127,28 @@ def run_sensitive_trial(
     first, u = trial_inputs(sensitive.model, trial)
     p = trial_parameters(sensitive.model, trial) if p is None else p
     return sensitive.simulate(u, trial.step_s, p, first)
+
+
+_LIBRARIES: Final[dict[bytes, ctypes.CDLL]] = {}
+"""Loaded libraries by content of the model: to differentiate an observer takes seconds."""
+
+
+def _library(model: StepModel, index: Sequence[int]) -> ctypes.CDLL:
+    """Compiled derivatives of a model by the parameters of these indices."""
+    flags = _vector_flags()
+    digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
+    for what in FUNCTIONS:
+        digest.update(getattr(model, what).serialize().encode())
+    key = digest.digest()
+    if key not in _LIBRARIES:
+        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
+            directory = Path(scratch)
+            sources = write_sensitivity_c(model, index, directory)
+            path = compile_library(
+                [*sources, _DRIVER], directory / "model.so", include=[directory], flags=flags
+            )
+            _LIBRARIES[key] = ctypes.CDLL(str(path))
+    return _LIBRARIES[key]
 
 
 def _vector_flags() -> tuple[str, ...]:

@@ -46,7 +46,10 @@ def rolled_out_jacobian(model, wrt, u, p):
 
     The derivative of `finish` is zero where a state is zero; that of `smooth_finish` is not.
     """
-    q = ca.MX.sym("p", len(p))
+    index = [names(model.parameters).index(name) for name in wrt]
+    chosen = ca.MX.sym("chosen", len(index))
+    q = ca.MX(p)
+    q[index] = chosen
     x, rows = model.initial(u[0], q), []
     rows.append(model.output(x, u[0], q))
     for row in u:
@@ -55,9 +58,8 @@ def rolled_out_jacobian(model, wrt, u, p):
             x = model.flow(x, row, q, STEP_S / model.substeps(STEP_S))
         x = model.smooth_finish(x, row, q, STEP_S)
         rows.append(model.output(x, row, q))
-    index = [names(model.parameters).index(name) for name in wrt]
-    whole = ca.jacobian(ca.vertcat(*rows), q)[:, index]
-    values = np.asarray(ca.DM(ca.Function("whole", [q], [whole])(p)))
+    whole = ca.Function("whole", [chosen], [ca.jacobian(ca.vertcat(*rows), chosen)])
+    values = np.asarray(ca.DM(whole(p[index])))
     return values.reshape(len(rows), -1, len(wrt))
 
 
