@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import casadi as ca
 import numpy as np
 
 from models.plant.simulation.compiled_model import trial_inputs, trial_parameters
-from models.plant.simulation.sensitivity_c import FUNCTIONS, write_sensitivity_c
+from models.plant.simulation.sensitivity_c import write_sensitivity_c
 from models.plant.step_model import Array, StepModel, names
 from models.shared.c_compiler import compile_library, compiler_options
 from models.trials.trial import Trial
@@ -137,8 +138,9 @@ def _library(model: StepModel, index: Sequence[int]) -> ctypes.CDLL:
     """Compiled derivatives of a model by the parameters of these indices."""
     flags = _vector_flags()
     digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
-    for what in FUNCTIONS:
-        digest.update(getattr(model, what).serialize().encode())
+    for part in vars(model).values():
+        if isinstance(part, ca.Function):
+            digest.update(part.serialize().encode())
     key = digest.digest()
     if key not in _LIBRARIES:
         with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:

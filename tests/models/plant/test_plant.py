@@ -1,6 +1,7 @@
 """The plant document: round trip, completion, refusals in one sentence."""
 
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -117,3 +118,21 @@ def test_values_of_numpy_are_written_as_numbers(tmp_path):
     plant.write(tmp_path / "plant.json")
     again = read_plant(tmp_path / "plant.json").parameters["link_mass_kg"]
     assert (again.value, again.error) == (2 / 3, 0.1)
+
+
+def test_plants_that_differ_in_values_alone_share_their_functions():
+    """Values are arguments; whether one is fixed at zero, and its bounds, are of the functions."""
+    plant = read_plant()
+    mass = plant.parameters["link_mass_kg"]
+    heavier = plant.with_values({mass.name: 1.1 * mass.value})
+    one, other = plant.step_model(1), heavier.step_model(1)
+    assert one.rate is other.rate
+    k = names(one.parameters).index(mass.name)
+    assert other.parameter_values()[k] == 1.1 * one.parameter_values()[k] == 1.1 * mass.value
+    known = plant.parameters["payload_known_kg"]
+    bounded = replace(
+        plant,
+        parameters=plant.parameters | {known.name: msgspec.structs.replace(known, high=1.5)},
+    )
+    texts = [p.step_model(1, "observer").finish.serialize() for p in (plant, bounded)]
+    assert texts[0] != texts[1]
