@@ -154,6 +154,7 @@ def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
         begin=wrapped("begin", "xuph"),
         flow=wrapped("flow", "xuph"),
         finish=wrapped("finish", "xuph"),
+        smooth_finish=wrapped("smooth_finish", "xuph") if model.smooth_finish else None,
         output=wrapped("output", "xup"),
         rate=wrapped("rate", "xup"),
     )

@@ -193,6 +193,7 @@ def with_coefficients(model: StepModel, count: int, dof: int) -> StepModel:
         begin=wrapped("begin", "xuph"),
         flow=wrapped("flow", "xuph"),
         finish=wrapped("finish", "xuph"),
+        smooth_finish=wrapped("smooth_finish", "xuph") if model.smooth_finish else None,
         output=wrapped("output", "xup"),
         rate=wrapped("rate", "xup"),
     )
