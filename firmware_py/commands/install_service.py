@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import getpass
 import os
+import pwd
+import re
 import sys
+import unicodedata
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +20,9 @@ EXAMPLE = "sudo dropstitch install-service --config robot.toml --user robot"
 
 SERVICE_PATH: Final = "etc/systemd/system/dropstitch.service"
 RULE_PATH: Final = "etc/udev/rules.d/99-dropstitch.rules"
+
+_USER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.@-]{0,63}")
+"""User names, those of a directory service included."""
 
 _SERVICE: Final = """\
 [Unit]
@@ -43,10 +49,43 @@ TimeoutStopSec=20
 
 # The loop's thread asks for SCHED_FIFO itself; a policy here would promote every thread.
 AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
+CapabilityBoundingSet=CAP_SYS_NICE CAP_IPC_LOCK
 LimitRTPRIO=99
 LimitMEMLOCK=infinity
 # {affinity_is}
 CPUAffinity={affinity}
+
+# The bundle is code: what it can reach is the port, its own files and the directory of the logs.
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=read-only
+ReadWritePaths={logs}
+PrivateTmp=yes
+{socket}DevicePolicy=closed
+DeviceAllow=char-ttyUSB rw
+DeviceAllow=char-ttyACM rw
+DeviceAllow=char-ttyAMA rw
+DeviceAllow=char-ttyS rw
+DeviceAllow=char-pts rw
+# 'run --live' needs a network: PrivateNetwork=no, and AF_INET AF_INET6 in the list.
+PrivateNetwork=yes
+RestrictAddressFamilies=AF_UNIX
+IPAddressDeny=any
+ProtectClock=yes
+ProtectControlGroups=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+ProtectProc=invisible
+LockPersonality=yes
+RemoveIPC=yes
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+UMask=0027
 """
 
 _RULE: Final = """\
@@ -79,10 +118,11 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     InputError
-        If the configuration is refused or a file cannot be written.
+        If the configuration, the user or a path is refused, or a file cannot be written.
     """
     path = args.config.resolve()
-    files = {SERVICE_PATH: service_file(read_config(path), path, args.user), RULE_PATH: _RULE}
+    config = read_config(path)
+    files = {SERVICE_PATH: service_file(config, path, args.user), RULE_PATH: _RULE}
     if args.dry_run:
         text = "\n".join(f"# {args.root / name}\n{content}" for name, content in files.items())
         emit(args, {"files": files, "written": False}, text)
@@ -91,13 +131,19 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             "install-service", "writes to /etc, which needs root", "run it with sudo, or --dry-run"
         )
+    if args.root == Path("/"):
+        _check_exists(args.user)
     for name, content in files.items():
         _write(args.root / name, content)
+    logs = _logs(config, path)
     emit(
         args,
         {"files": files, "written": True},
-        "written: " + ", ".join(str(args.root / name) for name in files) + "\n"
-        "next: sudo systemctl daemon-reload && sudo udevadm control --reload && "
+        "written: "
+        + ", ".join(str(args.root / name) for name in files)
+        + "\n"
+        + (f"next: make the directory {logs} as {args.user}\n" if _lacks(logs) else "")
+        + "next: sudo systemctl daemon-reload && sudo udevadm control --reload && "
         "sudo udevadm trigger --action=add --subsystem-match=usb-serial; "
         "then sudo systemctl start dropstitch",
     )
@@ -120,7 +166,16 @@ def service_file(
         User of the service.
     processors : frozenset of int, optional
         Processors of the machine; by default those that the kernel reports.
+
+    Raises
+    ------
+    InputError
+        If the user is no user name, or a path has a line break or another control character.
     """
+    if not _USER.fullmatch(user):
+        raise InputError(
+            "--user", f"{user!r} is no user name", "give letters, digits, '_' and '-', like robot"
+        )
     processors = processors or frozenset(range(os.cpu_count() or 1))
     own = config.real_time.cpu
     others = processors - {own}
@@ -129,22 +184,65 @@ def service_file(
         if own in processors and others
         else "All there are; real_time.cpu in the configuration keeps one for the loop alone."
     )
+    socket, port = "", config.bus.port
+    if port.startswith("unix:"):  # of an emulator; PrivateTmp would hide it
+        directory = Path(port.removeprefix("unix:")).absolute().parent
+        socket = f"BindReadOnlyPaths={_optional(directory)}\n"
     return _SERVICE.format(
-        user=user, command=f"{_quoted(sys.executable)} -m firmware_py", config=_quoted(path),
-        affinity_is=affinity_is, affinity=" ".join(map(str, sorted(others or processors))),
-    )  # fmt: skip
+        user=user,
+        command=f"{_quoted(sys.executable)} -m firmware_py",
+        config=_quoted(path),
+        affinity_is=affinity_is,
+        affinity=" ".join(map(str, sorted(others or processors))),
+        logs=_optional(_logs(config, path)),
+        socket=socket,
+    )
 
 
 def _quoted(path: Path | str) -> str:
     """Return a path as one word of a systemd command line (systemd.service(5))."""
+    if any(unicodedata.category(character) in ("Cc", "Zl", "Zp") for character in str(path)):
+        raise InputError(
+            repr(str(path)), "has a line break or another control character", "rename it"
+        )
     text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{text}"' if set(text) & set(" \t'\"") else text
 
 
+def _optional(path: Path) -> str:
+    """Return a path that may be missing as one word of a list of paths (systemd.exec(5))."""
+    return _quoted(f"-{path}").replace("$$", "$")
+
+
+def _logs(config: RobotConfig, path: Path) -> Path:
+    return Path(os.path.abspath(path.parent / config.logs))
+
+
+def _lacks(logs: Path) -> bool:
+    """Whether the directory is missing: the service cannot make it."""
+    return not logs.is_dir()
+
+
+def _check_exists(user: str) -> None:
+    try:
+        pwd.getpwnam(user)
+    except KeyError:
+        raise InputError("--user", f"{user} does not exist", "name a user of this PC") from None
+
+
 def _write(path: Path, content: str) -> None:
+    """Write a file in place of another one, never through a symbolic link."""
+    if path.is_symlink():
+        raise InputError(
+            path, f"is a symbolic link to {os.readlink(path)}", "remove it, if it is not needed"
+        )
+    new = path.with_name(f".{path.name}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content, encoding="utf-8")
+        new.unlink(missing_ok=True)
+        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644), "w") as file:
+            file.write(content)
+        new.replace(path)  # a link that has been made in the meantime is replaced, not followed
     except OSError as error:
         raise InputError(
             path, f"cannot be written ({error.strerror})", "run it with sudo, or --dry-run"
