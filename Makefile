@@ -115,13 +115,14 @@ build/plant.json: build/trials/.done
 	$(call run,python -m models identify build/trials --plant models/plant/nominal.toml --out $@)
 
 # The observer FMU is put into the bundle after training, so it is the last file of a bundle.
-build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done
-	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
+# The robot's predictor is trained on the multisine as well, which the plant has not seen.
+build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done build/unseen_multisine/.done
+	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --motions build/unseen_multisine --out $(@D))
 	$(call run,python -m fmu build $(@D) --plant build/plant.json --unit observer --out $@)
 
 # Studies of one phase each, for the report only: the robot's bundle is trained on both phases.
 build/study_2dof_phase%/study.json: build/plant.json build/unseen_20deg/.done
-	$(call run,python -m models train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --out $(@D))
+	$(call run,python -m models train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --study-only --out $(@D))
 
 build/twin_%dof.fmu: build/bundle_%dof/observer.fmu
 	$(call run,python -m fmu build build/bundle_$*dof --plant build/plant.json --out $@)

@@ -203,8 +203,8 @@ def _pace(setting: Setting, servos: ShippedServos, dof: int) -> Turn:
         clock.sleep_until(deadline_ns)
         wake_ns = clock.now_ns()
         stale += not servos.read(angle, current)
-        di = bundle.estimator.update(angle, current, bundle.manifest.period_s).di
-        bundle.predictor.predict(angle, current, di)
+        estimate = bundle.estimator.update(angle, current, bundle.manifest.period_s)
+        bundle.predictor.predict(angle, current, estimate.di, estimate.signals)
         phase = 2 * np.pi * slot * bundle.manifest.period_s / STUDY_PERIOD_S
         servos.write(np.full(dof, STUDY_AMPLITUDE_RAD * np.sin(phase)))
         end_ns = clock.now_ns()

@@ -22,7 +22,7 @@ from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource
-from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.realtime.clock import Clock
@@ -108,7 +108,7 @@ class ControlLoop:
                 "give one column per joint",
             )  # fmt: skip
         self._bus, self._clock, self._supervisor = bus, clock, supervisor
-        self._estimator, self._predictor = estimator, predictor
+        self._estimator, self._predictor = SampleHold(estimator), predictor
         self._goals = goals
         self._slots = goals.slots if slots is None else slots
         self._period_ns = round(period_s * 1e9)
@@ -246,10 +246,13 @@ class ControlLoop:
         self._log.start_computing()
 
         step_s = min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
-        estimate = self._estimator.update(bus.angle_rad, bus.current_a, step_s)
+        hold = self._estimator
+        estimate = hold.update(bus.angle_rad, bus.current_a, step_s, status.fresh)
         estimate_ns = now()
 
-        prediction = self._predictor.predict(bus.angle_rad, bus.current_a, estimate.di)
+        prediction = self._predictor.predict(
+            bus.angle_rad, bus.current_a, estimate.di, estimate.signals, hold.age_s
+        )
         predict_ns = now()
 
         goals.heed(estimate, step_s)

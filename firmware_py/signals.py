@@ -84,6 +84,17 @@ _MARKERS = tuple(
 TIME = Signal("time_s", "s", "time since the start of the run")
 PAYLOAD = Signal("payload_kg", "kg", "mass of the payload at the tip")
 DI = Signal("di", "1", "Deformation Index (paper, equation 1)")
+AGE = Signal("age_s", "s", "age of the sample; after a gap of the data a fraction of it")
+_OBSERVED = (
+    Signal("bend_{j}_rad", "rad", "bend of the whole link in the plane of joint {j}"),
+    Signal("bend_rate_{j}_rad_s", "rad/s", "rate of the bend in the plane of joint {j}"),
+    Signal("joint_rate_{j}_rad_s", "rad/s", "rate of joint {j}"),
+    Signal("innovation_{j}_a", "A", "root mean square innovation of current {j} while it moves"),
+)
+_DEVIATION = tuple(
+    Signal(f"tip_{axis}_deviation_m", "m", f"standard deviation of tip {axis} by the payload")
+    for axis in "xyz"
+)
 IN_RANGE = Signal("in_range", "1", "1 where the predictor's inputs lie inside its training range")
 
 _STAGES = ("wake", "read", "estimate", "predict", "command", "check", "write", "log")
@@ -109,6 +120,16 @@ def feature_names(dof: int) -> tuple[str, ...]:
     """Return the inputs of the predictor: angles, currents, DI (the study, equations 2 and 3)."""
     joints = range(1, dof + 1)
     return (*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints), DI.name)
+
+
+def observer_signals(dof: int) -> tuple[Signal, ...]:
+    """Return what the observer tells a predictor beside DI: tip, payload, motion, own error."""
+    joints = tuple(
+        Signal(*(field.format(j=j) for field in signal))
+        for j in range(1, dof + 1)
+        for signal in _OBSERVED
+    )
+    return (*_TIP, PAYLOAD, *joints, *_DEVIATION)
 
 
 def tip_names(prefix: str = "") -> tuple[str, str, str]:

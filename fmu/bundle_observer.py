@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.errors import InputError
 from firmware_py.inference.bundle import Manifest, write_manifest
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
@@ -23,12 +25,31 @@ OBSERVER = "observer.fmu"
 
 
 class ModelEstimator:
-    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU."""
+    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU.
 
-    def __init__(self, model: StepModel) -> None:
+    Parameters
+    ----------
+    model : StepModel
+        Observer.
+    wanted : sequence of str
+        Its outputs that the predictor takes.
+
+    Raises
+    ------
+    InputError
+        If the model lacks one.
+    """
+
+    def __init__(self, model: StepModel, wanted: Sequence[str] = ()) -> None:
         self._model, self._parameters = model, model.parameter_values()
         outputs = names(model.outputs)
-        self._rows = [outputs.index("di"), outputs.index("payload_kg")]
+        for name in wanted:
+            if name not in outputs:
+                raise InputError(
+                    f"plant of {model.name}", f"has no output {name}, which the predictor wants",
+                    "train the bundle again with this plant",
+                )  # fmt: skip
+        self._rows = [outputs.index(name) for name in ("di", "payload_kg", *wanted)]
         self.reset()
 
     def reset(self) -> None:
@@ -50,8 +71,8 @@ class ModelEstimator:
         before = np.asarray(model.initial(u, p)).ravel() if self._state is None else self._state
         self._state = model.advance(before, u, p, step_s)
         y = np.asarray(model.output(self._state, u, p)).ravel()
-        di, payload_kg = y[self._rows]
-        return Estimate(float(di), float(payload_kg))
+        di, payload_kg, *signals = y[self._rows]
+        return Estimate(float(di), float(payload_kg), np.array(signals))
 
 
 def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
@@ -78,7 +99,7 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
     ------
     InputError
         If the bundle holds no golden ticks, or the FMU does not reproduce them; if
-        `parts` has no plant.
+        `parts` has no plant, or one whose observer lacks what the predictor wants.
     """
     plant = parts.required_plant()
     if plant.sha256() != manifest.plant_sha256:
@@ -91,8 +112,9 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
     motion = read_golden(bundle / GOLDEN, parts.dof)
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
     golden = record_golden(
-        ModelEstimator(model), predictor, motion.angle_rad, motion.current_a, motion.step_s
-    )
+        ModelEstimator(model, predictor.wanted), predictor,
+        motion.angle_rad, motion.current_a, motion.step_s,
+    )  # fmt: skip
     scratch = build_fmu(
         model,
         bundle / f".{OBSERVER}",
@@ -100,7 +122,8 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
         resources=parts.resources(),
     )
     with FmuInstance(scratch) as fmu:
-        verify(golden, ObserverEstimator(fmu, parts.dof), predictor, bundle / OBSERVER)
+        estimator = ObserverEstimator(fmu, parts.dof, predictor.wanted)
+        verify(golden, estimator, predictor, bundle / OBSERVER)
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
     plant.write(bundle / PLANT)

@@ -5,13 +5,15 @@ kind     inputs                          outputs
 ======== =============================== ====================================================
 twin     goals, payload                  the plant's, and the predictor's beside them
 observer angles, currents                DI, end effector and payload by the plant observer
-predictor angles, currents, DI           end effector, in_range, half width by the polynomial
+predictor what its graph names           end effector, in_range, half width
 ======== =============================== ====================================================
 """
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -19,8 +21,8 @@ from typing import Final, Literal, NamedTuple
 import casadi as ca
 
 from firmware_py.errors import InputError
-from firmware_py.signals import IN_RANGE, feature_names, tick_signals, tip_names
-from models.learning.onnx_symbolic import predictor_function
+from firmware_py.signals import AGE, IN_RANGE, observer_signals, tick_signals, tip_names
+from models.learning.onnx_symbolic import predictor_function, predictor_inputs
 from models.plant.plant import Plant, read_plant
 from models.plant.plant_document import plant_json
 from models.plant.step_model import StepModel, Variable, names
@@ -35,9 +37,9 @@ PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
 
 DESCRIPTIONS: Final[dict[Kind, str]] = {
     "twin": "Digital twin of the drop-stitch inflatable link with {dof} joint(s): servo and link "
-    "in closed loop from the goals, with the polynomial predictor beside the plant.",
-    "predictor": "Polynomial predictor of the drop-stitch inflatable link's end effector, "
-    "{dof} joint(s), from measured angles, currents and the Deformation Index.",
+    "in closed loop from the goals, with the predictor beside the plant.",
+    "predictor": "Predictor of the drop-stitch inflatable link's end effector, "
+    "{dof} joint(s), from measured angles and currents and what the observer knows.",
     "observer": "Observer of the drop-stitch inflatable link with {dof} joint(s): Deformation "
     "Index and payload from measured angles and currents; set the sample at the end of the step.",
 }
@@ -194,7 +196,7 @@ def embedded_parts(resources: Path) -> FmuParts | None:
 
 def _variables(*names: str) -> tuple[Variable, ...]:
     """Variables of these names, as the signal table defines them."""
-    table = {s.name: s for s in tick_signals(dof=2)}
+    table = {s.name: s for s in (AGE, *observer_signals(dof=2), *tick_signals(dof=2))}
     return tuple(Variable(name, table[name].unit, 0.0, table[name].description) for name in names)
 
 
@@ -204,15 +206,15 @@ _OUTPUTS: Final = _variables(
 """Outputs of the predictor."""
 
 
-def _predictions(path: Path, features: ca.MX) -> ca.MX:
+def _predictions(path: Path, features: Sequence[ca.MX]) -> ca.MX:
     """Outputs of the ONNX graph, stacked in the order of `_OUTPUTS`."""
-    values = predictor_function(path)(features=features)
+    values = predictor_function(path)(features=ca.vertcat(*features))
     return ca.vertcat(values["tip_m"], values["in_range"], values["half_width_m"])
 
 
 def _predictor(dof: int, path: Path) -> StepModel:
     """The predictor alone: no states, direct feedthrough."""
-    inputs = _variables(*feature_names(dof))
+    inputs = _variables(*predictor_inputs(path, dof))
     x, u, p, h = ca.MX.sym("x", 0), ca.MX.sym("u", len(inputs)), ca.MX.sym("p", 0), ca.MX.sym("h")
     stay = ca.Function("stay", [x, u, p, h], [x])
     return StepModel(
@@ -225,25 +227,47 @@ def _predictor(dof: int, path: Path) -> StepModel:
         begin=stay,
         flow=stay,
         finish=stay,
-        output=ca.Function("output", [x, u, p], [_predictions(path, u)]),
+        output=ca.Function("output", [x, u, p], [_predictions(path, [u])]),
         max_substep_s=1.0,
     )
 
 
 def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
-    """The plant, with the predictor's outputs for its angles, currents and DI added to its own."""
+    """The plant, with the predictor's outputs for its own motion added to its own."""
     x, u, p = (
         ca.MX.sym(name, len(group))
         for name, group in (("x", plant.states), ("u", plant.inputs), ("p", plant.parameters))
     )
-    missing = set(feature_names(dof)) - set(names(plant.outputs))
-    if missing:
+    y = plant.output(x, u, p)
+    inputs = predictor_inputs(path, dof)
+    features = [_of_twin(plant, x, u, y, name) for name in inputs]
+    shown = {*names(plant.outputs), *names(plant.inputs)}
+    further = {
+        name: value
+        for name, value in zip(inputs, features, strict=True)
+        if name not in shown and not _ERRORS.fullmatch(name)
+    }
+    rows = ca.vertcat(y, *further.values(), _predictions(path, features))
+    outputs = (*plant.outputs, *_variables(*further), *_OUTPUTS)
+    return replace(plant, outputs=outputs, output=ca.Function("output", [x, u, p], [rows]))
+
+
+_ERRORS: Final = re.compile(r"innovation_\d_a|tip_[xyz]_deviation_m|age_s")
+"""What an observer says about its own error: a twin has none."""
+
+
+def _of_twin(plant: StepModel, x: ca.MX, u: ca.MX, y: ca.MX, name: str) -> ca.MX:
+    """Input of the predictor, as a twin that observes itself without error knows it."""
+    for group, values in ((plant.outputs, y), (plant.inputs, u)):
+        if name in names(group):
+            return values[names(group).index(name)]
+    if _ERRORS.fullmatch(name):
+        return ca.MX(0)
+    # The bend of the link is that of all its hinges; the rate of a joint is a state of the drive.
+    own = [k for k, s in enumerate(names(plant.states)) if s == name or s.endswith(f"_{name}")]
+    if not own:
         raise InputError(
-            f"plant of {plant.name}",
-            f"has no output {sorted(missing)[0]}, which the predictor needs",
+            f"plant of {plant.name}", f"has no output {name}, which the predictor needs",
             "choose a plant of the link",
         )  # fmt: skip
-    y = plant.output(x, u, p)
-    rows = [names(plant.outputs).index(name) for name in feature_names(dof)]
-    output = ca.Function("output", [x, u, p], [ca.vertcat(y, _predictions(path, y[rows]))])
-    return replace(plant, outputs=(*plant.outputs, *_OUTPUTS), output=output)
+    return sum((x[k] for k in own), start=ca.MX(0))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.inference.predictor import OnnxPredictor
-from firmware_py.signals import IN_RANGE, PERIOD_S, feature_names, tip_names
+from firmware_py.inference.predictor import OnnxPredictor, Prediction
+from firmware_py.signals import AGE, DI, IN_RANGE, PERIOD_S, feature_names, tip_names
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import FmuParts
 from models.plant.step_model import StepModel, names
@@ -101,21 +101,38 @@ def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u:
         If the parts have no predictor.
     """
     wanted = [*tip_names("predicted_"), IN_RANGE.name]
-    features = feature_names(parts.dof)
-    with archive.instance() as instance:
-        y = instance.run(names(model.inputs), u, np.full(len(u), PERIOD_S), (*features, *wanted))
+    shown = [*names(model.inputs), *names(model.outputs)]
     predictor = OnnxPredictor(parts.required_predictor(), parts.dof)
+    asked = [n for n in (*feature_names(parts.dof), AGE.name, *predictor.wanted) if n in shown]
+    with archive.instance() as instance:
+        y = instance.run(names(model.inputs), u, np.full(len(u), PERIOD_S), (*asked, *wanted))
     worst = 0.0
     for row in y[1:]:
-        angle_rad, current_a, di = (
-            row[: parts.dof],
-            row[parts.dof : 2 * parts.dof],
-            row[2 * parts.dof],
-        )
-        answer = predictor.predict(angle_rad, current_a, float(di))
+        known = dict(zip(asked, row, strict=False))
+        answer = predict_named(predictor, parts.dof, known)
         expected = [*answer.tip_m, answer.in_range]
-        worst = max(worst, float(np.abs(row[2 * parts.dof + 1 :] - expected).max()))
+        worst = max(worst, float(np.abs(row[len(asked) :] - expected).max()))
     return FmuCheck("parity with onnxruntime", worst <= PARITY, f"{worst:.1e} at most")
+
+
+def predict_named(predictor: OnnxPredictor, dof: int, known: Mapping[str, float]) -> Prediction:
+    """Return the prediction for inputs by name; what is absent counts as zero.
+
+    Parameters
+    ----------
+    predictor : OnnxPredictor
+        Of a bundle.
+    dof : int
+        Number of joints.
+    known : mapping of str to float
+        Values by the names of the graph's inputs.
+    """
+    joints = range(1, dof + 1)
+    angle_rad = np.array([known.get(f"angle_{j}_rad", 0.0) for j in joints])
+    current_a = np.array([known.get(f"current_{j}_a", 0.0) for j in joints])
+    signals = np.array([known.get(name, 0.0) for name in predictor.wanted])
+    di, age_s = known.get(DI.name, 0.0), known.get(AGE.name, 0.0)
+    return predictor.predict(angle_rad, current_a, di, signals, age_s)
 
 
 def check_saved_states(archive: FmuArchive, model: StepModel, u: Array) -> FmuCheck:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from firmware_py.signals import DI, PAYLOAD, PERIOD_S
+from firmware_py.signals import DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
 from models.plant.simulation.compiled_model import CompiledModel, model_inputs
 from models.plant.step_model import StepModel, names
@@ -48,7 +49,7 @@ def inputs_from_motion(
     """
     goal_rad = motion.table_rad(step_s)
     if parts.kind == "predictor":
-        return _sweep(goal_rad)
+        return _sweep(model, goal_rad)
     columns = {f"goal_{j + 1}_rad": goal_rad[:, j] for j in range(parts.dof)}
     columns[PAYLOAD.name] = np.full(len(goal_rad), payload_kg)
     if parts.kind == "twin":
@@ -88,6 +89,12 @@ def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
             "give a trial of {parts.dof}DOF",
         )  # fmt: skip
     if parts.kind == "predictor":
+        observed = set(names(model.inputs)) & {s.name for s in observer_signals(parts.dof)}
+        if observed:
+            raise InputError(
+                trial.path, f"has no {min(observed)}, which an observer gives the predictor",
+                "simulate the twin of the same bundle, which holds this predictor",
+            )  # fmt: skip
         trial = replace(trial, columns={**trial.columns, DI.name: deformation_index(trial)})
     return model_inputs(model, trial)
 
@@ -96,13 +103,22 @@ def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:
     return np.column_stack([columns[name] for name in names(model.inputs)])
 
 
-def _sweep(angle_rad: Array) -> Array:
-    """Features of the predictor, in the order of `feature_names`.
+_AMPLITUDE: Final = {"A": 0.2, "kg": 1.0, "m": 0.1, "rad": 0.05, "rad/s": 0.3, "s": 0.01}
+"""Amplitude of a predictor's input that is not measured, by its unit; assumed."""
 
-    Angles as given; currents to 3 A and DI to 1 % at other frequencies.
+
+def _sweep(model: StepModel, angle_rad: Array) -> Array:
+    """Inputs of a predictor: angles as given, all others at frequencies of their own.
+
+    Currents to 3 A, DI to 1 %, the rest to `_AMPLITUDE`.
     """
     count, dof = angle_rad.shape
     turn = 2.0 * np.pi * np.arange(count) / count
-    current_a = [3.0 * np.sin((j + 3) * turn) for j in range(dof)]
-    di = 0.005 * (1.0 - np.cos(5.0 * turn))
-    return np.column_stack([angle_rad, *current_a, di])
+    columns = {
+        v.name: _AMPLITUDE.get(v.unit, 0.0) * np.sin((k + 7) * turn)
+        for k, v in enumerate(model.inputs)
+    }
+    columns |= {f"angle_{j + 1}_rad": angle_rad[:, j] for j in range(dof)}
+    columns |= {f"current_{j + 1}_a": 3.0 * np.sin((j + 3) * turn) for j in range(dof)}
+    columns[DI.name] = 0.005 * (1.0 - np.cos(5.0 * turn))
+    return _columns(model, columns)

@@ -23,6 +23,7 @@ from models.gap.report.gap_json import GapDocument
 from models.plant.plant_document import PlantDocument
 from models.rig.conditions_record import ConditionsRecord
 from models.study.study_document import StudyDocument
+from models.tip.predictors_document import PredictorsDocument
 
 DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,
@@ -32,6 +33,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "motion": MotionDocument,
     "plan": TipPlan,
     "plant": PlantDocument,
+    "predictors": PredictorsDocument,
     "study": StudyDocument,
     "timing": TimingDocument,
 }

@@ -15,6 +15,7 @@ import numpy as np
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import DI, PAYLOAD, tip_names
@@ -125,11 +126,15 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     recorded = np.column_stack([columns[name] for name in _COMPARED])
     replayed = np.empty_like(recorded)
     bundle.assume_payload(_assumed_payload_kg(log))
-    bundle.estimator.reset()
-    for k in range(len(replayed)):
-        di, payload_kg = bundle.estimator.update(angle_rad[k], current_a[k], float(step_s[k]))
-        tip_m = bundle.predictor.predict(angle_rad[k], current_a[k], di).tip_m
-        replayed[k] = (di, payload_kg, *tip_m)
+    hold = SampleHold(bundle.estimator)
+    hold.reset()
+    fresh = columns.get("stale_ticks", np.zeros(len(replayed))) == 0
+    for k, (angle, current) in enumerate(zip(angle_rad, current_a, strict=True)):
+        estimate = hold.update(angle, current, float(step_s[k]), bool(fresh[k]))
+        tip_m = bundle.predictor.predict(
+            angle, current, estimate.di, estimate.signals, hold.age_s
+        ).tip_m
+        replayed[k] = (estimate.di, estimate.payload_kg, *tip_m)
     difference = np.abs(replayed - recorded)
     difference[np.isnan(replayed) & np.isnan(recorded)] = 0.0
     difference[np.isnan(difference)] = np.inf

@@ -3,11 +3,13 @@
 ::
 
     manifest.json     contents, units, ranges, hashes of every other file
-    predictor.onnx    features -> tip_m, in_range, half_width_m
+    predictor.onnx    features -> tip_m, in_range, half_width_m; the best of the candidates
+    polynomial.onnx   the same by the paper's polynomial, for a robot without the observer
     lagged.onnx       lagged regressor of DI (the fallback estimator)
     observer.fmu      plant observer of DI (added by `python -m fmu build --unit observer`)
     plant.json        the plant that the observer was built from
     study.json        the paper's tables on these trials
+    predictors.json   the candidates compared, and why this one was chosen
     golden.npz        ticks that the robot replays before it moves
     MODEL_CARD.md     description for people
 
@@ -33,6 +35,8 @@ __all__ = ["Manifest", "ModelBundle", "Quantity", "read_manifest", "write_manife
 
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
+PREDICTOR: Final = "predictor.onnx"
+POLYNOMIAL: Final = "polynomial.onnx"
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,7 +72,9 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     estimator : str
         Source of the DI on the robot: "observer", "lagged" or "none".
     degree : int
-        Degree of the polynomial, chosen by cross-validation on the training trials.
+        Degree of the paper's polynomial, chosen by cross-validation on the training trials.
+    predictor : str
+        Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone.
     lag_ticks : tuple of int
         Ages of the samples that the lagged estimator uses.
     training_data_sha256, plant_sha256 : str
@@ -97,6 +103,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     metrics: dict[str, float]
     coefficients: dict[str, tuple[float, ...]]
     files: dict[str, str]
+    predictor: str = ""
 
 
 def sha256_of(path: Path) -> str:
@@ -163,6 +170,33 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
     scratch.replace(directory / MANIFEST)
 
 
+def load_predictor(directory: Path, manifest: Manifest) -> OnnxPredictor:
+    """Load the predictor that the estimator of a bundle can serve.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+    manifest : Manifest
+        Its manifest.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, or the predictor needs the observer and the bundle has neither
+        that nor a polynomial.
+    """
+    predictor = OnnxPredictor(directory / PREDICTOR, manifest.dof)
+    if manifest.estimator == "observer" or not predictor.wanted:
+        return predictor
+    if POLYNOMIAL not in manifest.files:
+        raise InputError(
+            directory / PREDICTOR, f"needs {predictor.wanted[0]} of an observer that is missing",
+            "add it with 'python -m fmu build --unit observer'",
+        )  # fmt: skip
+    return OnnxPredictor(directory / POLYNOMIAL, manifest.dof)
+
+
 @dataclass(frozen=True)
 class ModelBundle:
     """Bundle that was verified and is ready to predict.
@@ -176,7 +210,8 @@ class ModelBundle:
     estimator : DeformationEstimator
         Estimator that the manifest names, reset.
     predictor : OnnxPredictor
-        Predictor from `predictor.onnx`.
+        Predictor from `predictor.onnx`; from `polynomial.onnx` where the estimator does not know
+        what that one wants.
     """
 
     directory: Path
@@ -217,11 +252,13 @@ class ModelBundle:
         """
         directory = Path(directory)
         manifest = read_manifest(directory)
-        for name in ("predictor.onnx", GOLDEN):
+        for name in (PREDICTOR, GOLDEN):
             if name not in manifest.files:
                 raise InputError(directory / MANIFEST, f"names no {name}", "train the bundle again")
-        estimator = load_estimator(manifest.estimator, directory, manifest.dof, manifest.lag_ticks)
-        predictor = OnnxPredictor(directory / "predictor.onnx", manifest.dof)
+        predictor = load_predictor(directory, manifest)
+        estimator = load_estimator(
+            manifest.estimator, directory, manifest.dof, manifest.lag_ticks, predictor.wanted
+        )
         golden = read_golden(directory / GOLDEN, manifest.dof)
         verify(golden, estimator, predictor, directory / GOLDEN)
         return cls(directory, manifest, estimator, predictor)

@@ -70,8 +70,8 @@ def record_golden(
     di, payload_kg, tip_m = np.empty(count), np.empty(count), np.empty((count, 3))
     estimator.reset()
     for k in range(count):
-        di[k], payload_kg[k] = estimator.update(angle_rad[k], current_a[k], step_s)
-        tip_m[k] = predictor.predict(angle_rad[k], current_a[k], di[k]).tip_m
+        di[k], payload_kg[k], signals = estimator.update(angle_rad[k], current_a[k], step_s)
+        tip_m[k] = predictor.predict(angle_rad[k], current_a[k], di[k], signals).tip_m
     estimator.reset()
     return Golden(angle_rad, current_a, step_s, di, tip_m, payload_kg)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_py.inference.estimator import NoEstimator
-from firmware_py.inference.predictor import Array, Prediction
+from firmware_py.inference.predictor import NO_SIGNALS, Array, Prediction
 
 __all__ = ["NoModels", "NoPredictor"]
 
@@ -22,7 +22,14 @@ class NoPredictor:
     def __init__(self) -> None:
         self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
 
-    def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
         """Return the constant tip; see `firmware_py.inference.predictor.Predictor.predict`."""
         return self._prediction
 

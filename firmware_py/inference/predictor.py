@@ -1,7 +1,9 @@
-"""Predictor of the end effector from angle, current and Deformation Index."""
+"""Predictor of the end effector from measurements and what the estimator knows."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -10,11 +12,14 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.signals import AGE, feature_names, observer_signals
 
-__all__ = ["OnnxGraph", "OnnxPredictor", "Prediction", "Predictor"]
+__all__ = ["NO_SIGNALS", "OnnxGraph", "OnnxPredictor", "Prediction", "Predictor", "named_inputs"]
 
 Array = NDArray[np.float64]
 AXES: Final = 3
+NO_SIGNALS: Final[Array] = np.zeros(0)
+"""Signals of an estimator that gives none beside DI and payload."""
 
 
 class Prediction:
@@ -42,7 +47,14 @@ class Prediction:
 class Predictor(Protocol):
     """Interface of a predictor of the end effector."""
 
-    def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
         """Predict from one sample.
 
         Parameters
@@ -51,6 +63,10 @@ class Predictor(Protocol):
             As measured; positive current pushes its angle positive.
         di : float
             Deformation Index, dimensionless.
+        signals : ndarray
+            Further signals of the estimate, see `Estimate`.
+        age_s : float
+            Age of the sample.
 
         Returns
         -------
@@ -66,8 +82,8 @@ class OnnxGraph:
     ----------
     path : Path or str
         ONNX file.
-    inputs : int
-        Required width of the input.
+    inputs : int or None
+        Required width of the input; None for any.
     outputs : sequence of (name, width)
         Required outputs, in order.
 
@@ -77,6 +93,8 @@ class OnnxGraph:
         Input; write it before `run`.
     results : tuple of ndarray
         Outputs of the latest `run`, shapes (width,).
+    metadata : dict of str to str
+        Facts that the file holds.
 
     Raises
     ------
@@ -90,7 +108,9 @@ class OnnxGraph:
     (docs/sources.md, "ONNX").
     """
 
-    def __init__(self, path: Path | str, inputs: int, outputs: tuple[tuple[str, int], ...]) -> None:
+    def __init__(
+        self, path: Path | str, inputs: int | None, outputs: tuple[tuple[str, int], ...]
+    ) -> None:
         path = Path(path)
         if not path.is_file():
             raise InputError(path, "is missing", "train the bundle again or copy all of it")
@@ -107,7 +127,8 @@ class OnnxGraph:
         found = [
             (o.name, o.shape[-1], o.type) for o in (*session.get_inputs(), *session.get_outputs())
         ]
-        name = found[0][0]
+        name, width = found[0][:2]
+        inputs = width if inputs is None and isinstance(width, int) else inputs or 0
         expected = [(name, inputs), *outputs]
         if found != [(*pair, "tensor(double)") for pair in expected]:
             raise InputError(
@@ -116,6 +137,7 @@ class OnnxGraph:
             )  # fmt: skip
         self.row: Array = np.zeros(inputs)
         self.results: tuple[Array, ...] = tuple(np.zeros(width) for _, width in outputs)
+        self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
         self._session = session
         self._binding: Any = session.io_binding()
         self._binding.bind_input(name, "cpu", 0, np.float64, (1, inputs), self.row.ctypes.data)
@@ -129,7 +151,7 @@ class OnnxGraph:
 
 
 class OnnxPredictor:
-    """Predictor from the bundle's `predictor.onnx`.
+    """Predictor from a graph of the bundle, whose metadata name its inputs.
 
     Parameters
     ----------
@@ -138,23 +160,68 @@ class OnnxPredictor:
     dof : int
         Number of joints.
 
+    Attributes
+    ----------
+    inputs : tuple of str
+        Names of the graph's input columns: angles, currents and DI, the age if it is used, then
+        `wanted`.
+    wanted : tuple of str
+        Those that only the observer knows; `predict` takes them as `signals`, in this order.
+
     Raises
     ------
     InputError
-        If the file is missing, damaged or made for another number of joints.
+        If the file is missing, damaged, made for another number of joints or wants an unknown
+        input.
     """
 
     def __init__(self, path: Path | str, dof: int) -> None:
         outputs = (("tip_m", AXES), ("in_range", 1), ("half_width_m", AXES))
-        self._graph = OnnxGraph(path, 2 * dof + 1, outputs)
+        self._graph = OnnxGraph(path, None, outputs)
         self._prediction = Prediction(*self._graph.results)
-        row = self._graph.row
-        self._angle_rad, self._current_a, self._di = row[:dof], row[dof:-1], row[-1:]
+        measured, row = feature_names(dof), self._graph.row
+        self.inputs = named_inputs(self._graph.metadata) or measured
+        first, rest = self.inputs[: len(measured)], self.inputs[len(measured) :]
+        aged = rest[:1] == (AGE.name,)
+        self.wanted = rest[aged:]
+        unknown = set(self.wanted) - {signal.name for signal in observer_signals(dof)}
+        made_for = self._graph.metadata.get("dof", str(dof))
+        if first != measured or unknown or made_for != str(dof) or len(self.inputs) != len(row):
+            raise InputError(
+                path, f"has the inputs and outputs {', '.join(self.inputs)} of {made_for} joints, "
+                f"which a robot of {dof} cannot give", "train the bundle again with this version",
+            )  # fmt: skip
+        di = len(measured) - 1
+        self._angle_rad, self._current_a = row[:dof], row[dof:di]
+        self._di, self._signals = row[di : di + 1], row[di + 1 + aged :]
+        self._age_s = row[di + 1 : di + 2] if aged else np.zeros(1)
 
-    def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
         """Predict from one sample, without net allocation; see `Predictor.predict`."""
         self._angle_rad[:] = angle_rad
         self._current_a[:] = current_a
         self._di[0] = di
+        self._age_s[0] = age_s
+        if self.wanted:
+            self._signals[:] = signals
         self._graph.run()
         return self._prediction
+
+
+def named_inputs(metadata: dict[str, str]) -> tuple[str, ...]:
+    """Return the names of a graph's input columns by its metadata; none where it does not say.
+
+    Parameters
+    ----------
+    metadata : dict of str to str
+        The file's `metadata_props`; "features" is a list of objects with a "name".
+    """
+    features: Sequence[dict[str, str]] = json.loads(metadata.get("features", "[]"))
+    return tuple(feature["name"] for feature in features)

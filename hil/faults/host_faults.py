@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.transport import Transport
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
-from firmware_py.inference.predictor import Prediction, Predictor
+from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
 from firmware_py.realtime.clock import SimClock
 from hil.faults.injection import FaultSchedule, Injection
 
@@ -126,7 +126,7 @@ class FaultyEstimator:
             _litter()
         estimate = self._inner.update(angle_rad, current_a, step_s)
         wrong = host.value("estimator")
-        return estimate if wrong is None else Estimate(wrong, estimate.payload_kg)
+        return estimate if wrong is None else estimate._replace(di=wrong)
 
 
 def _litter() -> None:
@@ -151,11 +151,18 @@ class FaultyPredictor:
         self._inner, self._host = inner, host
         self._wrong = Prediction(np.zeros(3), np.zeros(1), np.zeros(3))
 
-    def predict(self, angle_rad: Array, current_a: Array, di: float) -> Prediction:
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
         """See `Predictor.predict`."""
         if (slow_s := self._host.value("slow predictor")) is not None:
             self._host.take(slow_s)
-        prediction = self._inner.predict(angle_rad, current_a, di)
+        prediction = self._inner.predict(angle_rad, current_a, di, signals, age_s)
         wrong = self._host.value("predictor")
         if wrong is None:
             return prediction

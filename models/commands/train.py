@@ -1,5 +1,9 @@
 """Training of the predictors of one dof, their tests, and the bundle.
 
+The study compares the paper's polynomials on one motion. The robot gets the best of several
+candidates (`models.tip`), trained on the study's trials and on those of --motions and chosen by
+payloads and motions left out.
+
 Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)
 and on an unseen motion: trials of --unseen, or trials of a smaller amplitude in DIR. The plant
 comes from `identify`; its observer gives the DI that the robot will have.
@@ -43,8 +47,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--plant", type=Path, required=True, metavar="PLANT", help="identified plant")
     add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
     add(
-        "--unseen", type=Path, metavar="DIR",
-        help="trials of a motion that neither training nor identification used",
+        "--unseen", type=Path, nargs="+", default=[], metavar="DIR",
+        help="trials of motions that neither training nor identification used",
+    )  # fmt: skip
+    add(
+        "--motions", type=Path, nargs="+", default=[], metavar="DIR",
+        help="trials of further motions to train the robot's predictor on, not the study",
+    )  # fmt: skip
+    add(
+        "--study-only", action="store_true",
+        help="compare no candidates: the bundle holds the study's polynomial",
     )  # fmt: skip
     add(
         "--phase-deg", type=float, action="append", metavar="DEG",
@@ -56,12 +68,11 @@ def run(args: argparse.Namespace) -> int:
     """Run the study, write the bundle, print the summary."""
     everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
-    unseen: Sequence[Trial] = ()
-    if args.unseen:
-        elsewhere = of_phases(read_trials(args.unseen), args.phase_deg, args.unseen)
-        unseen = of_dof(elsewhere, args.dof, args.unseen)
+    unseen = [t for where in args.unseen for t in _of_directory(where, args)]
+    further = [t for where in args.motions for t in _of_directory(where, args)]
     tests = name_tests(training, (*held_out, *unseen))
-    refuse_mixed_steps((*training, *held_out, *unseen))
+    refuse_mixed_steps((*training, *held_out, *unseen, *further))
+    refuse_trained(further, (*held_out, *unseen))
 
     from models.plant.plant import read_plant
     from models.study.bundle_export import ParityError, write_bundle  # loads scikit-learn
@@ -70,11 +81,19 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     refuse_fitted(plant.provenance, args.plant, tests)
     observer = plant.step_model(args.dof, "observer")
-    progress = Progress(f"train {args.dof}DOF", STEPS + len(tests))
+    from models.tip.candidates.candidate_list import CANDIDATES
+    from models.tip.tip_training import train_tip
+
+    steps = STEPS + len(tests) + (0 if args.study_only else len(CANDIDATES))
+    progress = Progress(f"train {args.dof}DOF", steps)
     others, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
     study = run_study(training, tests, observer, others, progress.step)
+    tip = None
+    if not args.study_only:
+        together = (*training, *further)
+        tip = train_tip(together, tests, study.observer, progress=progress.step)
     try:
-        parity = write_bundle(args.out, study, plant)
+        parity = write_bundle(args.out, study, plant, tip)
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
@@ -83,8 +102,39 @@ def run(args: argparse.Namespace) -> int:
         name: by_part["pooled"]
         for name, by_part in study.document.mean_euclidean_distance_m.items()
     }
-    emit(args, data | {"mean_euclidean_distance_m": tables}, _summary(args.out, study.document))
+    text = _summary(args.out, study.document)
+    if tip:
+        data["predictor"] = tip.document.chosen
+        text = f"{text}\n  the robot gets: {tip.document.reason}"
+    emit(args, data | {"mean_euclidean_distance_m": tables}, text)
     return DONE
+
+
+def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
+    return of_dof(of_phases(read_trials(where), args.phase_deg, where), args.dof, where)
+
+
+def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:
+    """Refuse a test trial that the robot's predictor is trained on.
+
+    Parameters
+    ----------
+    training : sequence of Trial
+        Of further motions.
+    tests : sequence of Trial
+        All tests.
+
+    Raises
+    ------
+    InputError
+        If a trial is in both, under whatever name.
+    """
+    trained = {t.sha256() for t in training}
+    for t in tests:
+        if t.sha256() in trained:
+            raise InputError(
+                t.path, "is a trial of --motions and a test", "name it in one of the two"
+            )
 
 
 def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:

@@ -20,7 +20,7 @@ width is NaN where an input is NaN.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -30,14 +30,13 @@ from skl2onnx import convert_sklearn, update_registered_converter
 from skl2onnx.common.data_types import DoubleTensorType
 from sklearn.pipeline import Pipeline
 
-from models.learning.power_form import power_form
+from models.learning.graph_writer import OPSET, GraphWriter
 from models.learning.predictors import Array, GuardedPredictor, Polynomial
 
-__all__ = ["PolynomialGraph", "to_onnx"]
+__all__ = ["PolynomialGraph", "register_model", "to_onnx"]
 
-OPSET: Final = 13
 IR_VERSION: Final = 7
-"""Versions of operators and file format that onnxruntime 1.16 and later load."""
+"""Version of the file format that onnxruntime 1.16 and later load."""
 
 
 @dataclass(frozen=True)
@@ -59,57 +58,9 @@ class PolynomialGraph:
     box: tuple[Array, Array] | None = None
 
 
-class _Graph:
-    """Builder that adds nodes and constants to skl2onnx's container under stable, unique names."""
-
-    def __init__(self, scope: Any, container: Any) -> None:
-        self.scope, self.container = scope, container
-
-    def constant(self, name: str, value: Array) -> str:
-        unique: str = self.scope.get_unique_variable_name(name)
-        shape = list(value.shape)
-        self.container.add_initializer(unique, onnx.TensorProto.DOUBLE, shape, value.ravel())
-        return unique
-
-    def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        name = self.scope.get_unique_operator_name(f"{output}_{op}")
-        self.container.add_node(
-            op, list(inputs), [output], name=name, op_version=OPSET, **attributes
-        )
-        return output
-
-    def temporary(self, op: str, inputs: Sequence[str], stem: str, **attributes: Any) -> str:
-        return self.node(op, inputs, self.scope.get_unique_variable_name(stem), **attributes)
-
-    def clipped(self, source: str, lower: Array, upper: Array) -> str:
-        raised = self.temporary("Max", [source, self.constant("lower", lower[None])], "raised")
-        return self.temporary("Min", [raised, self.constant("upper", upper[None])], "clipped")
-
-    def polynomial(self, source: str, polynomial: Polynomial, stem: str, output: str) -> str:
-        rows, bias, weights = power_form(polynomial)
-        forms = self.temporary(
-            "Gemm",
-            [source, self.constant(f"{stem}_rows", rows), self.constant(f"{stem}_bias", bias)],
-            f"{stem}_forms",
-        )
-        power = self.power(forms, polynomial.degree, stem)
-        return self.node("MatMul", [power, self.constant(f"{stem}_weights", weights)], output)
-
-    def power(self, base: str, degree: int, stem: str) -> str:
-        """Raise to a power by repeated squaring: Pow is slow, and CasADi broadcasts it wrongly."""
-        result = ""
-        while degree:
-            if degree & 1:
-                result = self.temporary("Mul", [result, base], f"{stem}_power") if result else base
-            degree >>= 1
-            if degree:
-                base = self.temporary("Mul", [base, base], f"{stem}_square")
-        return result
-
-
 def _convert_polynomial(scope: Any, operator: Any, container: Any) -> None:
     model: PolynomialGraph = operator.raw_operator
-    graph = _Graph(scope, container)
+    graph = GraphWriter(scope, container)
     source = operator.inputs[0].full_name
     if model.box is not None:
         source = graph.clipped(source, *model.box)
@@ -120,7 +71,7 @@ def _convert_polynomial(scope: Any, operator: Any, container: Any) -> None:
 
 def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
     model: GuardedPredictor = operator.raw_operator
-    graph = _Graph(scope, container)
+    graph = GraphWriter(scope, container)
     source = operator.inputs[0].full_name
     tip, in_range, half_width = (variable.full_name for variable in operator.outputs)
 
@@ -145,36 +96,58 @@ def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
     graph.node("MatMul", [root, graph.constant("quantile", model.quantile[None])], half_width)
 
 
-def _outputs_of(model: Any) -> dict[str, int]:
-    if isinstance(model, PolynomialGraph):
-        return {model.output: Polynomial.of(model.pipeline).coefficients.shape[1]}
-    axes = len(model.quantile)
-    return {"tip_m": axes, "in_range": 1, "half_width_m": axes}
+def register_model(
+    kind: type,
+    convert: Callable[[Any, Any, Any], None],
+    outputs: Callable[[Any], Mapping[str, int]],
+) -> None:
+    """Register a model with skl2onnx, so that `to_onnx` takes it.
 
+    Parameters
+    ----------
+    kind : type
+        Class of the model.
+    convert : callable
+        Converter of skl2onnx.
+    outputs : callable
+        Names and widths of a model's outputs.
+    """
 
-def _parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
-    operator = scope.declare_local_operator(f"Dropstitch{type(model).__name__}", model)
-    operator.inputs.extend(inputs)
-    for name, width in _outputs_of(model).items():
-        operator.outputs.append(scope.declare_local_variable(name, DoubleTensorType([1, width])))
-    return operator.outputs
+    def parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
+        operator = scope.declare_local_operator(f"Dropstitch{kind.__name__}", model)
+        operator.inputs.extend(inputs)
+        for name, width in outputs(model).items():
+            variable = scope.declare_local_variable(name, DoubleTensorType([1, width]))
+            operator.outputs.append(variable)
+        return operator.outputs
 
-
-def _keep_shapes(operator: Any) -> None:
-    """Do nothing: `_parse` declares the shapes."""
-
-
-for _model, _convert in (
-    (PolynomialGraph, _convert_polynomial),
-    (GuardedPredictor, _convert_guarded),
-):
     update_registered_converter(
-        _model, f"Dropstitch{_model.__name__}", _keep_shapes, _convert, parser=_parse
+        kind, f"Dropstitch{kind.__name__}", _keep_shapes, convert, parser=parse
     )
 
 
+def _keep_shapes(operator: Any) -> None:
+    """Do nothing: the parser declares the shapes."""
+
+
+register_model(
+    PolynomialGraph,
+    _convert_polynomial,
+    lambda model: {model.output: Polynomial.of(model.pipeline).coefficients.shape[1]},
+)
+register_model(
+    GuardedPredictor,
+    _convert_guarded,
+    lambda model: {
+        "tip_m": len(model.quantile),
+        "in_range": 1,
+        "half_width_m": len(model.quantile),
+    },
+)
+
+
 def to_onnx(
-    model: PolynomialGraph | GuardedPredictor,
+    model: Any,
     inputs: int,
     input_name: str = "features",
     metadata: Mapping[str, Any] | None = None,
@@ -183,8 +156,8 @@ def to_onnx(
 
     Parameters
     ----------
-    model : PolynomialGraph or GuardedPredictor
-        Fitted.
+    model : object
+        Fitted; of a class that was given to `register_model`.
     inputs : int
         Number of features.
     input_name : str

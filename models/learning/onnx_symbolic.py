@@ -12,8 +12,32 @@ import casadi as ca
 import onnx
 
 from firmware_py.errors import InputError
+from firmware_py.inference.predictor import named_inputs
+from firmware_py.signals import feature_names
 
-__all__ = ["predictor_function"]
+__all__ = ["predictor_function", "predictor_inputs"]
+
+
+def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
+    """Return the names of a graph's input columns, by its metadata.
+
+    Parameters
+    ----------
+    path : Path or str
+        `predictor.onnx` or `polynomial.onnx` of a bundle.
+    dof : int
+        Number of joints; a graph that names nothing takes angles, currents and DI.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    try:
+        metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
+    except Exception:  # protobuf raises types of its own
+        raise InputError(path, "is not an ONNX graph", "train the bundle again") from None
+    return named_inputs(metadata) or feature_names(dof)
 
 
 def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function:

@@ -5,13 +5,21 @@ from __future__ import annotations
 import importlib.metadata
 import shutil
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 import onnx
 
 from firmware_py.errors import DropstitchError, InputError
-from firmware_py.inference.bundle import MANIFEST, Manifest, Quantity, write_manifest
+from firmware_py.inference.bundle import (
+    MANIFEST,
+    POLYNOMIAL,
+    PREDICTOR,
+    Manifest,
+    Quantity,
+    write_manifest,
+)
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
 from firmware_py.inference.predictor import OnnxPredictor
@@ -23,6 +31,9 @@ from models.plant.plant import Plant
 from models.study.model_card import model_card
 from models.study.study import Study
 from models.study.study_document import StudyDocument, write_study
+from models.tip.guarded_tip import GuardedTip
+from models.tip.predictors_document import write_predictors
+from models.tip.tip_training import TipTraining
 
 __all__ = ["ParityError", "check_parity", "monomial", "write_bundle"]
 
@@ -41,7 +52,9 @@ class ParityError(DropstitchError):
     """The outputs of the graph differ from scikit-learn's; no bundle was written."""
 
 
-def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
+def write_bundle(
+    directory: Path, study: Study, plant: Plant, tip: TipTraining | None = None
+) -> dict[str, float]:
     """Write the bundle of a study, complete or not at all.
 
     Its estimator is the lagged regressor, until `python -m fmu build --unit observer` adds the
@@ -55,6 +68,9 @@ def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, float
         Study of one dof.
     plant : Plant
         Plant whose observer the study used; written as `plant.json`.
+    tip : TipTraining, optional
+        The robot's predictor; without one the robot gets the study's polynomial, which is the
+        fallback for a robot without the observer otherwise.
 
     Returns
     -------
@@ -74,7 +90,7 @@ def write_bundle(directory: Path, study: Study, plant: Plant) -> dict[str, float
     shutil.rmtree(scratch, ignore_errors=True)
     scratch.mkdir(parents=True)
     try:
-        parity = _fill(scratch, study, plant)
+        parity = _fill(scratch, study, plant, tip)
         if directory.exists():
             shutil.rmtree(directory)
         scratch.rename(directory)
@@ -87,23 +103,21 @@ def _occupied(path: Path) -> bool:
     return not path.is_dir() or any(path.iterdir())
 
 
-def _fill(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
+def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) -> dict[str, float]:
     document, dof = study.document, study.document.dof
     features = study.training.features("observer")
     manifest = _manifest(study, plant)
-    facts = {
-        "features": _described(manifest.features),
-        "outputs": _described(manifest.outputs),
-        "in_range": "1 where every feature lies in its range, else 0 (also where one is NaN)",
-        "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
-        "dof": dof,
-        "degree": manifest.degree,
-        "period_s": manifest.period_s,
-        "training_data_sha256": manifest.training_data_sha256,
-    }
-    predictor_path, lagged_path = directory / "predictor.onnx", directory / "lagged.onnx"
-    onnx.save(to_onnx(study.predictor, features.shape[1], metadata=facts), predictor_path)
-    parity = check_parity(predictor_path, study.predictor, features, dof)
+    predictor_path, lagged_path = directory / PREDICTOR, directory / "lagged.onnx"
+    polynomial_path = directory / (POLYNOMIAL if tip else PREDICTOR)
+    facts = _facts(manifest) | {"degree": manifest.degree}
+    onnx.save(to_onnx(study.predictor, features.shape[1], metadata=facts), polynomial_path)
+    parity = check_parity(polynomial_path, study.predictor, features, dof)
+    if tip:
+        manifest = _with_tip(manifest, tip)
+        facts = _facts(manifest) | {"predictor": manifest.predictor}
+        onnx.save(to_onnx(tip.predictor, len(tip.rows.names), metadata=facts), predictor_path)
+        parity = check_parity(predictor_path, tip.predictor, tip.rows.inputs, dof)
+        write_predictors(directory / "predictors.json", tip.document)
     lag_facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": dof}
     lagged = to_onnx(study.lagged.graph(), study.lagged.inputs, "lagged", lag_facts)
     onnx.save(lagged, lagged_path)
@@ -114,19 +128,49 @@ def _fill(directory: Path, study: Study, plant: Plant) -> dict[str, float]:
     ticks = slice(0, heaviest.meta.rest_samples + GOLDEN_TICKS)
     golden = record_golden(
         LaggedEstimator(lagged_path, LAG_TICKS, dof),
-        OnnxPredictor(predictor_path, dof),
+        OnnxPredictor(polynomial_path, dof),
         heaviest.angle_rad[ticks],
         heaviest.current_a[ticks],
         heaviest.step_s,
     )
     write_golden(directory / GOLDEN, golden)
-    (directory / "MODEL_CARD.md").write_text(model_card(manifest, document), encoding="utf-8")
+    (directory / "MODEL_CARD.md").write_text(
+        model_card(manifest, document, tip.document if tip else None), encoding="utf-8"
+    )
     write_manifest(directory, manifest)
     return parity
 
 
+def _facts(manifest: Manifest) -> dict[str, Any]:
+    """Facts that a graph holds about itself."""
+    return {
+        "features": _described(manifest.features),
+        "outputs": _described(manifest.outputs),
+        "in_range": "1 where the prediction may be trusted, else 0 (also where an input is NaN)",
+        "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
+        "dof": manifest.dof,
+        "period_s": manifest.period_s,
+        "training_data_sha256": manifest.training_data_sha256,
+    }
+
+
+def _with_tip(manifest: Manifest, tip: TipTraining) -> Manifest:
+    """Manifest of a bundle whose predictor was chosen among candidates."""
+    chosen = tip.document.candidates[tip.document.chosen]
+    metrics = {"predictor_left_out_mean_euclidean_distance_m": chosen.nested.mean_m}
+    for name, parts in chosen.tests.items():
+        metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
+        metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
+    return msgspec.structs.replace(
+        manifest,
+        features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper),
+        metrics=manifest.metrics | metrics,
+        predictor=tip.document.chosen,
+    )
+
+
 def check_parity(
-    path: Path, predictor: GuardedPredictor, features: Array, dof: int
+    path: Path, predictor: GuardedPredictor | GuardedTip, features: Array, dof: int
 ) -> dict[str, float]:
     """Compare the graph with scikit-learn on 10,000 points of the training hull.
 
@@ -137,7 +181,7 @@ def check_parity(
     ----------
     path : Path
         ONNX file of the predictor.
-    predictor : GuardedPredictor
+    predictor : GuardedPredictor or GuardedTip
         Predictor that the file was converted from.
     features : ndarray, shape (rows, n)
         Training rows in SI units.
@@ -162,7 +206,9 @@ def check_parity(
     tip_m, half_width_m = np.empty((GATE_POINTS, 3)), np.empty((GATE_POINTS, 3))
     in_range = np.empty(GATE_POINTS, dtype=bool)
     for k, point in enumerate(points):
-        answer = graph.predict(point[:dof], point[dof:-1], point[-1])
+        measured, observed = point[: 2 * dof + 1], point[2 * dof + 1 :]
+        age_s, signals = observed[:1].sum(), observed[1:]
+        answer = graph.predict(measured[:dof], measured[dof:-1], measured[-1], signals, age_s)
         tip_m[k], half_width_m[k], in_range[k] = answer.tip_m, answer.half_width_m, answer.in_range
     worst = {
         "tip_m": float(np.abs(tip_m - predictor.predict(points)).max()),

@@ -7,9 +7,13 @@ from collections.abc import Iterable, Sequence
 from firmware_py.display_units import DURATION, FRACTION, LENGTH
 from firmware_py.inference.bundle import Manifest
 from models.study.study_document import StudyDocument, TrialsSummary
+from models.tip.guarded_tip import MARGIN, TRUSTED_M
+from models.tip.predictors_document import PredictorsDocument
 
 
-def model_card(manifest: Manifest, document: StudyDocument) -> str:
+def model_card(
+    manifest: Manifest, document: StudyDocument, predictors: PredictorsDocument | None = None
+) -> str:
     """Return the text of `MODEL_CARD.md`.
 
     Parameters
@@ -18,9 +22,12 @@ def model_card(manifest: Manifest, document: StudyDocument) -> str:
         Manifest of the bundle.
     document : StudyDocument
         Tables of the study.
+    predictors : PredictorsDocument, optional
+        Comparison of the candidates; without it the robot gets the study's polynomial.
     """
     sections = (
-        _purpose(manifest),
+        _purpose(manifest, predictors),
+        *((_candidates(predictors),) if predictors else ()),
         _data(document),
         _figures(manifest, document),
         _estimation(document),
@@ -35,7 +42,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _purpose(manifest: Manifest) -> str:
+def _purpose(manifest: Manifest, predictors: PredictorsDocument | None) -> str:
     ranges = _table(
         ("input", "unit", "trained from", "to"),
         [
@@ -45,21 +52,77 @@ def _purpose(manifest: Manifest) -> str:
     )
     return f"""# End effector of a drop-stitch link, {manifest.dof}DOF
 
-A polynomial of degree {manifest.degree} that predicts the tip position of an inflatable link \
-from the measured angles and currents of its servos and the Deformation Index (DI), every \
-{DURATION.factor * manifest.period_s:g} ms. On the robot DI is estimated, not measured: the plant \
-observer (`observer.fmu`, added by `python -m fmu build --unit observer`) drives the identified \
-link with the measured angle and current. The predictor was trained on the observer's DI.
+{_what(manifest, predictors)} It predicts the tip position of an inflatable link every \
+{DURATION.factor * manifest.period_s:g} ms. On the robot the Deformation Index (DI) is estimated, \
+not measured: the plant observer (`observer.fmu`, added by `python -m fmu build --unit observer`) \
+drives the identified link with the measured angle and current.
 
 It is valid for this link, its servos, its pressure and its motions. It is not a safety device: \
 the robot needs safety limits of its own.
 
 {ranges}
 
-Inputs outside their range are clipped to it and `in_range` becomes 0; a NaN also sets \
-`in_range` to 0. `tip_m` is in the world frame (z up, origin where the joint axes meet). \
-`half_width_m` is half the width of a 95 % prediction interval per axis; it grows outside the \
-training data."""
+{_guard(predictors)} A NaN also sets `in_range` to 0. `tip_m` is in the world frame (z up, \
+origin where the joint axes meet). `half_width_m` is half the width of a 95 % \
+prediction interval per axis; it grows outside the training data."""
+
+
+def _what(manifest: Manifest, predictors: PredictorsDocument | None) -> str:
+    polynomial = (
+        f"the paper's polynomial of degree {manifest.degree} in the measured angles and currents "
+        "and the Deformation Index (DI)"
+    )
+    if predictors is None:
+        return f"Predictor: {polynomial}, trained on the observer's DI."
+    chosen = predictors.candidates[predictors.chosen]
+    return (
+        f"Predictor: {chosen.summary}. Without the observer the robot falls back to {polynomial} "
+        "(`polynomial.onnx`)."
+    )
+
+
+def _guard(predictors: PredictorsDocument | None) -> str:
+    if predictors is None:
+        return "Inputs outside their range are clipped to it and `in_range` becomes 0."
+    return (
+        f"`in_range` is 0 where a signal of joints or link leaves its range by more than "
+        f"{FRACTION.number(MARGIN)} % of it, and where the interval is wider than "
+        f"{LENGTH.number(TRUSTED_M)} mm to either side."
+    )
+
+
+def _candidates(predictors: PredictorsDocument) -> str:
+    """Comparison of the candidates, and why one was chosen."""
+    rows = []
+    for name, entry in predictors.candidates.items():
+        for test, score in (
+            ("left out in turn", entry.nested),
+            *((test, parts["all"]) for test, parts in entry.tests.items()),
+        ):
+            label = f"**{name}**" if name == predictors.chosen else name
+            rows.append((
+                label, str(entry.variant), test, LENGTH.number(score.mean_m, 2),
+                LENGTH.number(score.p95_m), LENGTH.number(score.max_m),
+                f"{FRACTION.number(score.coverage, 1)}", f"{FRACTION.number(score.in_range)}",
+                LENGTH.number(score.max_in_range_m),
+            ))  # fmt: skip
+    header = (
+        "candidate", "variant", "test", "mean in mm", "95 % in mm", "largest in mm",
+        "interval covers in %", "in range in %", "largest in range in mm",
+    )  # fmt: skip
+    sizes = ", ".join(
+        f"{name} {entry.graph_bytes / 1000:.0f} kB" for name, entry in predictors.candidates.items()
+    )
+    payloads = ", ".join(f"{kg:g}" for kg in predictors.payload_kg)
+    return f"""## Choice of the predictor
+
+{predictors.reason}
+
+Trained on {len(predictors.trials)} trials ({", ".join(predictors.motions)}; payloads {payloads} \
+kg). "Left out in turn" is a nested cross-validation: each payload and each motion is left out of \
+everything, the choice of the variant and the interval included. Graphs: {sizes}.
+
+{_table(header, rows)}"""
 
 
 def _data(document: StudyDocument) -> str:

@@ -59,12 +59,15 @@ class Study:
         Fallback estimator of DI.
     training : Samples
         Rows that both were trained on.
+    observer : CompiledModel
+        Observer that gave the DI.
     """
 
     document: StudyDocument
     predictor: GuardedPredictor
     lagged: LaggedRegressor
     training: Samples
+    observer: CompiledModel
 
 
 def run_study(
@@ -126,7 +129,7 @@ def run_study(
         series=figure_curves(samples, {name: r.samples for name, r in results.items()}, fitted),
         findings=(),
     )
-    return Study(_with_findings(document, training, tests), predictor, lagged, samples)
+    return Study(_with_findings(document, training, tests), predictor, lagged, samples, compiled)
 
 
 def _with_findings(

@@ -63,7 +63,7 @@ class StillPredictor:
         self.prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
         self.fail_at, self.calls = None, 0
 
-    def predict(self, angle_rad, current_a, di):
+    def predict(self, angle_rad, current_a, di, *_):
         self.calls += 1
         if self.calls == self.fail_at:
             raise RuntimeError("the graph is broken")

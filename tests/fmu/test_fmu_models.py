@@ -19,6 +19,11 @@ from fmu.stimulus import inputs_from_motion
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
 
+OBSERVED = ["tip_x_deviation_m", "tip_y_deviation_m", "tip_z_deviation_m"]
+OF_A_JOINT = [
+    ("bend", "rad"), ("bend_rate", "rad_s"), ("joint_rate", "rad_s"), ("innovation", "a")
+]  # fmt: skip
+
 
 @pytest.fixture(scope="module", params=["twin", "observer", "predictor"])
 def built(request, bundle, tmp_path_factory):
@@ -54,7 +59,16 @@ def test_variables_have_the_public_names_and_causalities(built):
             [*(f"goal_{j}_rad" for j in joints), "payload_kg"],
             [*measured, "di", *tip, *prediction],
         ),
-        "observer": (measured, ["di", *tip, "payload_kg"]),
+        "observer": (
+            measured,
+            [
+                "di",
+                *tip,
+                "payload_kg",
+                *OBSERVED,
+                *(f"{kind}_{j}_{unit}" for j in joints for kind, unit in OF_A_JOINT),
+            ],
+        ),
         "predictor": ([*measured, "di"], prediction),
     }[parts.kind]
     with FmuArchive(path) as archive:

@@ -38,6 +38,10 @@ MAX_SUBSTEP_S: Final = 2.2e-3
 integrated; the tips are within 10 µm of those of a step of 0.25 ms."""
 
 
+INNOVATION_S: Final = 1.0
+"""Time constant of the innovation's mean square; assumed, a quarter of the study's cycle."""
+
+
 def observer_parameters() -> tuple[Parameter, ...]:
     """Declare the parameters of the payload estimate."""
     return (
@@ -82,9 +86,11 @@ def compose_observer(
     before = set(scope.states)
     apply_measured_motion(scope, drive, load, effects)
     moved = {n: s for n, s in scope.states.items() if n not in before}
-    _update_estimates(scope, drive, payload, measured, _Sensitivity(scope, moved, mass_kg))
+    sensitivity = _Sensitivity(scope, moved, mass_kg)
+    _update_estimates(scope, drive, payload, measured, sensitivity)
     outputs = load.outputs(scope)
     outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
+    outputs |= _state_of_the_estimate(scope, outputs, sensitivity)
 
     known = scope.p("payload_known_kg")
     now = [(mass_kg, ca.if_else(known >= 0, known, payload))]
@@ -145,6 +151,39 @@ class _Sensitivity:
             )
 
 
+def _state_of_the_estimate(
+    scope: Scope, outputs: Mapping[str, tuple[Variable, Expr]], sensitivity: _Sensitivity
+) -> dict[str, tuple[Variable, Expr]]:
+    """Motion of joint and link, and what the observer knows about its own error.
+
+    A predictor corrects the tip by them and widens its interval (`models.tip`).
+    """
+    found: dict[str, tuple[Variable, Expr]] = {}
+
+    def add(name: str, unit: str, description: str, value: Expr) -> None:
+        found[name] = (Variable(name, unit, 0.0, description), value)
+
+    for j in scope.joints:
+        own = [key for key in scope.bend if key[1] == j]
+        if own:
+            bend, rate = (sum(of[key] for key in own) for of in (scope.bend, scope.bend_rate))
+            add(f"bend_{j}_rad", "rad", f"bend of the whole link in plane {j}", bend)
+            add(f"bend_rate_{j}_rad_s", "rad/s", f"rate of the bend in plane {j}", rate)
+    for j in scope.joints:
+        add(f"joint_rate_{j}_rad_s", "rad/s", f"rate of joint {j}", scope.rate[j])
+        square = scope.states[f"innovation_square_{j}"].symbol
+        add(f"innovation_{j}_a", "A", f"root mean square innovation of current {j}, moving",
+            ca.sqrt(ca.fmax(square, 0)))  # fmt: skip
+    variance = ca.fmax(scope.states["covariance_1_1"].symbol, 0)
+    deviation = ca.if_else(scope.p("payload_known_kg") >= 0, 0, ca.sqrt(variance))
+    for axis in "xyz":
+        if f"tip_{axis}_m" in outputs:
+            slope = sensitivity.along(outputs[f"tip_{axis}_m"][1])
+            add(f"tip_{axis}_deviation_m", "m", f"standard deviation of tip {axis} by the payload",
+                deviation * ca.fabs(slope))  # fmt: skip
+    return found
+
+
 def _update_estimates(
     scope: Scope,
     drive: Drive,
@@ -181,6 +220,11 @@ def _update_estimates(
         weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)
         gain = covariance @ regressor
         variance = noise + weight * ca.dot(regressor, gain)
+        square = scope.state(Variable(f"innovation_square_{j}", "1"))
+        part = weight * (1 - ca.exp(-scope.step_s / INNOVATION_S))
+        scope.states[square.name()].finish = square + part * (
+            (measured[index] - predicted) ** 2 - square
+        )
         innovation = measured[index] - predicted - ca.dot(regressor, change)
         limit = 3 * ca.sqrt(variance)
         change += gain * (weight / variance * ca.fmin(ca.fmax(innovation, -limit), limit))

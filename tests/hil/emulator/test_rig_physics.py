@@ -29,7 +29,7 @@ class NoPredictor:
     def __init__(self) -> None:
         self._prediction = Prediction(np.zeros(3), np.ones(1), np.ones(3))
 
-    def predict(self, angle_rad, current_a, di) -> Prediction:
+    def predict(self, angle_rad, current_a, di, *_) -> Prediction:
         return self._prediction
 
 

@@ -44,7 +44,7 @@ class RigidPredictor:
     def __init__(self) -> None:
         self._prediction = Prediction(np.zeros(3), np.ones(1), np.full(3, 0.01))
 
-    def predict(self, angle_rad, current_a, di) -> Prediction:
+    def predict(self, angle_rad, current_a, di, *_) -> Prediction:
         angle_1, angle_2 = angle_rad[0], angle_rad[1] if len(angle_rad) > 1 else 0.0
         axis = np.array([
             math.sin(angle_1) * math.cos(angle_2), math.sin(angle_2),
@@ -219,7 +219,7 @@ class SlowOnce(RigidPredictor):
 
     ticks = 0
 
-    def predict(self, angle_rad, current_a, di) -> Prediction:
+    def predict(self, angle_rad, current_a, di, *_) -> Prediction:
         self.ticks += 1
         end_s = time.thread_time() + 45e-3
         while self.ticks == 20 and time.thread_time() < end_s:

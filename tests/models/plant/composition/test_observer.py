@@ -109,6 +109,18 @@ def test_a_known_payload_is_used(units):
     assert np.abs(found["di"] - true["di"]).max() < 2e-4
 
 
+def test_it_tells_a_wrong_plant_by_its_innovation(units):
+    measured, _ = twin_run(units, 1, 1.5)
+    model = units[1, "observer"].model
+    stiffness = {v.name: 0.8 * v.start for v in model.parameters if "_stiffness_" in v.name}
+    right, wrong = observe(units, 1, measured), observe(units, 1, measured, stiffness)
+    assert wrong["innovation_1_a"][HALF:].mean() > 3 * right["innovation_1_a"][HALF:].mean()
+    assert right["tip_x_deviation_m"][:REST].max() < right["tip_x_deviation_m"].max()
+    assert right["tip_x_deviation_m"][-HALF:].max() < 2e-3  # the payload is known by then
+    known = observe(units, 1, measured, {"payload_known_kg": 1.5})
+    assert (known["tip_x_deviation_m"] == 0.0).all()
+
+
 def test_the_estimate_is_causal(units):
     measured, _ = twin_run(units, 1, 1.0)
     other = measured.copy()
@@ -133,7 +145,8 @@ def test_steps_may_be_missed(units):
         rows.append((k, *np.asarray(model.output(x, measured[k], p)).ravel()))
     rows = np.array([row for row in rows if row[0] >= HALF])
     seen = true["di"][rows[:, 0].astype(int)]
-    assert np.abs(rows[:, -1] - 1.5).max() < 0.15
+    payload = 1 + names(model.outputs).index("payload_kg")
+    assert np.abs(rows[:, payload] - 1.5).max() < 0.15
     assert np.sqrt(np.mean((rows[:, 1] - seen) ** 2)) < 0.1 * np.std(seen)
 
 

@@ -1,0 +1,1 @@
+"""Candidates for the robot's tip predictor, one class in one file each."""

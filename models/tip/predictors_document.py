@@ -1,0 +1,133 @@
+"""Predictors document (`predictors.json`): the candidates for the robot's tip predictor compared.
+
+Distances and widths are in m; coverage and fractions are dimensionless.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import msgspec
+
+from firmware_py.documents import Document, read_document, write_document
+
+__all__ = ["CandidateEntry", "PredictorsDocument", "TipScore", "read_predictors"]
+
+Test = str
+Part = str
+
+
+class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors of a predictor on some rows.
+
+    Attributes
+    ----------
+    rows : int
+        Number of rows.
+    mean_m, p95_m, max_m : float
+        Euclidean distance: mean, 95 % quantile, largest.
+    coverage : float
+        Fraction of rows and axes inside the 95 % interval.
+    half_width_m : float
+        Mean half width over rows and axes.
+    in_range : float
+        Fraction of rows in range.
+    max_in_range_m : float
+        Largest distance among these.
+    """
+
+    rows: int
+    mean_m: float
+    p95_m: float
+    max_m: float
+    coverage: float
+    half_width_m: float
+    in_range: float
+    max_in_range_m: float
+
+
+class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Candidate.
+
+    Attributes
+    ----------
+    summary : str
+        What it is, one phrase.
+    variant : int
+        Variant chosen on all training rows, like the degree.
+    nested : TipScore
+        Nested cross-validation: payloads and motions left out.
+    tests : dict of test and part to TipScore
+        Trials that nothing was trained on: "all" rows, "rest", "motion".
+    graph_bytes : int
+        Size of its ONNX graph.
+    """
+
+    summary: str
+    variant: int
+    nested: TipScore
+    tests: dict[Test, dict[Part, TipScore]]
+    graph_bytes: int
+
+
+class PredictorsDocument(Document, frozen=True, kw_only=True):
+    """Content of `predictors.json`.
+
+    Attributes
+    ----------
+    dof : int
+        Number of joints.
+    chosen : str
+        Candidate that the robot gets.
+    reason : str
+        Why, in one sentence.
+    trials : tuple of str
+        Training trials.
+    motions : tuple of str
+        Their motions.
+    payload_kg : tuple of float
+        Their payloads.
+    candidates : dict of str to CandidateEntry
+        In the order in which they were compared, simplest first.
+    """
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "python -m models train"
+
+    dof: int
+    chosen: str
+    reason: str
+    trials: tuple[str, ...]
+    motions: tuple[str, ...]
+    payload_kg: tuple[float, ...]
+    candidates: dict[str, CandidateEntry]
+
+
+def read_predictors(path: Path) -> PredictorsDocument:
+    """Read `predictors.json`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, of another version, or not such a document.
+    """
+    return read_document(path, PredictorsDocument)
+
+
+def write_predictors(path: Path, document: PredictorsDocument) -> None:
+    """Write `predictors.json`.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    document : PredictorsDocument
+        Its content.
+    """
+    write_document(path, document)

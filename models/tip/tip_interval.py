@@ -1,0 +1,275 @@
+"""Prediction interval whose width follows what the observer knows about its own error.
+
+The variance of the error on an axis is a sum of non-negative terms: a constant, the variance that
+the payload estimate leaves, the squares of bend, of its rate and of the joint's rate, those of bend
+and rate times the mean square innovation, and what the tip has moved since a sample that is old::
+
+    σ² = c₀ + c₁ D² + Σⱼ (c₂ β² + c₃ β̇² + c₄ q̇²)ⱼ + E Σⱼ (c₅ β² + c₆ β̇²)ⱼ + (L a)² Σⱼ (q̇² + β̇²)ⱼ
+
+with the excess E of the mean square innovation over what three quarters of the rows show. It is
+fitted to errors on trials and payloads left out, and to those of the same trials with an observer
+whose stiffness is wrong: they let the width rise with the innovation. The half width is q σ. The
+factor q is the quantile of |error| / σ on the trials left out, in four classes of rows (Mondrian
+conformal prediction: Vovk et al., Algorithmic Learning in a Random World, 2005, section 4.5):
+joints that stand or move, and innovation with or without an excess; with one, rows of the wrong
+plants are among them. Rows of a trial are correlated, so every trial has the same weight and the
+level rises by 1/n for n trials (two-layer hierarchical models: Dunn, Wasserman and Ramdas, J. Am.
+Stat. Assoc. 118, 2023). Of a deviation that lasts for a whole trial only n values were seen: q is
+at least √(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal variable with the root
+mean square B of the trials' means and the scatter W within trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.stats import t as student_t
+
+from firmware_py.signals import AGE
+from models.learning.graph_writer import GraphWriter
+from models.learning.predictors import COVERAGE, Array
+
+__all__ = ["TipInterval"]
+
+STANDING_RAD_S: Final = 0.05
+"""Joint rate below which a joint counts as standing; assumed: 7 % of the study's peak rate."""
+LEVER_M: Final = 1.0
+"""Lever from the joint to the tip: the link with its base plate."""
+SMALLEST_M: Final = 2e-4
+"""Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
+USUAL: Final = 0.75
+"""Quantile of the mean square innovation above which there is an excess; assumed."""
+HIGHEST_LEVEL: Final = 0.98
+"""Highest level of the quantile, which rises with few trials."""
+NORMAL: Final = 1.96
+"""Quantile of the normal distribution for `COVERAGE`."""
+REWEIGHTINGS: Final = 5
+"""Fits of the variance, each weighted by the one before."""
+AXES: Final = "xyz"
+
+
+@dataclass(frozen=True)
+class TipInterval:
+    """Fitted interval.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the inputs.
+    weights : ndarray, shape (terms, 3)
+        Coefficients of the variance.
+    quantile : ndarray, shape (4, 3)
+        q per axis: joints that stand, that move, then both with an excess of the innovation.
+    usual : float
+        Mean square innovation above which there is an excess, in A².
+    """
+
+    names: tuple[str, ...]
+    weights: Array
+    quantile: Array
+    usual: float
+
+    @classmethod
+    def fit(
+        cls,
+        names: tuple[str, ...],
+        calibration: tuple[Array, Array, NDArray[np.intp]],
+        disturbed: Sequence[tuple[Array, Array]] = (),
+    ) -> TipInterval:
+        """Fit on errors of rows that the predictor was not trained on.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Names of the inputs.
+        calibration : tuple of ndarray
+            Inputs (n, inputs), errors in m (n, 3) and trial of each row.
+        disturbed : sequence of (inputs, errors)
+            The same with an observer of a wrong plant.
+        """
+        first, first_m, run = calibration
+        usual = float(np.quantile(first**2 @ _marked(names, "innovation"), USUAL))
+        inputs = np.vstack([first, *(x for x, _ in disturbed)])
+        error_m = np.vstack([first_m, *(e for _, e in disturbed)])
+        trials = int(run.max()) + 1
+        runs = np.concatenate([run + k * trials for k in range(1 + len(disturbed))])
+        terms = _terms(names, inputs, usual)
+        weights = np.column_stack(
+            [_fit_variance(terms, error_m[:, axis], names, axis) for axis in range(3)]
+        )
+        score = error_m / np.sqrt(terms @ weights)
+        kind = _kinds(names, inputs, usual)
+        nominal = np.arange(len(inputs)) < len(first)
+        quantile = np.array(
+            [_quantiles(score, runs, (kind == k) & (nominal | (k >= 2)), trials) for k in range(4)]
+        )
+        return cls(names, weights, quantile, usual)
+
+    def half_width(self, inputs: Array) -> Array:
+        """Return the half width of the 95 % interval in m, shape (n, 3)."""
+        deviation_m = np.sqrt(_terms(self.names, inputs, self.usual) @ self.weights)
+        return np.asarray(deviation_m * self.quantile[_kinds(self.names, inputs, self.usual)])
+
+    def write(self, graph: GraphWriter, source: str, output: str) -> None:
+        """Write the half width of an input row.
+
+        Parameters
+        ----------
+        graph : GraphWriter
+            Receives the nodes.
+        source : str
+            Input row in SI units.
+        output : str
+            Name of the result, shape (1, 3).
+        """
+        sums, constants = _bases(self.names, self.usual)
+        first, second = _factors(self.names)
+        square = graph.temporary("Mul", [source, source], "square")
+        base = graph.temporary(
+            "Gemm",
+            [square, graph.constant("sums", sums), graph.constant("constants", constants)],
+            "sum",
+        )
+        base = graph.temporary("Max", [base, graph.constant("zero", np.zeros((1, 1)))], "base")
+        left = graph.temporary("MatMul", [base, graph.constant("first", first)], "left")
+        right = graph.temporary("MatMul", [base, graph.constant("second", second)], "right")
+        terms = graph.temporary("Mul", [left, right], "terms")
+        variance = graph.temporary(
+            "MatMul", [terms, graph.constant("variances", self.weights)], "variance"
+        )
+        deviation = graph.temporary("Sqrt", [variance], "deviation")
+        factor = self._write_factor(graph, square)
+        graph.node("Mul", [deviation, factor], output)
+
+    def _write_factor(self, graph: GraphWriter, square: str) -> str:
+        """Write q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of two bits m, e."""
+        bits = []
+        for stem, bound in (("joint_rate", STANDING_RAD_S**2), ("innovation", self.usual)):
+            column = graph.constant(f"{stem}_columns", _marked(self.names, stem)[:, None])
+            total = graph.temporary("MatMul", [square, column], stem)
+            bits.append(graph.bits(total, np.array([bound]), stem))
+        bits.append(graph.temporary("Mul", bits, "both"))
+        q0, q1, q2, q3 = self.quantile
+        factor = graph.constant("quantile", q0[None])
+        for bit, change in zip(bits, (q1 - q0, q2 - q0, q3 - q2 - q1 + q0), strict=True):
+            step = graph.temporary("MatMul", [bit, graph.constant("change", change[None])], "step")
+            factor = graph.temporary("Add", [factor, step], "factor")
+        return factor
+
+
+def _joints(names: Sequence[str]) -> range:
+    return range(1, 3 if "angle_2_rad" in names else 2)
+
+
+def _bases(names: Sequence[str], usual: float) -> tuple[Array, Array]:
+    """Sums of squares of inputs, (inputs, bases), and constants, (1, bases).
+
+    The bases are: one, D² of each axis, E, a², then β², β̇² and q̇² of each joint.
+    """
+    groups: list[list[str]] = [[]]
+    groups += [[f"tip_{axis}_deviation_m"] for axis in AXES]
+    groups += [[f"innovation_{j}_a" for j in _joints(names)], [AGE.name]]
+    for kind in ("bend_{j}_rad", "bend_rate_{j}_rad_s", "joint_rate_{j}_rad_s"):
+        groups += [[kind.format(j=j)] for j in _joints(names)]
+    sums = np.zeros((len(names), len(groups)))
+    for column, group in enumerate(groups):
+        for name in group:
+            sums[names.index(name), column] = 1.0
+    constants = np.zeros((1, len(groups)))
+    constants[0, 0] = 1.0
+    constants[0, _EXCESS] = -usual
+    return sums, constants
+
+
+_ONE, _DEVIATION, _EXCESS, _AGE, _FIRST_JOINT = 0, 1, 4, 5, 6
+
+
+def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Bases whose product is a term; the last ones are those of an old sample."""
+    count = len(_joints(names))
+    bends, swings, rates = (
+        [_FIRST_JOINT + kind * count + j for j in range(count)] for kind in range(3)
+    )
+    pairs = [(_ONE, _ONE), *((_DEVIATION + axis, _ONE) for axis in range(3))]
+    pairs += [(base, _ONE) for base in (*bends, *swings, *rates)]
+    pairs += [(base, _EXCESS) for base in (*bends, *swings)]
+    return [*pairs, *((base, _AGE) for base in (*swings, *rates))]
+
+
+def _factors(names: Sequence[str]) -> tuple[Array, Array]:
+    pairs = _pairs(names)
+    first, second = np.zeros((2, _FIRST_JOINT + 3 * len(_joints(names)), len(pairs)))
+    for term, (left, right) in enumerate(pairs):
+        first[left, term] = second[right, term] = 1.0
+    return first, second
+
+
+def _terms(names: Sequence[str], inputs: Array, usual: float) -> Array:
+    sums, constants = _bases(names, usual)
+    first, second = _factors(names)
+    base = np.maximum(inputs**2 @ sums + constants, 0.0)
+    return np.asarray((base @ first) * (base @ second))
+
+
+def _marked(names: Sequence[str], stem: str) -> Array:
+    return np.array([float(name.startswith(stem)) for name in names])
+
+
+def _kinds(names: Sequence[str], inputs: Array, usual: float) -> NDArray[np.intp]:
+    """Class of each row: 0 standing, 1 moving, 2 and 3 the same with an excess."""
+    moving = inputs**2 @ _marked(names, "joint_rate") > STANDING_RAD_S**2
+    excess = inputs**2 @ _marked(names, "innovation") > usual
+    return np.asarray(moving + 2 * excess, dtype=np.intp)
+
+
+def _fit_variance(terms: Array, error_m: Array, names: Sequence[str], axis: int) -> Array:
+    """Non-negative least squares of squared errors, weighted by their own variance."""
+    pairs = _pairs(names)
+    other = {_DEVIATION + k for k in range(3)} - {_DEVIATION + axis}
+    aged = [k for k, pair in enumerate(pairs) if pair[1] == _AGE]
+    free = [k for k, (left, _) in enumerate(pairs) if k not in aged and left not in other]
+    terms, squares = terms[:, free], error_m**2
+    scale = terms.max(axis=0) + 1e-300
+    variance = np.full(len(squares), squares.mean() + SMALLEST_M**2)
+    for _ in range(REWEIGHTINGS):
+        weighted = terms / scale / variance[:, None]
+        # The triangular factor has the same sums of squares in few rows.
+        gram = weighted.T @ weighted
+        root = np.linalg.cholesky(gram + 1e-12 * np.trace(gram) * np.eye(len(gram)))
+        found = nnls(root.T, np.linalg.solve(root, weighted.T @ (squares / variance)))[0]
+        variance = np.maximum(terms / scale @ found, SMALLEST_M**2)
+    weights = np.zeros(len(pairs))
+    weights[free] = found / scale
+    weights[0] = max(weights[0], SMALLEST_M**2)
+    weights[aged] = LEVER_M**2
+    return weights
+
+
+def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_], trials: int) -> Array:
+    """Factor q of some rows, (3,), from their signed scores; every trial has the same weight."""
+    runs, own = np.unique(run[rows], return_inverse=True)
+    # Runs of observers with a wrong plant are further runs of the same trials.
+    if not len(runs):
+        return _quantiles(score, run, np.ones(len(run), dtype=bool), trials)
+    count = len(runs)
+    weight = 1.0 / np.bincount(own)[own] / count
+    seen = max(len(np.unique(runs % trials)), 2)
+    level = min(HIGHEST_LEVEL, COVERAGE * (1.0 + 1.0 / seen))
+    lasting = float(student_t.ppf(0.5 + COVERAGE / 2, seen - 1)) * np.sqrt(1 + 1 / seen)
+    found = []
+    for axis in range(3):
+        signed = score[rows, axis]
+        size = np.abs(signed)
+        order = np.argsort(size)
+        last = np.searchsorted(np.cumsum(weight[order]), level)
+        quantile = size[order][min(int(last), len(order) - 1)]
+        mean = np.bincount(own, weight * signed) * count
+        within = weight @ (signed - mean[own]) ** 2
+        least = np.sqrt(lasting**2 * np.mean(mean**2) + NORMAL**2 * within)
+        found.append(max(quantile, least))
+    return np.array(found)

@@ -1,0 +1,235 @@
+"""Choice of the robot's tip predictor by nested cross-validation over payloads and motions.
+
+Each outer fold leaves out one payload or one motion. Within it the variant of a candidate, like its
+degree, is chosen on the rest alone, by leaving out payloads and motions again; the interval is
+calibrated on these inner rows. What the outer fold shows is therefore what a robot meets: another
+payload or another motion than any that anything was chosen or trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.learning.predictors import Array, Fold
+from models.learning.validation import euclidean_distance_m
+from models.tip.candidates.candidate_list import CANDIDATES
+from models.tip.guarded_tip import GuardedTip
+from models.tip.predictors_document import TipScore
+from models.tip.tip_interval import TipInterval
+from models.tip.tip_predictor import TipPredictor
+from models.tip.tip_rows import TipRows
+
+__all__ = ["CandidateResult", "TipChoice", "choose_tip_predictor", "group_folds", "score_tip"]
+
+STRIDE: Final = 8
+"""Rows from one row of a cross-validation to the next: 0.14 s, neighbours are nearly equal."""
+TOLERANCE: Final = 0.03
+"""Relative gain in mean error that a candidate needs over a simpler one; assumed."""
+INNER_GROUPS: Final = 3
+"""Groups of payloads in an inner cross-validation."""
+WORSE: Final = 1.1
+"""Ratio of mean errors at which the next, less simple variants are not tried any more."""
+
+
+@dataclass(frozen=True)
+class CandidateResult:
+    """A candidate in the nested cross-validation.
+
+    Attributes
+    ----------
+    name, summary : str
+        Of the candidate.
+    variant : int
+        Variant chosen on all training rows.
+    nested : TipScore
+        On the rows that the outer folds left out.
+    predictor : GuardedTip
+        Fitted on all training rows.
+    """
+
+    name: str
+    summary: str
+    variant: int
+    nested: TipScore
+    predictor: GuardedTip
+
+
+@dataclass(frozen=True)
+class TipChoice:
+    """Result of the choice.
+
+    Attributes
+    ----------
+    chosen : CandidateResult
+        For the robot.
+    candidates : tuple of CandidateResult
+        All, in the order of the list.
+    """
+
+    chosen: CandidateResult
+    candidates: tuple[CandidateResult, ...]
+
+
+def choose_tip_predictor(
+    rows: TipRows,
+    disturbed: Sequence[TipRows],
+    candidates: Sequence[type[TipPredictor]] = CANDIDATES,
+    progress: Callable[[str], None] = lambda detail: None,
+) -> TipChoice:
+    """Compare candidates and fit each on all rows.
+
+    Parameters
+    ----------
+    rows : TipRows
+        Training rows.
+    disturbed : sequence of TipRows
+        The same rows with observers of wrong plants, for the interval.
+    candidates : sequence of type
+        Classes of candidates, simplest first.
+    progress : callable
+        Called with the name of each finished candidate.
+    """
+    few = rows.take(slice(None, None, STRIDE))
+    others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
+    results = []
+    for candidate in candidates:
+        nested, left_out_m = _outer(candidate, few, others)
+        variant = _best_variant(candidate, few)
+        fitted = candidate(variant).fit(rows)
+        interval = _interval(fitted, few, left_out_m, others)
+        results.append(
+            CandidateResult(
+                candidate.name, candidate.summary, variant, nested,
+                GuardedTip.of(rows, fitted, interval),
+            )
+        )  # fmt: skip
+        progress(candidate.name)
+    chosen = results[0]
+    for result in results[1:]:
+        if result.nested.mean_m < (1.0 - TOLERANCE) * chosen.nested.mean_m:
+            chosen = result
+    return TipChoice(chosen, tuple(results))
+
+
+def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
+    """Return one fold for each payload and each motion that it leaves out.
+
+    Parameters
+    ----------
+    rows : TipRows
+        Rows of several payloads or motions; of one payload and one motion, trials are left out.
+    most : int, optional
+        Largest number of groups of payloads; neighbours are in different groups.
+    """
+    folds = []
+    payload = np.unique(rows.payload_kg, return_inverse=True)[1]
+    for groups in (payload % most if most else payload, rows.motion):
+        values = np.unique(groups)
+        for value in values if len(values) > 1 else ():
+            folds.append((np.flatnonzero(groups != value), np.flatnonzero(groups == value)))
+    if not folds:
+        folds = [
+            (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
+            for run in np.unique(rows.run)
+        ]
+    return [fold for fold in folds if len(fold[0])] or [(np.arange(len(rows)),) * 2]
+
+
+def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
+    """Return the errors of a predictor on rows.
+
+    Parameters
+    ----------
+    predictor : GuardedTip
+        With guard and interval.
+    rows : TipRows
+        At least one.
+    """
+    return _score(
+        rows.tip_m - predictor.predict(rows.inputs),
+        predictor.half_width(rows.inputs),
+        predictor.in_range(rows.inputs),
+    )
+
+
+def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_]) -> TipScore:
+    distance_m = euclidean_distance_m(error_m, np.zeros_like(error_m))
+    return TipScore(
+        rows=len(error_m),
+        mean_m=float(distance_m.mean()),
+        p95_m=float(np.quantile(distance_m, 0.95)),
+        max_m=float(distance_m.max()),
+        coverage=float((np.abs(error_m) <= half_width_m).mean()),
+        half_width_m=float(half_width_m.mean()),
+        in_range=float(in_range.mean()),
+        max_in_range_m=float(distance_m[in_range].max(initial=0.0)),
+    )
+
+
+def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]]) -> TipScore:
+    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
+    return _score(error_m, half_width_m, in_range)
+
+
+def _outer(
+    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows]
+) -> tuple[TipScore, Array]:
+    """Score on the rows that outer folds leave out, and the mean error of each row there.
+
+    The interval of a fold is calibrated on the errors that the other folds show on its training
+    rows (cross-conformal prediction).
+    """
+    folds, fitted = group_folds(rows), []
+    total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 1))
+    for train, test in folds:
+        seen = rows.take(train)
+        fitted.append(candidate(_best_variant(candidate, seen)).fit(seen))
+        total[test] += rows.tip_m[test] - fitted[-1].predict(rows.inputs[test])
+        count[test] += 1
+    left_out_m = total / count
+    parts = []
+    for (train, test), predictor in zip(folds, fitted, strict=True):
+        seen, inputs = rows.take(train), rows.inputs[test]
+        interval = _interval(predictor, seen, left_out_m[train], [w.take(train) for w in disturbed])
+        guarded = GuardedTip.of(seen, predictor, interval)
+        parts.append((
+            rows.tip_m[test] - guarded.predict(inputs), guarded.half_width(inputs),
+            guarded.in_range(inputs),
+        ))  # fmt: skip
+    return _joined(parts), left_out_m
+
+
+def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
+    """Variant with the least mean error on rows left out; a simpler one where it hardly differs."""
+    first, *others = candidate.variants
+    if not others:
+        return first
+    folds = group_folds(rows, INNER_GROUPS)
+    best, least_m = first, _mean_error_m(candidate(first), rows, folds)
+    for variant in others:
+        mean_m = _mean_error_m(candidate(variant), rows, folds)
+        if mean_m > WORSE * least_m:
+            break
+        if mean_m < (1.0 - TOLERANCE) * least_m:
+            best, least_m = variant, mean_m
+    return best
+
+
+def _mean_error_m(predictor: TipPredictor, rows: TipRows, folds: Sequence[Fold]) -> float:
+    distances = []
+    for train, test in folds:
+        predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
+        distances.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
+    return float(np.mean(np.concatenate(distances)))
+
+
+def _interval(
+    fitted: TipPredictor, rows: TipRows, left_out_m: Array, disturbed: Sequence[TipRows]
+) -> TipInterval:
+    wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
+    return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)

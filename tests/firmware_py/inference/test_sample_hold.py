@@ -1,0 +1,64 @@
+"""Samples that are late: what the observer is given, and the age that the predictor is told."""
+
+import numpy as np
+import pytest
+
+from firmware_py.inference.estimator import Estimate, SampleHold
+
+STEP_S = 0.017
+SAMPLE = (np.zeros(1), np.zeros(1), STEP_S)
+
+
+class Observer:
+    waits_for_fresh = True
+
+    def __init__(self):
+        self.steps_s = []
+
+    def reset(self):
+        self.steps_s.clear()
+
+    def update(self, angle_rad, current_a, step_s):
+        self.steps_s.append(step_s)
+        return Estimate(float(len(self.steps_s)), 1.0)
+
+
+class Counter(Observer):
+    waits_for_fresh = False
+
+
+def follow(estimator, fresh):
+    hold = SampleHold(estimator)
+    return [(hold.update(*SAMPLE, f).di, hold.age_s) for f in fresh]
+
+
+def test_the_observer_waits_for_a_fresh_sample_and_gets_the_time():
+    observer = Observer()
+    answers = follow(observer, [True, True, False, False, True, True])
+    assert observer.steps_s == pytest.approx([STEP_S, STEP_S, 3 * STEP_S, STEP_S])
+    assert [di for di, _ in answers] == [1, 2, 2, 2, 3, 4]
+    ages = [age_s for _, age_s in answers]
+    assert ages[:4] == pytest.approx([0, 0, STEP_S, 2 * STEP_S])
+    assert 0 < ages[5] < ages[4] < STEP_S  # a gap is remembered for a while
+
+
+def test_other_estimators_take_every_sample():
+    counter = Counter()
+    answers = follow(counter, [True, False, True])
+    assert counter.steps_s == [STEP_S] * 3 and [age_s for _, age_s in answers] == [0, 0, 0]
+
+
+def test_a_missed_slot_counts_as_a_gap_and_a_reset_forgets_it():
+    hold = SampleHold(Observer())
+    hold.update(*SAMPLE, True)
+    hold.update(*SAMPLE[:2], 3 * STEP_S, True)
+    assert hold.age_s > 0
+    hold.reset()
+    hold.update(*SAMPLE, True)
+    assert hold.age_s == 0
+
+
+def test_a_long_silence_is_no_long_computation():
+    observer = Observer()
+    follow(observer, [True, *[False] * 1000, True])
+    assert max(observer.steps_s) < 2.0

@@ -1,0 +1,99 @@
+"""Candidates: the graph of each answers what scikit-learn does, and so does CasADi."""
+
+from typing import ClassVar
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+
+from models.learning.onnx_power import to_onnx
+from models.learning.onnx_symbolic import predictor_function
+from models.tip.candidates.candidate_list import CANDIDATES
+from models.tip.guarded_tip import GuardedTip
+from models.tip.tip_interval import TipInterval
+from models.tip.tip_predictor import TipPredictor
+from models.tip.tip_selection import choose_tip_predictor
+from tests.models.tip.tip_cases import made_up_rows
+
+
+def guarded(rows, predictor):
+    error_m = rows.tip_m - predictor.predict(rows.inputs)
+    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run))
+    return GuardedTip.of(rows, predictor, interval)
+
+
+def answers(path, points):
+    session = ort.InferenceSession(path)
+    rows = [session.run(None, {"features": point[None]}) for point in points]
+    return [np.array([row[k][0] for row in rows]) for k in range(3)]
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda c: c.__name__)
+def test_graph_and_fmu_answer_what_scikit_learn_does(candidate, dof, tmp_path):
+    rows = made_up_rows(dof)
+    model = guarded(rows, candidate(candidate.variants[-1] if dof == 1 else 2).fit(rows))
+    path = tmp_path / "predictor.onnx"
+    onnx.save(to_onnx(model, len(rows.names)), path)
+    points = np.vstack([rows.inputs[:60], 1.4 * rows.inputs[60:120]])  # half of them outside
+    tip_m, in_range, half_width_m = answers(path, points)
+    np.testing.assert_allclose(tip_m, model.predict(points), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(half_width_m, model.half_width(points), rtol=0, atol=1e-9)
+    assert in_range[:, 0].astype(bool).tolist() == model.in_range(points).tolist()
+    symbolic = predictor_function(path)
+    for point, *expected in zip(points, tip_m, in_range, half_width_m, strict=True):
+        for name, value in zip(("tip_m", "in_range", "half_width_m"), expected, strict=True):
+            found = np.ravel(symbolic(features=point)[name])
+            np.testing.assert_allclose(found, value, rtol=0, atol=1e-9)
+
+
+def test_a_nan_is_out_of_range(tmp_path):
+    rows = made_up_rows()
+    model = guarded(rows, CANDIDATES[0](0).fit(rows))
+    path = tmp_path / "predictor.onnx"
+    onnx.save(to_onnx(model, len(rows.names)), path)
+    for column in range(len(rows.names)):
+        point = 0.1 * rows.inputs[:1].copy()
+        assert answers(path, point)[1][0, 0] == 1.0
+        point[0, column] = np.nan
+        assert answers(path, point)[1][0, 0] == 0.0
+
+
+class MeanOfTheTraining:
+    """A candidate of somebody's own: the whole contract in one class."""
+
+    name: ClassVar[str] = "shifted observer"
+    summary: ClassVar[str] = "the observer's tip, shifted by its mean error"
+    variants: ClassVar[tuple[int, ...]] = (0, 1)
+
+    def __init__(self, variant):
+        self.variant = variant
+
+    def fit(self, rows):
+        self._columns, self._width = (
+            rows.columns(["tip_x_m", "tip_y_m", "tip_z_m"]),
+            len(rows.names),
+        )
+        self._shift_m = self.variant * (rows.tip_m - rows.observer_tip_m).mean(axis=0)
+        return self
+
+    def predict(self, inputs):
+        return inputs[:, self._columns] + self._shift_m
+
+    def write(self, graph, source, output):
+        tip = graph.columns(source, self._width, self._columns, "observed")
+        graph.node("Add", [tip, graph.constant("shift", self._shift_m[None])], output)
+
+
+def test_a_candidate_from_outside_is_compared_chosen_and_exported(tmp_path):
+    assert issubclass(MeanOfTheTraining, object) and isinstance(MeanOfTheTraining(0), TipPredictor)
+    rows = made_up_rows()
+    shifted = rows.take(np.arange(len(rows)))
+    shifted.tip_m[:] += [0.01, 0.0, -0.01]
+    choice = choose_tip_predictor(shifted, [], (CANDIDATES[0], MeanOfTheTraining))
+    assert choice.chosen.name == "shifted observer" and choice.chosen.variant == 1
+    path = tmp_path / "predictor.onnx"
+    onnx.save(to_onnx(choice.chosen.predictor, len(rows.names)), path)
+    tip_m, *_ = answers(path, rows.inputs[:5])
+    np.testing.assert_allclose(tip_m, choice.chosen.predictor.predict(rows.inputs[:5]), atol=1e-12)

@@ -1,0 +1,87 @@
+"""Choice among candidates, and the interval of the chosen one."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.tip.candidates.candidate_list import CANDIDATES
+from models.tip.candidates.corrected_tip import CorrectedTip
+from models.tip.candidates.observer_tip import ObserverTip
+from models.tip.tip_interval import TipInterval
+from models.tip.tip_selection import choose_tip_predictor, group_folds
+from tests.models.tip.tip_cases import made_up_rows
+
+
+def test_folds_leave_out_each_payload_and_each_motion():
+    rows = made_up_rows()
+    folds = group_folds(rows)
+    assert len(folds) == 5  # three payloads, two motions
+    for train, test in folds:
+        assert not set(train) & set(test) and len(train) + len(test) == len(rows)
+        own = {*rows.payload_kg[test]}, {*rows.motion[test]}
+        others = {*rows.payload_kg[train]}, {*rows.motion[train]}
+        assert any(not mine & theirs for mine, theirs in zip(own, others, strict=True))
+
+
+def test_rows_of_one_payload_and_motion_leave_out_trials():
+    rows = made_up_rows(payloads_kg=(1.0,))
+    rows.motion[:] = "sinusoid"
+    assert [set(rows.run[test]) for _, test in group_folds(rows)] == [{k} for k in range(6)]
+
+
+def test_a_correction_is_chosen_where_it_helps_and_none_where_it_does_not():
+    rows = made_up_rows()
+    corrected = choose_tip_predictor(rows, [], (ObserverTip, CorrectedTip))
+    assert (corrected.chosen.name, corrected.chosen.variant) == ("corrected observer", 2)
+    exact = rows.take(np.arange(len(rows)))
+    exact.tip_m[:] = exact.observer_tip_m + 1e-4 * np.random.default_rng(1).normal(size=(1200, 3))
+    plain = choose_tip_predictor(exact, [], (ObserverTip, CorrectedTip))
+    assert plain.chosen.name == "observer"
+    assert plain.candidates[1].variant == 0
+
+
+def test_every_candidate_beats_none_and_says_how_it_did():
+    choice = choose_tip_predictor(made_up_rows(), [])
+    assert [c.name for c in choice.candidates] == [c.name for c in CANDIDATES]
+    for result in choice.candidates:
+        score = msgspec.structs.asdict(result.nested)
+        assert 0 < score["mean_m"] <= score["p95_m"] <= score["max_m"]
+        assert 0 <= score["coverage"] <= 1 and 0 <= score["in_range"] <= 1
+
+
+@pytest.mark.parametrize("bias_m", [0.0, 2e-3])
+def test_the_interval_covers_trials_that_it_was_not_calibrated_on(bias_m):
+    coverage = []
+    for seed in range(12):
+        seen = made_up_rows(seed=seed, bias_m=bias_m)
+        fresh = made_up_rows(seed=seed + 100, bias_m=bias_m)
+        error_m = seen.tip_m - seen.observer_tip_m
+        interval = TipInterval.fit(seen.names, (seen.inputs, error_m, seen.run))
+        inside = np.abs(fresh.tip_m - fresh.observer_tip_m) <= interval.half_width(fresh.inputs)
+        coverage.append(inside.mean())
+    assert 0.93 <= np.mean(coverage) <= 0.995
+
+
+def test_the_interval_widens_with_what_makes_the_tip_uncertain():
+    rows = made_up_rows()
+    disturbed = rows.take(np.arange(len(rows)))
+    excess = [rows.names.index("innovation_1_a")]
+    bend = rows.inputs[:, rows.names.index("bend_1_rad")]
+    disturbed.inputs[:, excess] = 0.3
+    disturbed.tip_m[:, 0] += 0.05 * bend
+    error_m = rows.tip_m - rows.observer_tip_m
+    wrong = (disturbed.inputs, disturbed.tip_m - disturbed.observer_tip_m)
+    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run), [wrong])
+    inside = np.abs(wrong[1]) <= interval.half_width(wrong[0])
+    assert inside.mean() > 0.93
+
+    def width(**changes):
+        point = rows.inputs[:1].copy()
+        for name, value in ({"joint_rate_1_rad_s": 0.3, "bend_1_rad": 0.1} | changes).items():
+            point[0, rows.names.index(name)] = value
+        return interval.half_width(point)[0, 0]
+
+    assert width(innovation_1_a=0.3) > 2 * width(innovation_1_a=0.0)
+    assert width(age_s=0.034) > width(age_s=0.017) > width(age_s=0.0)
+    still = {"joint_rate_1_rad_s": 0.0, "age_s": 0.034}
+    assert width(**still, bend_rate_1_rad_s=1.0) > width(**still, bend_rate_1_rad_s=0.0)

@@ -1,0 +1,29 @@
+"""Rows of a made-up link for tests of the tip predictors."""
+
+import numpy as np
+
+from models.tip.tip_rows import TipRows, input_names
+
+SIZE = {"m": 0.3, "rad": 0.4, "rad_s": 0.5, "a": 0.1, "kg": 0.5, "di": 0.005, "s": 0.0}
+
+
+def made_up_rows(dof=1, count=1200, seed=0, bias_m=0.0, payloads_kg=(0.0, 1.0, 2.0)):
+    """Rows of six trials: the observer is off by a quadratic in the bend, a bias and noise."""
+    rng = np.random.default_rng(seed)
+    names = input_names(dof)
+    inputs = np.zeros((count, len(names)))
+    run = np.repeat(np.arange(6), count // 6)
+    for k, name in enumerate(names):
+        unit = next((u for u in ("rad_s", "rad", "kg", "_a", "_m", "di") if name.endswith(u)), "s")
+        inputs[:, k] = SIZE[unit.lstrip("_")] * rng.uniform(-1, 1, count)
+        if name.startswith(("innovation", "payload")) or name.endswith("deviation_m"):
+            inputs[:, k] = 0.01 * np.abs(inputs[:, k])
+    payload_kg = np.array(payloads_kg)[run % len(payloads_kg)]
+    tip_m = inputs[:, [names.index(f"tip_{axis}_m") for axis in "xyz"]].copy()
+    bend = inputs[:, names.index("bend_1_rad")]
+    tip_m += np.column_stack([0.02 * bend**2, 0.01 * bend, 0 * bend])
+    tip_m += bias_m * rng.standard_normal((6, 3))[run] + 3e-4 * rng.standard_normal((count, 3))
+    return TipRows(
+        names, inputs, tip_m, payload_kg, np.where(run < 3, "sinusoid", "multisine"), run,
+        np.where(np.arange(count) % 7 == 0, "rest", "motion"),
+    )  # fmt: skip
