@@ -1,0 +1,1 @@
+"""Measurement of the robot's tip predictor behind the servos, on the rig."""
