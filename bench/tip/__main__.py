@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             run.name: figures(run, contenders.answers(run))
         }
         progress.step(effect)
-    document["summary"] = summary(document)
+    document["summary"] = claimed_figures(document)
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / f"tip_{dof}dof.json"
     path.write_text(json.dumps(document, indent=1), encoding="utf-8")
@@ -126,7 +126,7 @@ def figures(run: TipRun, answers: Mapping[str, Answer]) -> dict[str, dict[str, d
     return found
 
 
-def summary(document: Mapping[str, Any]) -> dict[str, float]:
+def claimed_figures(document: Mapping[str, Any]) -> dict[str, float]:
     """Figures that the claims state, of the deployed predictor."""
     nominal = {name: run["deployed"] for name, run in document["nominal"].items()}
     motions = [nominal[name]["all"] for name in SECONDS]
