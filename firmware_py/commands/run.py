@@ -26,11 +26,13 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
-from firmware_py.config import RobotConfig, read_config
+from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
-from firmware_py.goals.goal_source import GoalTable
+from firmware_py.goals.goal_source import GoalSource, GoalTable
+from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
+from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -59,6 +61,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--amplitude-deg", type=float, help="amplitude instead of the configured one"
     )
+    parser.add_argument(
+        "--plan", type=Path, metavar="PLAN.json",
+        help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--payload", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
+    )
     parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
     parser.add_argument(
         "--live", action="store_true", help="serve the ticks to Foxglove at the address in [live]"
@@ -74,8 +83,13 @@ def run(args: argparse.Namespace) -> int:
         After the summary, if a fault was seen or a servo did not confirm torque off.
     """
     config = _overridden(read_config(args.config), args)
+    plan = read_tip_plan(args.plan) if args.plan is not None else None
     bundle = load_bundle(config, args.config)
-    goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
+    goals: GoalSource
+    if plan is not None:
+        goals = goals_of_plan(plan, config, bundle)
+    else:
+        goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
     slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
@@ -83,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         settings = bus.found_settings()
         for sentence in _uncompared(config, settings):
             print(f"dropstitch: {sentence}", file=sys.stderr)
-        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings))
+        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings, plan))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
@@ -123,6 +137,8 @@ def _tell(args: argparse.Namespace, document: RunDocument, text: str) -> None:
 def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     if args.seconds is not None and not 0 < args.seconds < math.inf:
         raise InputError("--seconds", f"is {args.seconds}", "give a positive time")
+    if args.plan is not None and (args.motion is not None or args.amplitude_deg is not None):
+        raise InputError("--plan", "is given beside a motion", "leave one out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     motion = config.motion
@@ -132,7 +148,11 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         if motion.design is not None:
             raise InputError("--amplitude-deg", "is given beside a motion file", "leave one out")
         motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
-    return msgspec.structs.replace(config, motion=motion)
+    config = msgspec.structs.replace(config, motion=motion)
+    if args.payload is not None:
+        config = msgspec.structs.replace(config, payload_kg=args.payload)
+        check_config(config, "--payload")
+    return config
 
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:
@@ -153,15 +173,19 @@ def _telemetry(
     args: argparse.Namespace,
     bundle: ModelBundle,
     settings: Settings,
+    plan: TipPlan | None,
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
         yield NoTelemetry(), None
         return
     started = datetime.now(UTC)
-    name = f"{started:%Y%m%dT%H%M%SZ}_{config.motion.motion(config.dof).name}.mcap"
+    motion = config.motion.motion(config.dof).name if plan is None else plan.name
+    name = f"{started:%Y%m%dT%H%M%SZ}_{motion}.mcap"
     log = (args.log or args.config.parent / config.logs / name) if config.record else None
     live = (config.live.host, config.live.port) if args.live else None
     metadata = log_metadata(config, bundle, started, settings)
+    if plan is not None:
+        metadata |= log_facts(plan)
     with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
         yield telemetry, log
 

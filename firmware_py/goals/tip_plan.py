@@ -126,6 +126,15 @@ class TipPlan(Document, frozen=True):
         """Payloads, rising, shape (p,)."""
         return np.array([own.payload_kg for own in self.payloads])
 
+    def conditions(self) -> dict[str, str | float]:
+        """Conditions of a trial that is a run of the plan, named as in its TOML file."""
+        return {
+            "motion": self.name,
+            "period_s": self.duration_s - self.rest_s,
+            "amplitude_rad": float(np.max(np.abs(self.goals_rad()))),
+            "phase_2_rad": 0.0,
+        }
+
     def goals_rad(self) -> Array:
         """Goals for each payload, shape (p, n, dof)."""
         return np.array([np.transpose(own.goals_rad) for own in self.payloads])

@@ -23,6 +23,7 @@ from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH
 from firmware_py.errors import InputError
+from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from hil.arguments import add_line_arguments
@@ -55,7 +56,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--line", choices=get_args(LineKind), default="socket",
         help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
     )  # fmt: skip
-    parser.add_argument("--seconds", type=float, default=10.0, help="duration (default: 10)")
+    parser.add_argument(
+        "--seconds", type=float, help="duration (default: 10, or one run of the plan)"
+    )
+    parser.add_argument(
+        "--plan", type=Path, metavar="PLAN.json",
+        help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--payload-known", action="store_true",
+        help="tell the robot the payload (default: it estimates it)",
+    )  # fmt: skip
     parser.add_argument(
         "--motion", default="sinusoid", metavar="KIND|FILE",
         help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)",
@@ -72,6 +83,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, judge, write."""
+    plan = read_tip_plan(args.plan) if args.plan is not None else None
+    seconds = 10.0 if plan is None else plan.duration_s
     options = SilOptions(
         bundle=ModelBundle.load(args.bundle),
         model=model_named(args.model),
@@ -79,10 +92,12 @@ def run(args: argparse.Namespace) -> int:
         fmu=args.fmu,
         rig=_rig_source(args),
         line=args.line,
-        seconds=args.seconds,
+        seconds=seconds if args.seconds is None else args.seconds,
         baud=args.baud,
         latency_s=args.latency_ms * 1e-3,
         payload_kg=args.payload_kg,
+        payload_known=args.payload_known,
+        plan=plan,
         motion=MotionConfig(
             amplitude_rad=math.radians(args.amplitude_deg),
             period_s=args.period,
@@ -128,6 +143,12 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
     else:
         lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
     lines += _error_lines(timing.prediction_error)
+    lines += [
+        f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "
+        f"{LENGTH.number(error.max_m)} mm at most; {LENGTH.number(error.path_rms_m, 2)} mm RMS "
+        "on the path alone"
+        for number, error in enumerate(timing.path_errors, start=1)
+    ]
     lines.append(f"see {out}/summary.svg and timing.json")
     return "\n".join(lines)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig
+from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
@@ -91,9 +92,11 @@ def build_sil_loop(
         See `firmware_py.robot.build_loop`.
     """
     slots = round(options.seconds / config.period_s)
+    options.bundle.assume_payload(config.payload_kg)
+    goals = goals_of_plan(options.plan, config, options.bundle) if options.plan else None
     return build_loop(
-        config, options.bundle, bus, clock, slots=slots, telemetry=telemetry, counters=counters,
-        keep=slots + _STOP_TICKS,
+        config, options.bundle, bus, clock, goals=goals, slots=slots, telemetry=telemetry,
+        counters=counters, keep=slots + _STOP_TICKS,
     )  # fmt: skip
 
 
@@ -112,6 +115,8 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg)
     }
+    if options.plan is not None:
+        metadata |= log_facts(options.plan)
     path = options.out / LOG_NAME
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry

@@ -11,6 +11,7 @@ from typing import Literal
 from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
+from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import GLIDE_S
 from firmware_py.realtime.clock import RealTimeOptions
@@ -45,8 +46,12 @@ class SilOptions:
         Latency timer of the USB adapter.
     payload_kg : float
         At the twin's tip.
+    payload_known : bool
+        Whether the robot is told the payload; else it estimates it.
     motion : MotionConfig
         Reference motion.
+    plan : TipPlan, optional
+        Plan of a path of the tip, in place of the motion.
     load : int
         Processes that load the emulator's processor.
     faults : mapping of str to float
@@ -65,7 +70,9 @@ class SilOptions:
     baud: int = 1_000_000
     latency_s: float = 1e-3
     payload_kg: float = 1.0
+    payload_known: bool = False
     motion: MotionConfig = field(default_factory=MotionConfig)
+    plan: TipPlan | None = None
     load: int = 0
     faults: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
@@ -121,6 +128,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         bus=BusConfig(port=port, baud=options.baud),
         servos=tuple(ServoConfig(id=i, model=options.model.name) for i in options.ids),
         period_s=options.period_s,
+        payload_kg=options.payload_kg if options.payload_known else None,
         motion=options.motion,
         real_time=RealTimeOptions(cpu=cpu),
     )
@@ -128,6 +136,10 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
 
 def programme_s(options: SilOptions) -> dict[str, float]:
     """Return the durations that the run repeats, in order: rest, motion, glide back to zero."""
+    if (plan := options.plan) is not None:
+        rest = round(plan.rest_s / plan.period_s)
+        rows = {"rest": rest, "motion": plan.end_row - rest, "glide": plan.rows - plan.end_row}
+        return {name: count * plan.period_s for name, count in rows.items()}
     motion = options.motion.motion(options.dof)
     parts_s = {"rest": options.motion.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
     period_s = options.period_s  # the loop runs whole slots

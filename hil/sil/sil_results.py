@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.summary import Ended
+from hil.sil.path_error import path_errors
 from hil.sil.prediction_error import prediction_error
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, programme_s
@@ -83,6 +84,9 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
         bus_plan=plan,
         account=measure_budget(result.records, options.period_s, plan, reference),
         prediction_error=prediction_error(result.records, result.outcome.truth, programme),
+        path_errors=path_errors(result.records, result.outcome.truth, options.plan)
+        if options.plan
+        else (),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -41,18 +41,26 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
         columns[name] = np.interp(grid, records["tick"][fresh], values[fresh])
     columns |= {name: np.full(len(grid), np.nan) for name in _MARKERS}
     geometry = result.geometry or {}
-    motion, filled = options.motion.motion(options.dof), len(grid) - int(fresh.sum())
+    filled, rest_s = len(grid) - int(fresh.sum()), options.motion.rest_s
+    conditions: dict[str, Any]
+    if options.plan is not None:
+        conditions, rest_s = options.plan.conditions(), options.plan.rest_s
+    else:
+        motion = options.motion.motion(options.dof)
+        conditions = {
+            "motion": motion.name,
+            "period_s": motion.period_s,
+            "amplitude_rad": motion.amplitude_rad,
+            "phase_2_rad": motion.phase_2_rad if options.dof == 2 else 0.0,
+        }
     meta = TrialMeta(
         dof=options.dof,
         payload_kg=options.payload_kg,
         pressure_pa=PRESSURE_PA,
         trial=1,
-        motion=motion.name,
         source="sil",
-        period_s=motion.period_s,
-        amplitude_rad=motion.amplitude_rad,
-        phase_2_rad=motion.phase_2_rad if options.dof == 2 else 0.0,
-        rest_samples=min(round(options.motion.rest_s / options.period_s), len(grid) - 1),
+        **conditions,
+        rest_samples=min(round(rest_s / options.period_s), len(grid) - 1),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
         base_offset_m=geometry["base_offset_m"],
         link_length_m=geometry["link_length_m"],

@@ -139,6 +139,25 @@ class PredictionError(TipErrors, frozen=True, kw_only=True):
     parts: dict[str, TipErrors] = msgspec.field(default_factory=dict)
 
 
+class PathError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Distance of the tip from its path in one run of a plan, in the planned coordinates.
+
+    Attributes
+    ----------
+    rms_m, max_m : float
+        Over the whole run, rest and ways included.
+    path_rms_m : float
+        Over the path alone.
+    rows : int
+        Ticks that count: fresh, and not of a stop.
+    """
+
+    rms_m: float
+    max_m: float
+    path_rms_m: float
+    rows: int
+
+
 class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     """Contents of `timing.json`: the verdict, and what it was reached on.
 
@@ -158,6 +177,8 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
         Time of the ticks, by where it went.
     prediction_error : PredictionError
         Error of the robot's prediction.
+    path_errors : tuple of PathError
+        Where a plan was run: error of the tip in each of its runs.
     """
 
     MADE_BY: ClassVar[str] = "python -m hil sil"
@@ -169,6 +190,7 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     bus_plan: PlanTimes
     account: TickBudget
     prediction_error: PredictionError
+    path_errors: tuple[PathError, ...] = ()
 
 
 def read_timing(path: Path) -> TimingDocument:

@@ -216,6 +216,26 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
 
 
+def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bundle, capsys):
+    from firmware_py.documents import write_document
+    from tests.firmware_py.goals.small_plan import small_plan
+
+    write_document(tmp_path / "plan.json", small_plan(toy_bundle))
+    plan = ["--plan", tmp_path / "plan.json"]
+    code, output = call(capsys, "run", "--config", config, *plan)
+    assert (code, "needs the payload" in output.err) == (2, True)
+    code, output = call(capsys, "run", "--config", config, *plan, "--motion", "steps")
+    assert (code, "is given beside a motion" in output.err) == (2, True)
+    code, output = call(capsys, "run", "--config", config, *plan, "--payload", "0.5", "--json")
+    assert code == 0, output.err
+    log = read_recording(json.loads(output.out)["log"])
+    assert json.loads(log.metadata["motion"])["motion"] == "plan_circle"
+    goal_rad = log.columns["goal_1_rad"]
+    assert 0.0 < goal_rad.max() < 0.0225
+    if not log.columns["missed"].any() and not log.columns["stale_ticks"].any():
+        assert goal_rad.max() == pytest.approx(0.022, abs=1e-3)
+
+
 def test_a_terminal_that_has_gone_hides_no_trip(servos, config, capsys, monkeypatch):
     config.write_text(
         config.read_text().replace("hold_s = 0.05", "hold_s = 0.05\ntip_max_m = [1.2, 1.2, 0.1]")

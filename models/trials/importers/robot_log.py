@@ -70,7 +70,10 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     log : Recording
         Of `dropstitch run`.
     """
-    motion = _motion_conditions(json.loads(log.metadata.get("config", "{}")).get("motion", {}))
+    if "motion" in log.metadata:  # of a plan, which ran in place of the configured motion
+        motion = json.loads(log.metadata["motion"])
+    else:
+        motion = _motion_conditions(json.loads(log.metadata.get("config", "{}")).get("motion", {}))
     known: dict[str, Scalar | None] = {
         "dof": log.dof,
         "source": "recording",

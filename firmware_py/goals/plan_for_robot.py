@@ -1,0 +1,71 @@
+"""Goals of a plan for one robot: whether the two fit together, and the payload that it goes by."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from firmware_py.config import RobotConfig
+from firmware_py.errors import InputError
+from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
+
+__all__ = ["goals_of_plan", "log_facts"]
+
+
+def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
+    """Return the goals of a plan; the payload is `config.payload_kg`, or what the bundle estimates.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    config : RobotConfig
+        Joints, period, limits, and the payload where it is known.
+    bundle : ModelBundle
+        The robot's bundle.
+
+    Raises
+    ------
+    InputError
+        If the plan is for another robot or another bundle, breaks a limit, or nothing tells the
+        payload.
+    """
+    where = f"plan {plan.path}"
+    if plan.dof != config.dof:
+        raise InputError(
+            where, f"is for {plan.dof} joints, the robot has {config.dof}", "plan for this robot"
+        )
+    if not math.isclose(plan.period_s, config.period_s):
+        raise InputError(
+            where, f"has a period of {plan.period_s:g} s, the robot {config.period_s:g} s",
+            "plan for this robot",
+        )  # fmt: skip
+    if plan.bundle_sha256 != sha256_of(bundle.directory / MANIFEST):
+        raise InputError(
+            where, f"was made for another bundle than {bundle.directory}",
+            f"plan again with --bundle {bundle.directory}",
+        )  # fmt: skip
+    if config.payload_kg is None and bundle.manifest.estimator != "observer":
+        raise InputError(
+            where, f"needs the payload, which the estimator {bundle.manifest.estimator!r} of the "
+            "bundle does not tell", "give payload_kg, or use a bundle with the observer",
+        )  # fmt: skip
+    check_plan_goals(plan, config.limits_in_force, where)
+    return PlanGoals(plan, config.payload_kg)
+
+
+def log_facts(plan: TipPlan) -> dict[str, str]:
+    """Return what the log of a run of a plan holds in place of the configured motion.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    """
+    return {
+        "motion": msgspec.json.encode(plan.conditions()).decode(),
+        "rest_samples": str(round(plan.rest_s / plan.period_s)),
+    }

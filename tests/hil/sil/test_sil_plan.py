@@ -1,0 +1,141 @@
+"""Plans on the robot's loop: goals as planned, tip on its path, robots that a plan does not fit."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.documents import write_document
+from firmware_py.errors import InputError
+from firmware_py.goals.plan_goals import PlanGoals
+from firmware_py.inference.bundle import MANIFEST, Manifest, ModelBundle, sha256_of, write_manifest
+from firmware_py.inference.estimator import Estimate, NoEstimator
+from firmware_py.log.recording import read_recording
+from firmware_py.safety.limits import Limits
+from firmware_py.signals import PERIOD_S
+from hil.__main__ import main
+from hil.emulator.twin_fmu import build_twin
+from hil.sil import SilOptions, run_sil, write_results
+from hil.sil.sil_loop import LOG_NAME
+from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.planning import PlanRequest, plan_path
+from models.plant.plant import NOMINAL, read_plant
+from models.trials.trial_files import read_trial
+from tests.hil.sil.test_sil import RigidPredictor
+
+
+class Weighing(NoEstimator):
+    """Estimates that jump from one end of the range to the other."""
+
+    ticks = 0
+
+    def update(self, angle_rad, current_a, step_s):
+        self.ticks += 1
+        return Estimate(0.0, 0.0 if self.ticks % 100 < 50 else 2.0)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("bundle")
+    manifest = Manifest(
+        dof=1, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
+        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
+        coefficients={}, files={},
+    )  # fmt: skip
+    write_manifest(directory, manifest)
+    return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor())
+
+
+@pytest.fixture(scope="module")
+def plan(bundle):
+    path = built_in_path("line", 1, PERIOD_S, PathOptions(size_m=0.2, seconds=2.0))
+    sha256 = sha256_of(bundle.directory / MANIFEST)
+    return plan_path(
+        path, PlanRequest(read_plant(), 1, PERIOD_S, Limits(rate_rad_s=1.0), (0.5, 1.5), sha256)
+    )
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return build_twin(NOMINAL, 1, tmp_path_factory.mktemp("twin"))
+
+
+@pytest.fixture
+def options(bundle, plan, fmu, tmp_path):
+    def build(**changes):
+        given = {
+            "bundle": bundle, "model": MODELS[54024], "out": tmp_path, "fmu": fmu,
+            "line": "virtual", "seconds": plan.duration_s, "payload_kg": 0.8,
+            "payload_known": True, "plan": plan,
+        }  # fmt: skip
+        return SilOptions(**(given | changes))
+
+    return build
+
+
+def test_the_robot_sends_the_planned_goals_and_the_tip_follows_its_path(options, plan, tmp_path):
+    chosen = options(seconds=2 * plan.duration_s)
+    result = run_sil(chosen)
+    own = result.records[result.records["tick"] >= 0]
+    goals = PlanGoals(plan, 0.8)
+    wanted = np.array([goals.at(slot)[0] for slot in range(2 * plan.rows)])
+    assert np.array_equal(own["goal_1_rad"][: len(wanted)], wanted)
+
+    timing = write_results(result, chosen)
+    assert len(timing.path_errors) == 2
+    for error in timing.path_errors:
+        assert error.rows == plan.rows
+        assert error.rms_m < plan.payloads[0].rigid_rms_m / 8, "the line adds a delay"
+        assert error.rms_m <= error.max_m
+    trial = read_trial(tmp_path / "trial" / "sil.csv")
+    assert (trial.meta.motion, trial.meta.rest_samples) == ("plan_line", round(1 / PERIOD_S))
+    log = read_recording(tmp_path / LOG_NAME)
+    assert json.loads(log.metadata["motion"])["motion"] == "plan_line"
+
+
+def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):
+    weighing = ModelBundle(
+        bundle.directory, msgspec.structs.replace(bundle.manifest, estimator="observer"),
+        Weighing(), bundle.predictor,
+    )  # fmt: skip
+    result = run_sil(options(bundle=weighing, payload_known=False))
+    assert not result.summary.reason.startswith("the goal"), result.summary.reason
+    assert result.summary.ended.value == "finished"
+    sent = result.records["goal_1_rad"]
+    low, high = (table[:, 0] for table in plan.goals_rad())
+    inside = result.records["tick"] >= 0
+    slot = np.minimum(result.records["tick"][inside], plan.rows - 1)
+    assert np.all(sent[inside] >= np.minimum(low, high)[slot] - 1e-9)
+    assert np.all(sent[inside] <= np.maximum(low, high)[slot] + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "robot", "sentence"),
+    [
+        ({"bundle_sha256": "0"}, {}, "was made for another bundle"),
+        ({"period_s": 0.02}, {}, r"has a period of 0\.02 s, the robot 0\.017 s"),
+        ({}, {"payload_known": False}, "needs the payload, which the estimator 'none'"),
+        ({}, {"payload_kg": 2.5}, r"payload_kg: is 2\.5, the plan holds 0\.5 to 1\.5 kg"),
+    ],
+)
+def test_a_plan_that_does_not_fit_the_robot_is_refused(options, plan, changes, robot, sentence):
+    other = msgspec.structs.replace(plan, **changes)
+    with pytest.raises(InputError, match=sentence):
+        run_sil(options(plan=other, **robot))
+
+
+def test_a_plan_for_another_number_of_joints_is_refused(options, plan):
+    twice = msgspec.structs.replace(plan, dof=2, desired_m=plan.desired_m * 2)
+    with pytest.raises(InputError, match="is for 2 joints, the robot has 1"):
+        run_sil(options(plan=twice))
+
+
+def test_a_file_that_is_no_plan_gets_one_sentence(bundle, plan, tmp_path, capsys):
+    write_document(tmp_path / "plan.json", msgspec.structs.replace(plan, payloads=()))
+    arguments = ["sil", "--bundle", bundle.directory, "--out", tmp_path / "out"]
+    code = main([str(a) for a in (*arguments, "--plan", tmp_path / "plan.json")])
+    output = capsys.readouterr()
+    assert code == 2
+    assert "plan.json: has no payload; write it anew with python -m models plan" in output.err
