@@ -22,6 +22,7 @@ from firmware_py.signals import PAYLOAD
 from models.plant.components.drives.drive_protocol import Drive
 from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.driven_link import apply_measured_motion, declare_measured_motion
+from models.plant.composition.restart import is_jump, restart_where_impossible
 from models.plant.composition.step_functions import (
     build_step_model,
     current_variable,
@@ -87,6 +88,7 @@ def compose_observer(
     apply_measured_motion(scope, drive, load, effects)
     moved = {n: s for n, s in scope.states.items() if n not in before}
     sensitivity = _Sensitivity(scope, moved, mass_kg)
+    moving = set(scope.states) - {payload.name()}
     _update_estimates(scope, drive, payload, measured, sensitivity)
     outputs = load.outputs(scope)
     outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
@@ -95,12 +97,16 @@ def compose_observer(
     known = scope.p("payload_known_kg")
     now = [(mass_kg, ca.if_else(known >= 0, known, payload))]
     start = [(payload, scope.p("payload_prior_kg"))]
-    for state in scope.states.values():
-        state.initial = substitute(substitute(state.initial, now), start)
+    resting = []
+    for state_name, state in scope.states.items():
+        at_rest = substitute(state.initial, now)
+        resting.append(at_rest if state_name in moving else state.symbol)
+        state.initial = substitute(at_rest, start)
         state.rate = substitute(state.rate, now)
         state.finish = None if state.finish is None else substitute(state.finish, now)
     shown = {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()}
-    return build_step_model(name, scope, shown, MAX_SUBSTEP_S, inputs_at_end=True)
+    model = build_step_model(name, scope, shown, MAX_SUBSTEP_S, inputs_at_end=True)
+    return restart_where_impossible(model, scope, resting, is_jump(scope))
 
 
 MAX_SENSITIVITY_PER_KG: Final = 20.0

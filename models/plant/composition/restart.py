@@ -1,0 +1,100 @@
+"""Restart of a model that is driven by measurement, where its past cannot be that of the sample.
+
+A sample that no motion of a servo leads to (a start far from zero whose first angle comes with the
+first step, an encoder that jumps) would be taken as a motion: a jump of 4 rad bends the link beyond
+every limit, and all later steps fail. In place of this motion the joints and the load rest at the
+sample. What was learnt before the jump, such as the payload, is kept.
+
+A state that no link can have begins anew at the end of the step, the estimates too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import casadi as ca
+
+from firmware_py.signals import PERIOD_S
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import StepModel
+
+JUMP_RAD_S: Final = 10.0
+"""Rate above which a change of a measured angle is no motion: 13 times the peak rate of the study's
+motion, 30° at 4.352 s. [assumed]"""
+
+LARGEST_BEND_RAD: Final = math.pi
+"""Bend of a hinge at which a link lies on itself."""
+
+LARGEST_STATE: Final = 1e100
+"""Sum of the magnitudes of all states above which the next step may overflow."""
+
+
+def restart_where_impossible(
+    model: StepModel, scope: Scope, resting: Sequence[Expr], jump: Expr
+) -> StepModel:
+    """Add the restarts to a model.
+
+    Parameters
+    ----------
+    model : StepModel
+        Model of the scope.
+    scope : Scope
+        Composed.
+    resting : sequence of SX
+        State at rest at the sample, in the order of the model's states.
+    jump : SX
+        Whether the sample is no continuation of the past; see `is_jump`.
+    """
+    x, u, p = (
+        ca.vertcat(*(s.symbol for s in scope.states.values())),
+        ca.vertcat(*(symbol for _, symbol in scope.inputs.values())),
+        ca.vertcat(*(symbol for _, symbol in scope.parameters.values())),
+    )
+    bends = [ca.fabs(bend) <= LARGEST_BEND_RAD for bend in scope.bend.values()]
+    size = sum(ca.fabs(s.symbol) for s in scope.states.values())
+    possible = ca.Function("possible", [x], [_all([*bends, size <= LARGEST_STATE])])
+    jumps = ca.Function("jumps", [x, u, p, scope.step_s], [jump])
+    column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(value) for value in resting))))
+    rest = ca.Function("rest", [x, u, p], [column])
+
+    x, u, p = (ca.MX.sym(label, model.begin.size_in(k)) for k, label in enumerate("xup"))
+    arguments = (x, u, p, ca.MX.sym("h"))
+    labels = ["x", "u", "p", "h"]
+    # Only the branch that is taken is calculated: a restart costs nothing where there is none.
+    before = ca.if_else(jumps(*arguments), rest(x, u, p), x, True)
+    after = model.finish(*arguments)
+    kept = ca.if_else(possible(after), after, model.initial(u, p), True)
+    begun = model.begin(before, *arguments[1:])
+    return replace(
+        model,
+        begin=ca.Function(model.begin.name(), arguments, [begun], labels, ["result"]),
+        finish=ca.Function(model.finish.name(), arguments, [kept], labels, ["result"]),
+    )
+
+
+def is_jump(scope: Scope) -> Expr:
+    """Whether any measured angle has changed faster than `JUMP_RAD_S` since the last sample.
+
+    In steps shorter than the control period an angle may change as in one: a host that takes small
+    steps holds the samples of the robot, which come once a period.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the measured motion declared.
+    """
+    angle = scope.suffix["angle"]
+    ramps = [scope.states[f"ramp_{j}_{angle}"] for j in scope.joints]
+    limit = JUMP_RAD_S * ca.fmax(scope.step_s, PERIOD_S)
+    return 1 - _all([ca.fabs(ramp.finish - ramp.symbol) <= limit for ramp in ramps])
+
+
+def _all(conditions: Sequence[Expr]) -> Expr:
+    """1 where all conditions hold, else 0; a comparison with NaN does not hold."""
+    result: Expr = 1
+    for condition in conditions:
+        result = ca.logic_and(result, condition)
+    return result
