@@ -19,12 +19,13 @@ typedef struct {
 /* Errors are logged whether debug logging is on or not. */
 static fmi2Status done(Instance *self, int ok)
 {
-    if (ok)
+    if (ok == 1)
         return fmi2OK;
+    fmi2Status status = ok == DISCARDED ? fmi2Discard : fmi2Error;
     if (self->callbacks.logger)
-        self->callbacks.logger(self->callbacks.componentEnvironment, self->name, fmi2Error,
+        self->callbacks.logger(self->callbacks.componentEnvironment, self->name, status,
                                "logStatusError", "%s", self->fmu.message);
-    return fmi2Error;
+    return status;
 }
 
 #define STATUS fmi2Status

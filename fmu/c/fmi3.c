@@ -18,11 +18,12 @@ typedef struct {
 
 static fmi3Status done(Instance *self, int ok)
 {
-    if (ok)
+    if (ok == 1)
         return fmi3OK;
+    fmi3Status status = ok == DISCARDED ? fmi3Discard : fmi3Error;
     if (self->logging && self->log)
-        self->log(self->environment, fmi3Error, "logStatusError", self->fmu.message);
-    return fmi3Error;
+        self->log(self->environment, status, "logStatusError", self->fmu.message);
+    return status;
 }
 
 #define STATUS fmi3Status

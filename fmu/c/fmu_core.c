@@ -252,7 +252,9 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (refresh(fmu))
         return 1;
     *memory = before;
-    return fmu_refuse(fmu, "The step from %.9g s gave values that are not finite numbers.", now_s);
+    fmu_refuse(fmu, "The step from %.9g s gave values that are not finite numbers: take a smaller "
+                    "step.", now_s);
+    return DISCARDED;
 }
 
 int fmu_terminate(Fmu *fmu)

@@ -75,7 +75,9 @@ typedef struct {
     double outputs[ROOM(N_OUTPUTS)];
 } Fmu;
 
-/* Functions that return int return 1 on success, else 0 with a message. */
+/* Functions that return int return 1 on success, else 0 with a message; fmu_step also DISCARDED,
+ * where a smaller step may succeed. */
+enum { DISCARDED = 2 };
 
 int fmu_refuse(Fmu *fmu, const char *format, ...);
 int fmu_not_offered(Fmu *fmu, const char *call);

@@ -7,6 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
@@ -133,3 +134,20 @@ def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof
         assert error.count("\n") == 1
     with pytest.raises(InputError, match=r"payload_kg = 3\.5 lies outside 0 to 3"):
         FmuPhysics(Path(twin), dof=1, payload_kg=3.5)
+
+
+def test_a_step_that_is_not_finite_is_discarded_and_a_smaller_one_is_taken(instance):
+    """Damping over inertia is 2000/s: the toy is unstable at 2 ms, not at 0.1 ms."""
+    instance.set({"parameters.length_m": 0.1, "parameters.damping_nms_rad": 10.0})
+    instance.initialize({"torque_nm": 5.0, "payload_kg": 0.0})
+    told, before = len(instance.messages), instance.get(["time", "tip_x_m", "steps"])
+    with pytest.raises(FMICallException, match="status 2"):
+        instance.step(2.0)
+    assert "smaller step" in instance.messages[told]
+    if instance.fmi == 2:  # what a host asks after a discarded step
+        assert not instance.fmu.getBooleanStatus(fmi2Terminated)
+        assert instance.fmu.getRealStatus(fmi2LastSuccessfulTime) == 0.0
+    assert instance.get(["time", "tip_x_m", "steps"]).tolist() == before.tolist()
+    for _ in range(20):
+        instance.step(1e-4)
+    assert instance.get(["time", "steps"]).tolist() == pytest.approx([2e-3, 20.0])
