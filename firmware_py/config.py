@@ -18,6 +18,7 @@ from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup, check_assumed
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
+from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
 from firmware_py.motion_document import read_motion_document
@@ -93,21 +94,6 @@ class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         """Return the settings that the servo must have."""
         gains = self.gains.registers() if self.gains else {}
         return AssumedSettings(self.reverse, self.homing_offset_rad, gains)
-
-
-class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove.
-
-    Attributes
-    ----------
-    host : str
-        Address to listen at. Who can reach it sees the ticks, but cannot command the robot.
-    port : int
-        TCP port; 0 takes any that is free.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8765
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -325,6 +311,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("limits.stop_deceleration_rad_s2", limits.stop_deceleration_rad_s2, 1e-2, 1e4),
         ("limits.hold_s", limits.hold_s, 0.0, 3600.0),
         ("live.port", config.live.port, 0, 65535),
+        ("live.viewers", config.live.viewers, 1, 100),
         ("real_time.priority", config.real_time.priority, 0, 99),
     )
     for key, value, low, high in ranges:

@@ -182,11 +182,14 @@ def _telemetry(
     motion = config.motion.motion(config.dof).name if plan is None else plan.name
     name = f"{started:%Y%m%dT%H%M%SZ}_{motion}.mcap"
     log = (args.log or args.config.parent / config.logs / name) if config.record else None
-    live = (config.live.host, config.live.port) if args.live else None
+    live = config.live
+    address = (live.host, live.port) if args.live else None
     metadata = log_metadata(config, bundle, started, settings)
     if plan is not None:
         metadata |= log_facts(plan)
-    with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
+    with recording(
+        log, config.dof, time.time_ns(), metadata, address, live.origins, live.viewers
+    ) as telemetry:
         yield telemetry, log
 
 

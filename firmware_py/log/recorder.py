@@ -28,6 +28,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import require_packages
 from firmware_py.log.sinks import LiveSink, McapSink, Sink, TickEncoder, require_live_package
 from firmware_py.log.telemetry import SocketTelemetry
@@ -50,6 +51,10 @@ class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         File to write.
     live : tuple of str and int, or None
         Host and port of the live view.
+    origins : tuple of str
+        Origins that the live view admits.
+    viewers : int
+        Largest number of its viewers.
     dof : int
         Number of joints, which determines the layout of a record.
     start_ns : int
@@ -61,6 +66,8 @@ class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     fd: int
     path: str | None
     live: tuple[str, int] | None = None
+    origins: tuple[str, ...] = ORIGINS
+    viewers: int = VIEWERS
     dof: int
     start_ns: int
     metadata: dict[str, str]
@@ -73,8 +80,12 @@ def recording(
     start_ns: int,
     metadata: dict[str, str],
     live: tuple[str, int] | None = None,
+    origins: tuple[str, ...] = ORIGINS,
+    viewers: int = VIEWERS,
 ) -> Iterator[SocketTelemetry]:
     """Run a recorder for the duration of the context.
+
+    The docstring makes this function long: it has a parameter for every setting of the recorder.
 
     Parameters
     ----------
@@ -88,6 +99,10 @@ def recording(
         Metadata of the file; `dof` is added.
     live : tuple of str and int, optional
         Host and port of the live view for Foxglove.
+    origins : tuple of str
+        Origins that the live view admits.
+    viewers : int
+        Largest number of its viewers.
 
     Yields
     ------
@@ -107,7 +122,7 @@ def recording(
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     task = RecorderTask(
         fd=theirs.fileno(), path=None if path is None else str(path), live=live, dof=dof,
-        start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
+        origins=origins, viewers=viewers, start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
     )  # fmt: skip
     process = subprocess.Popen(
         [sys.executable, "-m", "firmware_py.log.recorder"],
@@ -117,16 +132,21 @@ def recording(
     )
     theirs.close()
     try:
-        if process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                process.stdin.write(msgspec.json.encode(task))
-                process.stdin.close()
+        _hand_over(task, process)
         _await_start(ours)
         yield SocketTelemetry(ours)
     finally:
         ours.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_STOP_TIMEOUT_S)
+
+
+def _hand_over(task: RecorderTask, process: subprocess.Popen[bytes]) -> None:
+    """Write the task to the stdin of the recorder."""
+    if process.stdin is not None:
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(msgspec.json.encode(task))
+            process.stdin.close()
 
 
 def _make_directory(path: Path) -> None:
@@ -172,7 +192,7 @@ def main() -> int:
 def _sinks(task: RecorderTask) -> Iterator[Sink]:
     """Open the sinks of a task; the live view first, because it never waits."""
     if task.live is not None:
-        live = LiveSink(*task.live, task.dof)
+        live = LiveSink(*task.live, task.dof, task.origins, task.viewers)
         print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
         yield live
     if task.path is not None:

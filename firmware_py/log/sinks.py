@@ -8,12 +8,15 @@ from __future__ import annotations
 import importlib.util
 import math
 import os
+import secrets
+from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
 from firmware_py.signals import tick_dtype
 
@@ -132,6 +135,10 @@ class LiveSink:
         TCP port; 0 takes any that is free.
     dof : int
         Number of joints.
+    origins : sequence of str
+        Origins that are admitted, see `firmware_py.log.live_gate`.
+    viewers : int
+        Largest number of viewers.
 
     Attributes
     ----------
@@ -144,23 +151,36 @@ class LiveSink:
         If the address cannot be listened at.
     """
 
-    def __init__(self, host: str, port: int, dof: int) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        dof: int,
+        origins: Sequence[str] = ORIGINS,
+        viewers: int = VIEWERS,
+    ) -> None:
         import foxglove
+
+        from firmware_py.log.live_gate import LiveGate
 
         self._channel = foxglove.Channel(
             TOPIC, message_encoding="json",
             schema=foxglove.Schema(name=SCHEMA_NAME, encoding="jsonschema", data=_schema_json(dof)),
         )  # fmt: skip
+        # Unguarded, so a page must not find it: one of 16 million addresses, on any port.
+        hidden = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
         try:
             self._server: Any = foxglove.start_server(
-                name="dropstitch", host=host, port=port, message_backlog_size=_VIEWER_BACKLOG
+                name="dropstitch", host=hidden, port=0, message_backlog_size=_VIEWER_BACKLOG
             )
-        except RuntimeError as error:
+            behind = (hidden, self._server.port)
+            self._gate = LiveGate((host, port), behind, origins, viewers)
+        except (RuntimeError, OSError) as error:
             raise InputError(
                 "live", f"{host}:{port} cannot be listened at ({error})",
                 "correct [live] in robot.toml, or end the program that uses the port",
             ) from None  # fmt: skip
-        self.url = f"ws://{host}:{self._server.port}"
+        self.url = f"ws://{host}:{self._gate.port}"
 
     def write(self, time_ns: int, data: bytes) -> None:
         """Send one tick to the viewers."""
@@ -168,6 +188,7 @@ class LiveSink:
 
     def finish(self) -> None:
         """Stop the server."""
+        self._gate.close()
         self._server.stop()
 
 

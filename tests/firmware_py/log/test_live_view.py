@@ -14,10 +14,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from firmware_py.config import LiveConfig
 from firmware_py.errors import InputError
+from firmware_py.log.live_config import ORIGINS, LiveConfig
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
 from firmware_py.summary import Ended
@@ -181,3 +182,62 @@ def test_without_the_extra_one_sentence_says_what_to_do(monkeypatch):
 
 def test_the_view_does_not_leave_this_machine_unless_told():
     assert LiveConfig().host == "127.0.0.1"
+
+
+# --- who is admitted ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://127.0.0.1:8000", ""])
+def test_a_page_of_another_site_is_refused(capfd, origin):
+    with recording(None, 1, 0, {}, live=ANYWHERE):
+        with pytest.raises(InvalidStatus) as refused, connect(url_of(capfd), origin=origin):
+            pytest.fail("it must not be admitted")
+        assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("origin", [*ORIGINS, None])
+def test_foxglove_and_programs_that_are_no_browser_are_admitted(capfd, origin):
+    with (
+        recording(None, 1, 0, {}, live=ANYWHERE),
+        connect(url_of(capfd), subprotocols=["foxglove.sdk.v1"], origin=origin) as viewer,
+    ):
+        assert json.loads(viewer.recv(PATIENCE_S))["name"] == "dropstitch"
+
+
+def test_one_viewer_too_many_is_refused_until_another_leaves(capfd):
+    with recording(None, 1, 0, {}, live=ANYWHERE, viewers=2):
+        url = url_of(capfd)
+        with subscribed(url):
+            with subscribed(url):
+                with pytest.raises(InvalidStatus) as refused, connect(url):
+                    pytest.fail("it must not be admitted")
+                assert refused.value.response.status_code == 503
+            for _ in range(100):  # the gate learns of it a little later
+                with contextlib.suppress(InvalidStatus), subscribed(url):
+                    return
+            pytest.fail("the place of the one that left stays taken")
+
+
+@pytest.mark.parametrize(
+    "request_", [b"GET / HTTP/1.1\r\n" + b"a: b\r\n" * 5000, b"\xff" * 10_000 + b"\r\n\r\n"]
+)
+def test_a_request_without_an_end_is_dropped_and_others_are_served(capfd, request_):
+    with recording(None, 1, 0, {}, live=ANYWHERE):
+        url = url_of(capfd)
+        with socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2]))) as hostile:
+            hostile.settimeout(PATIENCE_S)
+            with contextlib.suppress(OSError):
+                hostile.sendall(request_)
+                assert hostile.recv(100) == b""
+        with subscribed(url):
+            pass
+
+
+def test_connections_that_say_nothing_are_bounded(capfd):
+    with recording(None, 1, 0, {}, live=ANYWHERE, viewers=1), contextlib.ExitStack() as stack:
+        port = int(url_of(capfd).rpartition(":")[2])
+        ends = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(40)
+        ]
+        ends[-1].settimeout(PATIENCE_S)
+        assert ends[-1].recv(100) == b"", "it is closed before it has asked for anything"

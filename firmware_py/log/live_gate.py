@@ -1,0 +1,150 @@
+"""Gate in front of the live view: it refuses foreign origins and caps the viewers.
+
+A page of any web site can open a WebSocket to this PC; its browser names the site in the header
+Origin. The server of foxglove-sdk looks at neither origin nor number of viewers, so it listens at a
+random address of the loopback network, and this gate passes on the bytes of the viewers that it
+admits. It runs in the recorder process. A viewer that does not read is not read for either: the
+server then drops the oldest ticks of that viewer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Sequence
+from typing import Final
+
+from firmware_py.log.live_config import ORIGINS, VIEWERS
+
+__all__ = ["LiveGate"]
+
+_UNDECIDED: Final = 16
+"""Connections beyond the viewers whose request has not arrived yet."""
+_HEAD_BYTES: Final = 8192
+_HEAD_TIMEOUT_S: Final = 5.0
+_PIECE_BYTES: Final = 1 << 16
+_END: Final = b"\r\n\r\n"
+
+
+class LiveGate:
+    """Listener that passes admitted viewers on to the server behind it.
+
+    Parameters
+    ----------
+    address : tuple of str and int
+        Host and port to listen at; port 0 takes any that is free.
+    behind : tuple of str and int
+        Host and port of the server.
+    origins : sequence of str
+        Origins that are admitted.
+    viewers : int
+        Largest number of viewers.
+
+    Attributes
+    ----------
+    port : int
+        Port that it listens at.
+
+    Raises
+    ------
+    OSError
+        If the address cannot be listened at.
+    """
+
+    def __init__(
+        self,
+        address: tuple[str, int],
+        behind: tuple[str, int],
+        origins: Sequence[str] = ORIGINS,
+        viewers: int = VIEWERS,
+    ) -> None:
+        self._listener = socket.create_server(address)
+        self.port: int = self._listener.getsockname()[1]
+        self._behind, self._origins, self._most = behind, frozenset(origins), viewers
+        self._connections = self._viewers = 0
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_until_complete(
+            asyncio.start_server(self._admit, sock=self._listener, limit=_HEAD_BYTES)
+        )
+        self._loop.run_forever()
+        tasks = asyncio.all_tasks(self._loop)
+        for task in tasks:
+            task.cancel()
+        self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        self._loop.close()
+
+    def close(self) -> None:
+        """End every connection."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._listener.close()
+
+    async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._connections += 1
+        try:
+            if self._connections <= self._most + _UNDECIDED:
+                await self._decide(reader, writer)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass
+        finally:
+            self._connections -= 1
+            writer.close()
+
+    async def _decide(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        head = await asyncio.wait_for(reader.readuntil(_END), _HEAD_TIMEOUT_S)
+        if not self._is_admitted(head):
+            await _refuse(writer, "403 Forbidden", "this origin is not in [live] origins")
+        elif self._viewers >= self._most:
+            await _refuse(writer, "503 Service Unavailable", "there are [live] viewers already")
+        else:
+            self._viewers += 1
+            try:
+                await self._pass_on(head, reader, writer)
+            finally:
+                self._viewers -= 1
+
+    def _is_admitted(self, head: bytes) -> bool:
+        """Whether a request names no origin or a known one."""
+        lines = head.decode("latin-1").split("\r\n")[1:]
+        headers = [line.partition(":")[::2] for line in lines]
+        found = [value.strip() for name, value in headers if name.strip().lower() == "origin"]
+        return not found or (len(found) == 1 and found[0] in self._origins)
+
+    async def _pass_on(
+        self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        server_reader, server_writer = await asyncio.open_connection(*self._behind)
+        server_writer.write(head)
+        ways = [
+            asyncio.ensure_future(_pump(reader, server_writer)),
+            asyncio.ensure_future(_pump(server_reader, writer)),
+        ]
+        try:
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for way in ways:
+                way.cancel()
+            await asyncio.gather(*ways, return_exceptions=True)
+            server_writer.close()
+
+
+async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Pass bytes on as fast as they are taken."""
+    with contextlib.suppress(OSError):
+        while data := await reader.read(_PIECE_BYTES):
+            writer.write(data)
+            await writer.drain()
+
+
+async def _refuse(writer: asyncio.StreamWriter, status: str, why: str) -> None:
+    body = f"dropstitch: {why}\n".encode()
+    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    writer.write(head.encode() + body)
+    await asyncio.wait_for(writer.drain(), _HEAD_TIMEOUT_S)
