@@ -85,8 +85,6 @@ def recording(
 ) -> Iterator[SocketTelemetry]:
     """Run a recorder for the duration of the context.
 
-    The docstring makes this function long: it has a parameter for every setting of the recorder.
-
     Parameters
     ----------
     path : Path or None
@@ -99,10 +97,8 @@ def recording(
         Metadata of the file; `dof` is added.
     live : tuple of str and int, optional
         Host and port of the live view for Foxglove.
-    origins : tuple of str
-        Origins that the live view admits.
-    viewers : int
-        Largest number of its viewers.
+    origins, viewers
+        See `firmware_py.log.live_config.LiveConfig`.
 
     Yields
     ------
@@ -124,12 +120,7 @@ def recording(
         fd=theirs.fileno(), path=None if path is None else str(path), live=live, dof=dof,
         origins=origins, viewers=viewers, start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
     )  # fmt: skip
-    process = subprocess.Popen(
-        [sys.executable, "-m", "firmware_py.log.recorder"],
-        stdin=subprocess.PIPE,
-        pass_fds=(theirs.fileno(),),
-        start_new_session=True,  # a Ctrl-C in the terminal must reach the loop only
-    )
+    process = _spawned(theirs)
     theirs.close()
     try:
         _hand_over(task, process)
@@ -139,6 +130,16 @@ def recording(
         ours.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_STOP_TIMEOUT_S)
+
+
+def _spawned(end: socket.socket) -> subprocess.Popen[bytes]:
+    """Start a recorder that inherits its end of the socket."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "firmware_py.log.recorder"],
+        stdin=subprocess.PIPE,
+        pass_fds=(end.fileno(),),
+        start_new_session=True,  # a Ctrl-C in the terminal must reach the loop only
+    )
 
 
 def _hand_over(task: RecorderTask, process: subprocess.Popen[bytes]) -> None:
