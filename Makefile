@@ -38,7 +38,7 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo test test-fast test-durations lint pytest sil faults mutate soak \
-  hitl hitl-emulated bench bench-real claims claims-accept lock clean
+  hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -62,6 +62,7 @@ help:
 	@echo "make claims     measures the figures that the documentation states and prints them beside"
 	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
+	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
 	@echo "make lock       renews requirements/ from pyproject.toml"
@@ -275,6 +276,12 @@ claims: $(READY)
 
 claims-accept: $(READY)
 	$(BIN)/python -m bench.claims --accept --only $(ONLY)
+
+# The robot's predictor on motions never trained, with a stop, a free decay, wrong plants, effects.
+bench-tip: build/bench/tip_1dof.json build/bench/tip_2dof.json
+
+build/bench/tip_%dof.json: build/bundle_%dof/observer.fmu
+	$(BIN)/python -m bench.tip build/bundle_$*dof --out $(@D) >&2
 
 build/bench/onnx.json: $(READY)
 	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]

@@ -3,6 +3,7 @@
 ::
 
     bundle_1dof/study.json, manifest.json     python -m models train
+    bundle_1dof/predictors.json               the same
     study_2dof_phase90/study.json             python -m models train --phase-deg 90
     plant.json                                python -m models identify
     evaluate*.json                            python -m models evaluate … --json
@@ -15,7 +16,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,6 +32,7 @@ from hil.timing.timing_document import TimingDocument, read_timing
 from models.plant.plant import Plant, read_plant
 from models.plant.provenance import Evaluation
 from models.study.study_document import StudyDocument, read_study
+from models.tip.predictors_document import PredictorsDocument, read_predictors
 from models.trials.trial_files import read_trial
 
 T = TypeVar("T")
@@ -140,6 +142,8 @@ class BuildInputs:
         Commands that wrote the directory.
     faults : FaultsDocument or None
         Fault campaign (`faults.json`).
+    predictors : dict of int to PredictorsDocument
+        Candidates for the robot's predictor, by dof, where they were compared.
     """
 
     studies: dict[int, StudyDocument]
@@ -151,6 +155,7 @@ class BuildInputs:
     loops: list[LoopRun]
     commands: list[str]
     faults: FaultsDocument | None = None
+    predictors: dict[int, PredictorsDocument] = field(default_factory=dict)
 
     @property
     def every_study(self) -> dict[str, StudyDocument]:
@@ -192,6 +197,11 @@ def read_build(directory: Path) -> BuildInputs:
         },
         plant=plant,
         evaluations=_evaluations(directory, plant),
+        predictors={
+            dof: read_predictors(path / "predictors.json")
+            for dof, path in bundles.items()
+            if (path / "predictors.json").is_file()
+        },
         checks={
             path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
             for path in sorted(directory.glob("check_*.json"))

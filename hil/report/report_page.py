@@ -26,6 +26,7 @@ from hil.report.report_tables import (
     results_table,
     verdict_sentence,
 )
+from hil.report.study.candidate_table import candidate_table
 from hil.report.study.error_figures import error_figures
 from hil.report.study.estimator_figures import di_estimates, predictors_by_payload
 from hil.report.study.motion_figures import motion_figures
@@ -114,9 +115,11 @@ def _estimators(inputs: BuildInputs) -> list[Part]:
         "It is compared with a lagged regressor and with no DI, on trial 2 and on a motion that "
         "neither training nor identification used."
     )
+    candidates = [candidate_table(inputs.predictors)] if inputs.predictors else []
     return [
-        Paragraph(intro), predictors_by_payload(inputs.studies), di_estimates(inputs.studies),
-        predictor_table(inputs.every_study), di_estimator_table(inputs.studies),
+        *candidates, Paragraph(intro), predictors_by_payload(inputs.studies),
+        di_estimates(inputs.studies), predictor_table(inputs.every_study),
+        di_estimator_table(inputs.studies),
     ]  # fmt: skip
 
 

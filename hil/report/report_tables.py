@@ -29,8 +29,8 @@ PARITY_LIMIT: Final = 1e-9
 OWN_COST_LIMIT_NS: Final = 1_500_000
 DOFS: Final = (1, 2)
 _PARTS: Final = {
-    "all": "all ticks", "in_range": "inputs in the training range",
-    "out_of_range": "inputs outside the training range",
+    "all": "all ticks", "in_range": "in range",
+    "out_of_range": "out of range",
     "rest": "rest between motions", "motion": "motion, as in training",
     "glide": "glide to zero after the motion", "stop": "controlled stop",
 }  # fmt: skip
@@ -318,10 +318,10 @@ def prediction_table(loop: LoopRun) -> Table | None:
         f"Distance between predicted and true tip in {LENGTH.name}",
         ["", "ticks", "mean", "95th percentile", "maximum", "interval covers", "in range"],
         rows,
-        "The training data hold the motion only. During glide and rest the link still swings while "
-        "the joints hardly move. Angle, current and DI, which has no sign, then lie in the "
-        "training range without showing the direction of the swing. So the range check gives no "
-        "warning there, and where the coverage is below 95\u00a0% the interval is too narrow.",
+        "During glide and rest the link still swings while the joints hardly move. The paper's "
+        "polynomial cannot tell to which side: angle, current and DI, which has no sign, do not "
+        "show it. The observer's bend does. Where the coverage is below 95\u00a0% the interval is "
+        "too narrow.",
     )
 
 

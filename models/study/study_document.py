@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import msgspec
 
-from firmware_py.documents import Document, read_document, write_document
+from firmware_py.documents import Document, read_document
 
 __all__ = ["StudyDocument", "read_study", "write_study"]
 
@@ -299,7 +299,7 @@ def read_study(path: Path) -> StudyDocument:
 
 
 def write_study(path: Path, document: StudyDocument) -> None:
-    """Write `study.json`.
+    """Write `study.json` on one line: indented it would be half of a bundle.
 
     Parameters
     ----------
@@ -308,4 +308,4 @@ def write_study(path: Path, document: StudyDocument) -> None:
     document : StudyDocument
         Its content.
     """
-    write_document(path, document)
+    path.write_bytes(msgspec.json.encode(document) + b"\n")

@@ -1,0 +1,42 @@
+"""Table of the candidates for the robot's predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from firmware_py.display_units import FILE_SIZE, FRACTION, LENGTH
+from hil.report.study.estimator_figures import test_words
+from models.shared.page_parts import Table
+from models.tip.predictors_document import PredictorsDocument
+
+
+def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
+    """Return errors, coverage and size of every candidate, on rows left out and on every test.
+
+    Parameters
+    ----------
+    documents : mapping of int to PredictorsDocument
+        By number of joints.
+    """
+    rows = []
+    for dof, document in documents.items():
+        for name, entry in document.candidates.items():
+            chosen = ", chosen" if name == document.chosen else ""
+            scores = {"left out in turn": entry.nested}
+            scores |= {test_words(test): parts["all"] for test, parts in entry.tests.items()}
+            for test, score in scores.items():
+                rows.append(
+                    [
+                        f"{dof}DOF, {name}{chosen}", test,
+                        *map(LENGTH.number, (score.mean_m, score.p95_m, score.max_m)),
+                        FRACTION.text(score.coverage, 1), FRACTION.text(score.in_range),
+                        LENGTH.number(score.max_in_range_m), FILE_SIZE.text(entry.graph_bytes),
+                    ]
+                )  # fmt: skip
+    return Table(
+        f"Candidates for the robot's predictor, Euclidean distance in {LENGTH.name}",
+        ["", "test", "mean", "95th percentile", "maximum", "interval covers", "in range",
+         "maximum in range", "graph"],
+        rows,
+        " ".join(f"{dof}DOF: {document.reason}" for dof, document in documents.items()),
+    )  # fmt: skip
