@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 GOLDEN: Final = "golden.npz"
 TOLERANCE: Final = 1e-9
 """Largest permitted difference, in the SI unit of each quantity."""
+FEWEST_TICKS: Final = 100
+"""Fewest golden ticks: 1.7 s of a motion at 17 ms. [assumed]"""
+_LEAST_WAY_RAD: Final = 1e-3
+"""Least movement of the joint that moves most: one hundredth of the 5° of a first run. [assumed]"""
 
 
 class Golden(NamedTuple):
@@ -102,7 +106,8 @@ def read_golden(path: Path, dof: int) -> Golden:
     Raises
     ------
     InputError
-        If the file is missing or damaged or its arrays do not fit together.
+        If the file is missing or damaged, its arrays do not fit together, or it does not hold 100
+        finite ticks in which a joint moves.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -116,7 +121,20 @@ def read_golden(path: Path, dof: int) -> Golden:
     if not count or [array.shape for array in arrays] != shapes:
         raise InputError(path, f"does not hold ticks of {dof} joints", "train the bundle again")
     angle_rad, current_a, step_s, di, tip_m, payload_kg = arrays
-    return Golden(angle_rad, current_a, float(step_s), di, tip_m, payload_kg)
+    golden = Golden(angle_rad, current_a, float(step_s), di, tip_m, payload_kg)
+    _check_evidence(golden, path)
+    return golden
+
+
+def _check_evidence(golden: Golden, path: Path) -> None:
+    """Refuse ticks with which every estimator and predictor would agree."""
+    finite = all(np.isfinite(part).all() for part in golden[:-1])  # a payload may be unknown
+    way_rad = np.ptp(golden.angle_rad, axis=0).max()
+    if len(golden.angle_rad) < FEWEST_TICKS or not finite or not way_rad >= _LEAST_WAY_RAD:
+        raise InputError(
+            path, f"proves nothing: it does not hold {FEWEST_TICKS} finite ticks of a motion",
+            "train the bundle again",
+        )  # fmt: skip
 
 
 def verify(

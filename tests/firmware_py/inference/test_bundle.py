@@ -97,6 +97,28 @@ def test_damaged_golden_ticks_are_named(bundle, content):
         read_golden(bundle / GOLDEN, 1)
 
 
+def one_tick(golden):
+    parts = {name: getattr(golden, name)[:1] for name in golden._fields if name != "step_s"}
+    return golden._replace(**parts)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        one_tick,
+        lambda golden: golden._replace(tip_m=golden.tip_m * np.nan),
+        lambda golden: golden._replace(di=golden.di + np.inf),
+        lambda golden: golden._replace(angle_rad=golden.angle_rad * np.nan),
+        lambda golden: golden._replace(angle_rad=golden.angle_rad * 0.0),
+        lambda golden: golden._replace(step_s=np.nan),
+    ],
+)
+def test_golden_ticks_that_prove_nothing_are_refused(bundle, change):
+    write_golden(bundle / GOLDEN, change(read_golden(bundle / GOLDEN, 1)))
+    with pytest.raises(InputError, match="proves nothing"):
+        read_golden(bundle / GOLDEN, 1)
+
+
 def test_golden_ticks_of_another_robot_are_refused(bundle):
     with pytest.raises(InputError, match="2 joints"):
         read_golden(bundle / GOLDEN, 2)
