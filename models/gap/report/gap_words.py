@@ -92,14 +92,14 @@ def refusals_in_words(document: GapDocument) -> list[str]:
 
 
 def probabilities_in_words(document: GapDocument) -> str:
-    """Effects that are missing or may be, with their probabilities; empty where there are none."""
+    """Effects that may be missing, with their probabilities; empty where no name was given."""
+    if not any(row.kept for row in document.named):
+        return ""
     likely = {
         effect: probability
         for effect, probability in document.effect_probabilities.items()
         if probability > 1 - DECIDED
     }
-    if not likely:
-        return ""
     rows = ", ".join(f"{e.replace('_', ' ')} {min(p, 0.99):.0%}" for e, p in likely.items())
     return (
         "Probability of being missing, if what is missing is in the catalogue (not calibrated): "
@@ -116,6 +116,8 @@ def next_step_in_words(document: GapDocument) -> str:
             "Record another motion or payload, so that more is left out, or describe the effect in "
             "one file (models/plant/effects)."
         )
+    if not any(row.kept for row in document.named):
+        return "Nothing: the plant explains these trials."
     undecided = [
         effect.replace("_", " ")
         for effect, probability in document.effect_probabilities.items()
@@ -126,9 +128,7 @@ def next_step_in_words(document: GapDocument) -> str:
             f"These trials do not decide on {', '.join(undecided)}: python -m models experiment "
             "designs the motion that does."
         )
-    if any(row.kept for row in document.named):
-        return "Use the improved plant: train a bundle with it (python -m models train --plant)."
-    return "Nothing: the plant explains these trials."
+    return "Use the improved plant: train a bundle with it (python -m models train --plant)."
 
 
 def gap_in_words(document: GapDocument) -> str:
