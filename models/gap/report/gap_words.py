@@ -93,13 +93,13 @@ def refusals_in_words(document: GapDocument) -> list[str]:
 
 def probabilities_in_words(document: GapDocument) -> str:
     """Effects that may be missing, with their probabilities; empty where no name was given."""
-    if not any(row.kept for row in document.named):
-        return ""
     likely = {
         effect: probability
         for effect, probability in document.effect_probabilities.items()
         if probability > 1 - DECIDED
     }
+    if not likely or not any(row.kept for row in document.named):
+        return ""
     rows = ", ".join(f"{e.replace('_', ' ')} {min(p, 0.99):.0%}" for e, p in likely.items())
     return (
         "Probability of being missing, if what is missing is in the catalogue (not calibrated): "
