@@ -37,8 +37,8 @@ endef
 # The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo gap-demo experiment-demo test test-fast test-durations lint pytest sil faults mutate soak \
-  hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
+.PHONY: help setup demo gap-demo experiment-demo tip-demo test test-fast test-durations lint pytest sil \
+  faults mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -50,6 +50,8 @@ help:
 	@echo "make experiment-demo HIDE=encoder_offset=0.02"
 	@echo "                hides an effect that has look-alikes, designs the motion that separates"
 	@echo "                them, runs it on the rig, diagnoses again"
+	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
+	@echo "                with the payload known and unknown; prints the page's path"
 	@echo "make test       lint, types, import contracts and all tests"
 	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
 	@echo "                which lists tests that need more than half a second of processor time"
@@ -215,6 +217,48 @@ GAP_PARTS := $(GAP)/found/plant.json $(GAP)/check_twin_1dof.json \
 
 $(GAP)/report.html: $(GAP_PARTS)
 	$(call run,python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --out $@)
+
+# --- plans for the tip --------------------------------------------------------------------------
+
+# Each plan is run on the rig behind the emulated servos: rigid kinematics, payload known, and payload
+# estimated, there in the second run.
+TIP := build/tip
+TIP_PAYLOADS := 0.7 1.8
+TIP_PATH_1 := line --size 0.45 --seconds 4.352 --turns 2
+TIP_PATH_2 := circle --size 0.45 --seconds 6
+TIP_RUNS := $(foreach dof,1 2,$(foreach kind,rigid known unknown,$(foreach kg,$(TIP_PAYLOADS),$(TIP)/$(dof)dof_$(kind)_$(kg)/timing.json)))
+
+tip-demo: $(TIP)/tip.html
+	@echo
+	@echo "open $(CURDIR)/$<"
+
+$(TIP)/inverse_%dof.json: build/bundle_%dof/observer.fmu
+	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --out $@)
+
+$(TIP)/rigid_%dof.json: build/bundle_%dof/observer.fmu
+	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --rigid --out $@)
+
+plan_on_rig = $(call judge,python -m hil sil --bundle build/bundle_$(1)dof --rig --seed 5 --line virtual --plan $< --payload-kg $* $(2) --out $(@D))
+
+$(TIP)/1dof_rigid_%/timing.json: $(TIP)/rigid_1dof.json
+	$(call plan_on_rig,1,--payload-known)
+$(TIP)/2dof_rigid_%/timing.json: $(TIP)/rigid_2dof.json
+	$(call plan_on_rig,2,--payload-known)
+$(TIP)/1dof_known_%/timing.json: $(TIP)/inverse_1dof.json
+	$(call plan_on_rig,1,--payload-known)
+$(TIP)/2dof_known_%/timing.json: $(TIP)/inverse_2dof.json
+	$(call plan_on_rig,2,--payload-known)
+$(TIP)/1dof_unknown_%/timing.json: $(TIP)/inverse_1dof.json
+	$(call plan_on_rig,1,--runs 2)
+$(TIP)/2dof_unknown_%/timing.json: $(TIP)/inverse_2dof.json
+	$(call plan_on_rig,2,--runs 2)
+
+$(TIP)/tip.html: $(TIP_RUNS)
+	$(call run,python -m hil tip $(@D) --out $@)
+
+# The page as numbers.
+build/tip/tip.json: $(TIP)/tip.html
+	$(BIN)/python -m hil tip $(@D) --json > $@
 
 # --- checks -------------------------------------------------------------------------------------
 

@@ -57,8 +57,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
     )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=float, help="duration (default: 10, or one run of the plan)"
+        "--seconds", type=float, help="duration (default: 10, or the runs of the plan)"
     )
+    parser.add_argument("--runs", type=int, default=1, help="with --plan: times to run it (1)")
     parser.add_argument(
         "--plan", type=Path, metavar="PLAN.json",
         help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
@@ -84,7 +85,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, judge, write."""
     plan = read_tip_plan(args.plan) if args.plan is not None else None
-    seconds = 10.0 if plan is None else plan.duration_s
+    if args.runs < 1 or (args.runs > 1 and plan is None):
+        raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
+    seconds = 10.0 if plan is None else args.runs * plan.duration_s
     options = SilOptions(
         bundle=ModelBundle.load(args.bundle),
         model=model_named(args.model),

@@ -1,0 +1,41 @@
+"""HTML page about plans of the tip that were run on the rig: paths, errors, payloads.
+
+DIR holds what `make tip-demo` left: the plans inverse_Ndof.json and rigid_Ndof.json, and the
+results of 'python -m hil sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG and Ndof_unknown_KG.
+--json prints the RMS errors, and the largest ratio of the plan's to that of rigid kinematics.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, emit
+from firmware_py.display_units import LENGTH
+
+EXAMPLE = "python -m hil tip build/tip"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
+    add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/tip.html)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    from hil.report.tip.planned_runs import read_planned_runs, tip_figures
+    from hil.report.tip.tip_page import write_tip_page  # loads matplotlib
+
+    runs = read_planned_runs(args.directory)
+    out = args.out or args.directory / "tip.html"
+    write_tip_page(runs, out)
+    figures = tip_figures(runs)
+    lines = ["tip off its path, RMS in mm   rigid    known  unknown"]
+    for case in figures["cases"]:
+        values = (case.get(f"{k}_rms_m") for k in ("rigid", "known", "unknown"))
+        cells = "".join(f"{'–' if v is None else LENGTH.number(v, 2):>9}" for v in values)
+        lines.append(f"  {case['dof']}DOF, {case['payload_kg']:4g} kg          {cells}")
+    emit(args, figures, "\n".join([*lines, f"see {out}"]))
+    return DONE

@@ -1,0 +1,136 @@
+"""Runs of plans in a directory: tip against path, by joints, payload and what the robot knew."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
+from firmware_py.log.recording import read_recording
+from firmware_py.signals import tip_names
+from hil.sil.sil_loop import LOG_NAME
+from hil.timing.timing_document import read_timing
+from models.trials.trial_files import read_trial
+
+Array = NDArray[np.float64]
+Knowledge = Literal["rigid", "known", "unknown"]
+KNOWLEDGE: Final[tuple[Knowledge, ...]] = get_args(Knowledge)
+"""Rigid kinematics; the plan with the payload known; the plan with the payload estimated."""
+TARGETS: Final = {"known": 1 / 25, "unknown": 1 / 20}
+"""Largest RMS error over that of rigid kinematics that the project asks for."""
+_NAME: Final = re.compile(r"([12])dof_(rigid|known|unknown)_([\d.]+)")
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """Last run of a plan in a directory of `hil sil`.
+
+    Attributes
+    ----------
+    dof : int
+        Joints.
+    knowledge : {"rigid", "known", "unknown"}
+        See `KNOWLEDGE`.
+    payload_kg : float
+        Mass at the tip of the rig.
+    plan : TipPlan
+        That was run.
+    tip_m : ndarray, shape (n, dof)
+        True tip at each row of the plan, in its last run.
+    rms_m, max_m : float
+        Distance from the path over that run, as `hil sil` judged it.
+    """
+
+    dof: int
+    knowledge: Knowledge
+    payload_kg: float
+    plan: TipPlan
+    tip_m: Array
+    rms_m: float
+    max_m: float
+
+    @property
+    def away_m(self) -> Array:
+        """Distance from the path, shape (n,)."""
+        return np.asarray(np.linalg.norm(self.tip_m - self.plan.desired_tip_m(), axis=1))
+
+
+def read_planned_runs(directory: Path) -> list[PlannedRun]:
+    """Read the runs that `make tip-demo` left, by joints, payload and knowledge.
+
+    Parameters
+    ----------
+    directory : Path
+        With the folders NAME and the plans `inverse_Ndof.json` and `rigid_Ndof.json`.
+
+    Raises
+    ------
+    InputError
+        If there is no run, or its files are missing or damaged.
+    """
+    found = []
+    for folder in sorted(directory.glob("*")):
+        match = _NAME.fullmatch(folder.name)
+        if match and (folder / "timing.json").exists():
+            found.append(_read(directory, folder, *match.groups()))
+    if not found:
+        raise InputError(directory, "holds no run of a plan", "run 'make tip-demo'")
+    return sorted(found, key=lambda r: (r.dof, r.payload_kg, KNOWLEDGE.index(r.knowledge)))
+
+
+def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> PlannedRun:
+    knowledge = next(k for k in KNOWLEDGE if k == kind)
+    method = "rigid" if knowledge == "rigid" else "inverse"
+    plan = read_tip_plan(directory / f"{method}_{dof}dof.json")
+    timing = read_timing(folder / "timing.json")
+    trial = read_trial(folder / "trial" / "sil.csv")
+    if not timing.path_errors:
+        raise InputError(
+            folder, f"holds no whole run of the plan ({timing.reason})", "run it again"
+        )
+    runs = len(timing.path_errors)
+    before = -int(read_recording(folder / LOG_NAME).columns["tick"][0])
+    start = before + (runs - 1) * plan.rows
+    tip = np.column_stack([trial.columns[name] for name in tip_names()[: plan.dof]])
+    last = timing.path_errors[-1]
+    return PlannedRun(
+        int(dof), knowledge, float(payload), plan, tip[start : start + plan.rows],
+        last.rms_m, last.max_m,
+    )  # fmt: skip
+
+
+def tip_figures(runs: list[PlannedRun]) -> dict[str, Any]:
+    """RMS errors by joints and payload, their largest ratios to rigid kinematics, and the inverse.
+
+    Parameters
+    ----------
+    runs : list of PlannedRun
+        Of `read_planned_runs`.
+    """
+    cases: list[dict[str, Any]] = []
+    for dof, payload_kg in sorted({(r.dof, r.payload_kg) for r in runs}):
+        own = {r.knowledge: r for r in runs if (r.dof, r.payload_kg) == (dof, payload_kg)}
+        case: dict[str, Any] = {"dof": dof, "payload_kg": payload_kg}
+        case |= {f"{k}_rms_m": r.rms_m for k, r in own.items()}
+        if "rigid" in own:
+            case |= {f"{k}_ratio": own[k].rms_m / own["rigid"].rms_m for k in TARGETS if k in own}
+        cases.append(case)
+    worst = {
+        f"{k}_ratio": max((c[f"{k}_ratio"] for c in cases if f"{k}_ratio" in c), default=None)
+        for k in TARGETS
+    }
+    times = {
+        f"{k}_times_{dof}dof": min(
+            (1 / c[f"{k}_ratio"] for c in cases if c["dof"] == dof and f"{k}_ratio" in c),
+            default=None,
+        )
+        for k in TARGETS
+        for dof in sorted({r.dof for r in runs})
+    }
+    return {"cases": cases} | worst | times
