@@ -41,6 +41,8 @@ integrated; the tips are within 10 µm of those of a step of 0.25 ms."""
 
 INNOVATION_S: Final = 1.0
 """Time constant of the innovation's mean square; assumed, a quarter of the study's cycle."""
+LEAST_SQUARE: Final = 1e-24
+"""Least square under a root: the slope of the root is infinite at zero."""
 
 
 def observer_parameters() -> tuple[Parameter, ...]:
@@ -179,8 +181,8 @@ def _state_of_the_estimate(
         add(f"joint_rate_{j}_rad_s", "rad/s", f"rate of joint {j}", scope.rate[j])
         square = scope.states[f"innovation_square_{j}"].symbol
         add(f"innovation_{j}_a", "A", f"root mean square innovation of current {j}, moving",
-            ca.sqrt(ca.fmax(square, 0)))  # fmt: skip
-    variance = ca.fmax(scope.states["covariance_1_1"].symbol, 0)
+            ca.sqrt(ca.fmax(square, LEAST_SQUARE)))  # fmt: skip
+    variance = ca.fmax(scope.states["covariance_1_1"].symbol, LEAST_SQUARE)
     deviation = ca.if_else(scope.p("payload_known_kg") >= 0, 0, ca.sqrt(variance))
     for axis in "xyz":
         if f"tip_{axis}_m" in outputs:

@@ -37,6 +37,11 @@ def test_the_nominal_plant_names_value_unit_bounds_and_source_of_everything():
         assert unit_of(name) in (q.unit, None), name
 
 
+OF_THE_ESTIMATE = [
+    ("bend", "rad"), ("bend_rate", "rad_s"), ("joint_rate", "rad_s"), ("innovation", "a"),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize("dof", [1, 2])
 def test_units_have_the_contracts_inputs_and_outputs(dof):
     plant, joints = read_plant(), range(1, dof + 1)
@@ -46,7 +51,11 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
     assert names(twin.inputs) == [*(f"goal_{j}_rad" for j in joints), "payload_kg"]
     assert names(twin.outputs) == [*angles, *currents, "di", *tip]
     assert names(observer.inputs) == [*angles, *currents]
-    assert names(observer.outputs) == ["di", *tip, "payload_kg"]
+    assert names(observer.outputs)[:5] == ["di", *tip, "payload_kg"]
+    assert set(names(observer.outputs)[5:]) == {
+        *(f"{name}_{j}_{unit}" for j in joints for name, unit in OF_THE_ESTIMATE),
+        *(f"tip_{axis}_deviation_m" for axis in "xyz"),
+    }
     springs, creep_branches, shape_of_goal, sampling, step_length = 2, 3, 2, 1, 1
     own = 8 + shape_of_goal + sampling + springs * creep_branches
     assert len(twin.states) == own * dof + step_length
