@@ -27,6 +27,7 @@ from bench.tip.tip_runs import (
     run_free_decay,
 )
 from firmware_py.console import DONE, Progress
+from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.inference.bundle import ModelBundle
 
 HIDDEN: Final = {
@@ -177,10 +178,11 @@ def table(document: Mapping[str, Any]) -> str:
 def _cell(figures: Mapping[str, float] | None) -> str:
     if figures is None:
         return ""
-    error = f"{1e3 * figures['mean_m']:.1f} / {1e3 * figures['max_m']:.1f}"
+    error = f"{LENGTH.number(figures['mean_m'])} / {LENGTH.number(figures['max_m'])}"
     if not np.isfinite(figures["half_width_m"]):
         return error
-    return f"{error}  {100 * figures['coverage']:.1f}  {100 * figures['in_range']:.0f}"
+    covers, in_range = FRACTION.number(figures["coverage"], 1), FRACTION.number(figures["in_range"])
+    return f"{error}  {covers}  {in_range}"
 
 
 if __name__ == "__main__":

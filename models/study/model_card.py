@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from firmware_py.display_units import DURATION, FRACTION, LENGTH
+from firmware_py.display_units import DURATION, FILE_SIZE, FRACTION, LENGTH
 from firmware_py.inference.bundle import Manifest
 from models.study.study_document import StudyDocument, TrialsSummary
 from models.tip.guarded_tip import MARGIN, TRUSTED_M
@@ -111,7 +111,8 @@ def _candidates(predictors: PredictorsDocument) -> str:
         "interval covers in %", "in range in %", "largest in range in mm",
     )  # fmt: skip
     sizes = ", ".join(
-        f"{name} {entry.graph_bytes / 1000:.0f} kB" for name, entry in predictors.candidates.items()
+        f"{name} {FILE_SIZE.number(entry.graph_bytes)} kB"
+        for name, entry in predictors.candidates.items()
     )
     payloads = ", ".join(f"{kg:g}" for kg in predictors.payload_kg)
     return f"""## Choice of the predictor
