@@ -10,12 +10,12 @@ from bench.gap.__main__ import run_benchmark
 from bench.gap.cases import draw_cases
 from bench.gap.score_summary import benchmark_figures
 
-SINGLES, NULLS = 2, 1
+SINGLES, NULLS = 1, 1
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Directory of results: two effects, and a data set without any, with a plant of that rig.
+    """Directory of results: an effect, and a data set without any, with a plant of that rig.
 
     They run in this process: the tests take both cores already.
     """
@@ -43,4 +43,4 @@ def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
     run_benchmark(drawn[:SINGLES], Path("no such plant"), results)
     assert {f: f.stat().st_mtime_ns for f in files} == before
     kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
-    assert sorted(kinds) == ["null", "single", "single"]
+    assert sorted(kinds) == ["null", "single"]
