@@ -222,43 +222,43 @@ $(GAP)/report.html: $(GAP_PARTS)
 
 # Each plan is run on the rig behind the emulated servos: rigid kinematics, payload known, and payload
 # estimated, there in the second run.
-TIP := build/tip
+PLANS := build/plans
 TIP_PAYLOADS := 0.7 1.8
 TIP_PATH_1 := line --size 0.45 --seconds 4.352 --turns 2
 TIP_PATH_2 := circle --size 0.45 --seconds 6
-TIP_RUNS := $(foreach dof,1 2,$(foreach kind,rigid known unknown,$(foreach kg,$(TIP_PAYLOADS),$(TIP)/$(dof)dof_$(kind)_$(kg)/timing.json)))
+PLAN_RUNS := $(foreach dof,1 2,$(foreach kind,rigid known unknown,$(foreach kg,$(TIP_PAYLOADS),$(PLANS)/$(dof)dof_$(kind)_$(kg)/timing.json)))
 
-tip-demo: $(TIP)/tip.html
+tip-demo: $(PLANS)/plans.html
 	@echo
 	@echo "open $(CURDIR)/$<"
 
-$(TIP)/inverse_%dof.json: build/bundle_%dof/observer.fmu
+$(PLANS)/inverse_%dof.json: build/bundle_%dof/observer.fmu
 	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --out $@)
 
-$(TIP)/rigid_%dof.json: build/bundle_%dof/observer.fmu
+$(PLANS)/rigid_%dof.json: build/bundle_%dof/observer.fmu
 	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --rigid --out $@)
 
 plan_on_rig = $(call judge,python -m hil sil --bundle build/bundle_$(1)dof --rig --seed 5 --line virtual --plan $< --payload-kg $* $(2) --out $(@D))
 
-$(TIP)/1dof_rigid_%/timing.json: $(TIP)/rigid_1dof.json
+$(PLANS)/1dof_rigid_%/timing.json: $(PLANS)/rigid_1dof.json
 	$(call plan_on_rig,1,--payload-known)
-$(TIP)/2dof_rigid_%/timing.json: $(TIP)/rigid_2dof.json
+$(PLANS)/2dof_rigid_%/timing.json: $(PLANS)/rigid_2dof.json
 	$(call plan_on_rig,2,--payload-known)
-$(TIP)/1dof_known_%/timing.json: $(TIP)/inverse_1dof.json
+$(PLANS)/1dof_known_%/timing.json: $(PLANS)/inverse_1dof.json
 	$(call plan_on_rig,1,--payload-known)
-$(TIP)/2dof_known_%/timing.json: $(TIP)/inverse_2dof.json
+$(PLANS)/2dof_known_%/timing.json: $(PLANS)/inverse_2dof.json
 	$(call plan_on_rig,2,--payload-known)
-$(TIP)/1dof_unknown_%/timing.json: $(TIP)/inverse_1dof.json
+$(PLANS)/1dof_unknown_%/timing.json: $(PLANS)/inverse_1dof.json
 	$(call plan_on_rig,1,--runs 2)
-$(TIP)/2dof_unknown_%/timing.json: $(TIP)/inverse_2dof.json
+$(PLANS)/2dof_unknown_%/timing.json: $(PLANS)/inverse_2dof.json
 	$(call plan_on_rig,2,--runs 2)
 
-$(TIP)/tip.html: $(TIP_RUNS)
-	$(call run,python -m hil tip $(@D) --out $@)
+$(PLANS)/plans.html: $(PLAN_RUNS)
+	$(call run,python -m hil plans $(@D) --out $@)
 
 # The page as numbers.
-build/tip/tip.json: $(TIP)/tip.html
-	$(BIN)/python -m hil tip $(@D) --json > $@
+build/plans/plans.json: $(PLANS)/plans.html
+	$(BIN)/python -m hil plans $(@D) --json > $@
 
 # --- checks -------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -39,6 +40,8 @@ class ModelEstimator:
     InputError
         If the model lacks one.
     """
+
+    waits_for_fresh: ClassVar[bool] = True
 
     def __init__(self, model: StepModel, wanted: Sequence[str] = ()) -> None:
         self._model, self._parameters = model, model.parameter_values()

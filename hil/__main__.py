@@ -12,7 +12,7 @@ COMMANDS = (
     Command("sil", "hil.commands.sil", "run the loop in software, judge its timing"),
     Command("faults", "hil.commands.faults", "inject every fault, check what happens"),
     Command("gap", "hil.commands.gap", "write the HTML report of a diagnosed gap"),
-    Command("tip", "hil.commands.tip", "write the HTML page of plans that were run on the rig"),
+    Command("plans", "hil.commands.plans", "write the HTML page of plans that were run on the rig"),
     Command("report", "hil.commands.report", "write the HTML report of a whole run"),
 )
 

@@ -169,6 +169,11 @@ def _wrong_in(plan: TipPlan) -> str:
         return f"is for {plan.dof} joints; 1 or 2 can move"
     if len(plan.desired_m) != plan.dof or not 2 <= plan.rows <= MOST_ROWS:
         return f"needs {plan.dof} columns of 2 to {MOST_ROWS} rows in desired_m"
+    if any(len(c) != plan.rows for c in plan.desired_m) or not np.isfinite(plan.desired_m).all():
+        return "has columns of different length, or a value that is not finite, in desired_m"
+    ends = (plan.start_row, plan.end_row), *plan.drawn
+    if not all(0 <= first < after <= plan.rows for first, after in ends):
+        return f"has a path or a stroke outside of its {plan.rows} rows"
     if not 1e-3 <= plan.period_s <= 1.0:
         return f"has a period of {plan.period_s:g} s, outside 0.001 to 1 s"
     if not 0 <= plan.rest_s < plan.duration_s:

@@ -61,7 +61,15 @@ class Estimate(NamedTuple):
 
 
 class DeformationEstimator(Protocol):
-    """Interface of an estimator of the Deformation Index from the servos' signals."""
+    """Interface of an estimator of the Deformation Index from the servos' signals.
+
+    Attributes
+    ----------
+    waits_for_fresh : bool
+        Whether it takes fresh samples only, see `SampleHold`; else one in every tick.
+    """
+
+    waits_for_fresh: ClassVar[bool]
 
     def reset(self) -> None:
         """Discard the past: the next sample is the first of a run that starts at rest."""
@@ -92,6 +100,8 @@ class NoEstimator:
     0.0
     """
 
+    waits_for_fresh: ClassVar[bool] = False
+
     def reset(self) -> None:
         """Do nothing."""
 
@@ -120,6 +130,8 @@ class LaggedEstimator:
     InputError
         If the file is missing, damaged or of another shape.
     """
+
+    waits_for_fresh: ClassVar[bool] = False
 
     def __init__(self, path: Path | str, lag_ticks: Sequence[int], dof: int) -> None:
         self._graph = OnnxGraph(path, 2 * dof * len(lag_ticks), (("di", 1),))
@@ -150,8 +162,6 @@ class LaggedEstimator:
 
 class ObserverEstimator:
     """Observer: the identified plant driven by measured angle and current (`observer.fmu`).
-
-    A class attribute says that it takes fresh samples only: see `SampleHold`.
 
     Before the first sample the link is assumed to have rested at that sample.
 
@@ -247,7 +257,7 @@ class SampleHold:
     """
 
     def __init__(self, estimator: DeformationEstimator) -> None:
-        self._estimator, self._waits = estimator, getattr(estimator, "waits_for_fresh", False)
+        self._estimator = estimator
         self._latest: Estimate | None = None
         self.age_s = self._gap_s = self._without_s = 0.0
         self._usual_s = math.inf
@@ -269,7 +279,7 @@ class SampleHold:
             Whether the sample was measured in this tick.
         """
         latest = self._latest
-        if not self._waits:
+        if not self._estimator.waits_for_fresh:
             return self._estimator.update(angle_rad, current_a, step_s)
         self._usual_s = min(self._usual_s, step_s)
         whole_s = min(step_s + self._without_s, max(step_s, _LONGEST_STEP_S))

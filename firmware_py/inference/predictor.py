@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+import msgspec
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
@@ -180,7 +180,7 @@ class OnnxPredictor:
         self._graph = OnnxGraph(path, None, outputs)
         self._prediction = Prediction(*self._graph.results)
         measured, row = feature_names(dof), self._graph.row
-        self.inputs = named_inputs(self._graph.metadata) or measured
+        self.inputs = named_inputs(self._graph.metadata, path) or measured
         first, rest = self.inputs[: len(measured)], self.inputs[len(measured) :]
         aged = rest[:1] == (AGE.name,)
         self.wanted = rest[aged:]
@@ -215,13 +215,31 @@ class OnnxPredictor:
         return self._prediction
 
 
-def named_inputs(metadata: dict[str, str]) -> tuple[str, ...]:
+class _Feature(msgspec.Struct, frozen=True):
+    """Input column as the metadata name it; what else they hold is for people."""
+
+    name: str
+
+
+def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ...]:
     """Return the names of a graph's input columns by its metadata; none where it does not say.
 
     Parameters
     ----------
-    metadata : dict of str to str
+    metadata : mapping of str to str
         The file's `metadata_props`; "features" is a list of objects with a "name".
+    path : Path or str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        If the metadata are damaged.
     """
-    features: Sequence[dict[str, str]] = json.loads(metadata.get("features", "[]"))
-    return tuple(feature["name"] for feature in features)
+    try:
+        features = msgspec.json.decode(metadata.get("features", "[]"), type=list[_Feature])
+    except msgspec.DecodeError as error:
+        raise InputError(
+            path, f"names its inputs in damaged metadata ({error})", "train the bundle again"
+        ) from None
+    return tuple(feature.name for feature in features)

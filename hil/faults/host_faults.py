@@ -7,7 +7,7 @@ passed in, so the same fault runs in simulated or in real time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,7 @@ def _request_nothing(reason: str) -> None:
 
 
 class FaultyEstimator:
-    """Estimator that stalls, leaves garbage, or returns a wrong value.
+    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks.
 
     Parameters
     ----------
@@ -106,6 +106,8 @@ class FaultyEstimator:
     host : HostFaults
         Schedule of the faults.
     """
+
+    waits_for_fresh: ClassVar[bool] = False  # it must be called in every tick
 
     def __init__(self, inner: DeformationEstimator, host: HostFaults) -> None:
         self._inner, self._host = inner, host

@@ -37,7 +37,7 @@ def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
         metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
     except Exception:  # protobuf raises types of its own
         raise InputError(path, "is not an ONNX graph", "train the bundle again") from None
-    return named_inputs(metadata) or feature_names(dof)
+    return named_inputs(metadata, path) or feature_names(dof)
 
 
 def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function:

@@ -8,7 +8,6 @@ C code does not depend on the path, and a path of any length needs no other comp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -131,31 +130,17 @@ def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
     states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
     goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(dof))
     kept, size = len(model.parameters), len(model.states)
-    sizes = {"x": size, "u": 1, "p": kept + size + dof, "h": 1}
 
-    def wrapped(what: str, labels: str) -> ca.Function:
-        own: Callable[..., ca.SX] = getattr(model, what)
-        symbols = {name: ca.SX.sym(name, sizes[name]) for name in labels}
-        p = symbols["p"]
-        given = symbols | {"u": ca.vertcat(p[kept + size :], symbols["u"]), "p": p[:kept]}
-        result = own(*(given[name] for name in labels))
-        if what == "output":
-            result = ca.vertcat(symbols["x"], result)
-        return ca.Function(what, list(symbols.values()), [result])
+    def own(u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
+        return ca.vertcat(p[kept + size :], u), p[:kept]
 
-    u, p = ca.SX.sym("u", 1), ca.SX.sym("p", sizes["p"])
+    name, parameters = f"{model.name}_one_step", model.parameters + states + goals
+    driven = model.rewired(name, (model.inputs[-1],), parameters, own)
+    x, u, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("p", len(parameters))
     driven = replace(
-        model,
-        name=f"{model.name}_one_step",
-        inputs=(model.inputs[-1],),
-        parameters=model.parameters + states + goals,
+        driven,
         outputs=model.states + model.outputs,
         initial=ca.Function("initial", [u, p], [p[kept : kept + size]]),
-        begin=wrapped("begin", "xuph"),
-        flow=wrapped("flow", "xuph"),
-        finish=wrapped("finish", "xuph"),
-        smooth_finish=wrapped("smooth_finish", "xuph") if model.smooth_finish else None,
-        output=wrapped("output", "xup"),
-        rate=wrapped("rate", "xup"),
+        output=ca.Function("output", [x, u, p], [ca.vertcat(x, driven.output(x, u, p))]),
     )
     return SensitiveModel(driven, names(states + goals))

@@ -16,8 +16,9 @@ by measurements (the observer) u is the sample at the END of the step.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -55,6 +56,13 @@ class Variable:
     minimum: float = -math.inf
     maximum: float = math.inf
     nominal: float = 1.0
+
+
+ARGUMENTS: Final = {
+    "initial": "up", "begin": "xuph", "flow": "xuph", "finish": "xuph", "smooth_finish": "xuph",
+    "output": "xup", "rate": "xup",
+}  # fmt: skip
+"""Arguments of each function of a model: state, inputs, parameters, step."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +129,40 @@ class StepModel:
                 raise KeyError(name)
             values[names.index(name)] = value
         return values
+
+    def rewired(
+        self,
+        name: str,
+        inputs: tuple[Variable, ...],
+        parameters: tuple[Variable, ...],
+        own: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
+    ) -> StepModel:
+        """Model with other inputs and parameters, from which those of this one follow.
+
+        Parameters
+        ----------
+        name : str
+            C identifier of the new model.
+        inputs, parameters : tuple of Variable
+            Of the new model.
+        own : callable
+            (u, p) of the new model -> (u, p) of this one.
+        """
+        size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
+
+        def wrapped(what: str, function: ca.Function) -> ca.Function:
+            symbols = {label: ca.SX.sym(label, size[label]) for label in "xuph"}
+            given = symbols | dict(zip("up", own(symbols["u"], symbols["p"]), strict=True))
+            labels = ARGUMENTS[what]
+            result = function(*(given[label] for label in labels))
+            return ca.Function(what, [symbols[label] for label in labels], [result])
+
+        changed: dict[str, Any] = {
+            what: wrapped(what, getattr(self, what))
+            for what in ARGUMENTS
+            if getattr(self, what) is not None
+        }
+        return replace(self, name=name, inputs=inputs, parameters=parameters, **changed)
 
     def substeps(self, step_s: float) -> int:
         """Number of sub-steps that one step of `step_s` takes."""

@@ -10,6 +10,7 @@ from sklearn.model_selection import KFold
 from firmware_py.inference.bundle import Manifest, Quantity, write_manifest
 from firmware_py.inference.golden import Golden, write_golden
 from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
+from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from models.learning.onnx_power import to_onnx
 from models.learning.predictors import GuardedPredictor
@@ -30,6 +31,18 @@ def toy():
 def toy_fmu(request, toy, tmp_path_factory):
     path = tmp_path_factory.mktemp("toy") / f"pendulum_fmi{request.param}.fmu"
     return build_fmu(toy, path, fmi=request.param, description="A pendulum & <a counter>.")
+
+
+@pytest.fixture(scope="module")
+def archive(toy_fmu):
+    with FmuArchive(toy_fmu) as archive:
+        yield archive
+
+
+@pytest.fixture
+def instance(archive):
+    with archive.instance() as instance:
+        yield instance
 
 
 @pytest.fixture(scope="session")

@@ -9,22 +9,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 
 from firmware_py.signals import PERIOD_S
-from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import exported_functions
 from fmu.parity import varying_steps_s
 from models.plant.step_model import names
-
-
-@pytest.fixture(scope="module")
-def archive(toy_fmu):
-    with FmuArchive(toy_fmu) as archive:
-        yield archive
-
-
-@pytest.fixture
-def instance(archive):
-    with archive.instance() as instance:
-        yield instance
 
 
 def _inputs(count):

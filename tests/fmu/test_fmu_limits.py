@@ -12,20 +12,7 @@ from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 from fmu.__main__ import main
-from fmu.fmpy_instance import FmuArchive
 from hil.emulator.fmu_physics import FmuPhysics
-
-
-@pytest.fixture(scope="module")
-def archive(toy_fmu):
-    with FmuArchive(toy_fmu) as archive:
-        yield archive
-
-
-@pytest.fixture
-def instance(archive):
-    with archive.instance() as instance:
-        yield instance
 
 
 def _start(instance, start_s, stop_s):

@@ -8,15 +8,8 @@ import pytest
 from fmpy.fmi1 import FMICallException
 
 from firmware_py.signals import PERIOD_S
-from fmu.fmpy_instance import FmuArchive
 
 OUTPUTS = ["time", "tip_x_m", "tip_z_m", "torque_filtered_nm", "steps"]
-
-
-@pytest.fixture(scope="module")
-def archive(toy_fmu):
-    with FmuArchive(toy_fmu) as archive:
-        yield archive
 
 
 @pytest.fixture

@@ -1,12 +1,9 @@
 """State machine of an FMU: random sequences of calls, legal ones accepted, others refused."""
 
 import numpy as np
-import pytest
 from fmpy.fmi1 import FMICallException
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from fmu.fmpy_instance import FmuArchive
 
 # The standards' state machines for Co-Simulation without event mode: call -> {state: next state}.
 LEGAL = {
@@ -21,12 +18,6 @@ LEGAL = {
     },
 }
 CALLS = st.lists(st.sampled_from([*LEGAL, "save", "restore"]), min_size=1, max_size=25)
-
-
-@pytest.fixture(scope="module")
-def archive(toy_fmu):
-    with FmuArchive(toy_fmu) as archive:
-        yield archive
 
 
 @settings(max_examples=40, deadline=None)

@@ -7,8 +7,7 @@ sensitivities from the same variational equation as any other parameter's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import casadi as ca
 import msgspec
@@ -174,26 +173,5 @@ def with_coefficients(model: StepModel, count: int, dof: int) -> StepModel:
         ]
         return ca.vertcat(*row), p[:kept]
 
-    sizes = {"x": len(model.states), "u": count + len(others), "p": kept + len(weights), "h": 1}
-
-    def wrapped(what: str, labels: str) -> ca.Function:
-        own: Callable[..., ca.SX] = getattr(model, what)
-        symbols = {name: ca.SX.sym(name, sizes[name]) for name in labels}
-        goals, parameters = inner(symbols["u"], symbols["p"])
-        given = symbols | {"u": goals, "p": parameters}
-        result = own(*(given[name] for name in labels))
-        return ca.Function(what, list(symbols.values()), [result])
-
-    return replace(
-        model,
-        name=f"{model.name}_by_coefficients",
-        inputs=inputs + others,
-        parameters=model.parameters + weights,
-        initial=wrapped("initial", "up"),
-        begin=wrapped("begin", "xuph"),
-        flow=wrapped("flow", "xuph"),
-        finish=wrapped("finish", "xuph"),
-        smooth_finish=wrapped("smooth_finish", "xuph") if model.smooth_finish else None,
-        output=wrapped("output", "xup"),
-        rate=wrapped("rate", "xup"),
-    )
+    name = f"{model.name}_by_coefficients"
+    return model.rewired(name, inputs + others, model.parameters + weights, inner)

@@ -5,6 +5,7 @@ import math
 import tracemalloc
 
 import numpy as np
+import onnx
 import pytest
 
 from firmware_py.errors import InputError
@@ -69,6 +70,16 @@ def test_a_tick_leaves_nothing_allocated(predictor):
     # The interpreter's pools grow now and then; what leaks grows every time.
     assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
     assert predictor.predict(angle_rad, current_a, 0.002) is answer
+
+
+@pytest.mark.parametrize("features", ["no JSON", '["angle_1_rad"]', '{"name": "di"}', "[{}]"])
+def test_damaged_metadata_are_named(tmp_path, toy_bundle, features):
+    graph = onnx.load(toy_bundle / "predictor.onnx")
+    del graph.metadata_props[:]
+    onnx.helper.set_model_props(graph, {"features": features})
+    onnx.save(graph, tmp_path / "predictor.onnx")
+    with pytest.raises(InputError, match=r"predictor\.onnx: names its inputs in damaged metadata"):
+        OnnxPredictor(tmp_path / "predictor.onnx", 1)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a graph", None])

@@ -22,6 +22,7 @@ from firmware_py.inference.predictor import Prediction
 from firmware_py.log.recording import read_recording
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
+from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
 from fmu.fmu_builder import build_fmu
@@ -196,13 +197,13 @@ def test_the_verdict_on_a_run_in_real_time_follows_from_its_evidence(options, li
     chosen = options(line=line, seconds=1.0)
     result = run_sil(chosen)
     timing, records = write_results(result, chosen), result.records
-    assert result.summary.ended is Ended.FINISHED
+    assert result.summary.faults <= {Fault.DATA, Fault.SLOTS}, "a host can hold these up, no more"
     # Slots are lost where a tick ended after its slot, and nowhere else.
     late = records["lateness_ns"] + records["busy_ns"] > 17_000_000
     assert [miss.tick for miss in timing.missed] == records["tick"][late].tolist()
     assert timing.slots - timing.ticks == timing.misses == sum(timing.causes.values())
     assert timing.own_misses == timing.misses - timing.causes[Cause.PREEMPTED]
-    restless = timing.host.preempted_ticks > 0.01 * len(records)
+    restless = result.summary.faults or timing.host.preempted_ticks > 0.01 * len(records)
     calm = "inconclusive" if restless else "pass"
     assert timing.verdict == ("fail" if timing.own_misses else calm)
     assert timing.environment.line == line

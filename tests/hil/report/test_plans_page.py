@@ -8,8 +8,8 @@ import pytest
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from hil.__main__ import main
-from hil.report.tip.planned_runs import PlannedRun, read_planned_runs, tip_figures
-from hil.report.tip.tip_page import write_tip_page
+from hil.report.plans.planned_runs import PlannedRun, plan_figures, read_planned_runs
+from hil.report.plans.plans_page import write_plans_page
 
 ROWS = 60
 PATH = tuple(np.sin(np.linspace(0.0, 2.0 * np.pi, ROWS)).tolist())
@@ -45,18 +45,18 @@ def runs():
 
 
 def test_errors_are_compared_with_rigid_kinematics_case_by_case(runs):
-    figures = tip_figures(runs)
+    figures = plan_figures(runs)
     assert len(figures["cases"]) == 4
     assert figures["known_ratio"] == pytest.approx(1 / 50)
     assert figures["unknown_times_2dof"] == pytest.approx(50 / 4)
     worse = [*runs[:-1], run_of(2, "unknown", 1.0, 0.05)]
-    assert tip_figures(worse)["unknown_ratio"] == pytest.approx(0.5)
+    assert plan_figures(worse)["unknown_ratio"] == pytest.approx(0.5)
     assert runs[1].away_m == pytest.approx(0.001)
 
 
 def test_the_page_draws_every_case_and_says_what_is_not_there(runs, tmp_path):
-    write_tip_page(runs, tmp_path / "tip.html")
-    page = (tmp_path / "tip.html").read_text(encoding="utf-8")
+    write_plans_page(runs, tmp_path / "plans.html")
+    page = (tmp_path / "plans.html").read_text(encoding="utf-8")
     assert page.count("<figure") >= 4 and page.count("<svg") >= 8
     for text in ("1DOF, 0 kg", "50.0", "12.5", "no feedback of the estimated tip"):
         assert text in page
@@ -66,9 +66,9 @@ def test_the_page_draws_every_case_and_says_what_is_not_there(runs, tmp_path):
 def test_a_directory_without_runs_is_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="holds no run of a plan; run 'make tip-demo'"):
         read_planned_runs(tmp_path)
-    assert main(["tip", str(tmp_path)]) == 2
+    assert main(["plans", str(tmp_path)]) == 2
     assert "make tip-demo" in capsys.readouterr().err
 
 
 def test_the_figures_are_written_as_numbers(runs):
-    assert json.loads(json.dumps(tip_figures(runs)))["cases"][0]["dof"] == 1
+    assert json.loads(json.dumps(plan_figures(runs)))["cases"][0]["dof"] == 1

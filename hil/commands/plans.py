@@ -13,25 +13,25 @@ from pathlib import Path
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
 
-EXAMPLE = "python -m hil tip build/tip"
+EXAMPLE = "python -m hil plans build/plans"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
-    add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/tip.html)")
+    add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/plans.html)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
-    from hil.report.tip.planned_runs import read_planned_runs, tip_figures
-    from hil.report.tip.tip_page import write_tip_page  # loads matplotlib
+    from hil.report.plans.planned_runs import plan_figures, read_planned_runs
+    from hil.report.plans.plans_page import write_plans_page  # loads matplotlib
 
     runs = read_planned_runs(args.directory)
-    out = args.out or args.directory / "tip.html"
-    write_tip_page(runs, out)
-    figures = tip_figures(runs)
+    out = args.out or args.directory / "plans.html"
+    write_plans_page(runs, out)
+    figures = plan_figures(runs)
     lines = ["tip off its path, RMS in mm   rigid    known  unknown"]
     for case in figures["cases"]:
         values = (case.get(f"{k}_rms_m") for k in ("rigid", "known", "unknown"))

@@ -105,7 +105,7 @@ def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> P
     )  # fmt: skip
 
 
-def tip_figures(runs: list[PlannedRun]) -> dict[str, Any]:
+def plan_figures(runs: list[PlannedRun]) -> dict[str, Any]:
     """RMS errors by joints and payload, their largest ratios to rigid kinematics, and the inverse.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.display_units import LENGTH, POSITION, TIME
-from hil.report.tip.planned_runs import KNOWLEDGE, TARGETS, Knowledge, PlannedRun, tip_figures
+from hil.report.plans.planned_runs import KNOWLEDGE, TARGETS, Knowledge, PlannedRun, plan_figures
 from models.shared.html_page import render_page
 from models.shared.page_parts import (
     Cell,
@@ -33,13 +33,13 @@ WORDS: Final[dict[Knowledge, str]] = {
 }
 
 
-def write_tip_page(runs: Sequence[PlannedRun], path: Path) -> None:
+def write_plans_page(runs: Sequence[PlannedRun], path: Path) -> None:
     """Write the page.
 
     Parameters
     ----------
     runs : sequence of PlannedRun
-        Of `hil.report.tip.planned_runs.read_planned_runs`.
+        Of `hil.report.plans.planned_runs.read_planned_runs`.
     path : Path
         File to write.
     """
@@ -66,7 +66,7 @@ def _numbers(runs: Sequence[PlannedRun]) -> list[int]:
 
 def _table(runs: list[PlannedRun]) -> Table:
     rows: list[list[Cell]] = []
-    for case in tip_figures(runs)["cases"]:
+    for case in plan_figures(runs)["cases"]:
         row: list[Cell] = [f"{case['dof']}DOF, {case['payload_kg']:g} kg"]
         row += [_length(case, k) for k in KNOWLEDGE]
         row += [_ratio(case, k) for k in TARGETS]
