@@ -89,7 +89,7 @@ def build_fmu(
         model_c = write_model_c(model, directory)
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
-        sources = [WRAPPER / f"fmi{fmi}.c", WRAPPER / "fmu_core.c", model_c, variables_c]
+        sources = [*core_sources(fmi), model_c, variables_c]
         xml = model_description_xml(interface, fmi, token, description, _generated())
         content = {
             "modelDescription.xml": xml,
@@ -106,6 +106,17 @@ def build_fmu(
             content[f"binaries/{folder}/{library.name}"] = library.read_bytes()
     _pack(content, output)
     return output
+
+
+def core_sources(fmi: FmiVersion) -> list[Path]:
+    """Return the hand-written C files of an FMU: its functions of the standard and the core.
+
+    Parameters
+    ----------
+    fmi : {2, 3}
+        Version of the standard.
+    """
+    return [WRAPPER / f"fmi{fmi}.c", *sorted(WRAPPER.glob("fmu_*.c"))]
 
 
 def _token(
