@@ -10,14 +10,20 @@ import numpy as np
 from models.learning.predictors import Array
 from models.plant.simulation.compiled_model import CompiledModel, model_inputs
 from models.plant.step_model import StepModel, names
-from models.tip.tip_rows import ObservedTrial
+from models.shared.kinematics import base_rotation
+from models.tip.tip_rows import ObservedTrial, TipRows
 from models.trials.trial import Trial
 
-__all__ = ["WRONG_STIFFNESS", "observe", "wrong_stiffness"]
+__all__ = ["ASKEW_RAD", "WRONG_STIFFNESS", "askew_shifts_m", "observe", "wrong_stiffness"]
 
 WRONG_STIFFNESS: Final = (0.8, 1.2)
 """Factors on the stiffness of the observer's plant, for the calibration of the interval: the
 largest error of a plant that is required to be noticed."""
+
+
+ASKEW_RAD: Final = 0.005
+"""Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
+the tip; assumed for a link that is taken off and mounted again by hand."""
 
 
 def observe(
@@ -57,3 +63,21 @@ def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
         On each stiffness.
     """
     return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
+
+
+def askew_shifts_m(rows: TipRows) -> list[Array]:
+    """Return what a link that is mounted askew by `ASKEW_RAD` adds to the tip, (n, 3) each.
+
+    Parameters
+    ----------
+    rows : TipRows
+        Any rows; one shift for either direction in the plane of each joint.
+    """
+    joints = range(1, rows.dof + 1)
+    angles_rad = rows.of([f"angle_{j}_rad" for j in joints])
+    turn = base_rotation(angles_rad)
+    # Joint 1 turns about y, joint 2 about -x (docs/architecture.md, "Physics").
+    axes = {1: turn[:, :, 1], 2: -turn[:, :, 0]}
+    return [
+        sign * ASKEW_RAD * np.cross(axes[j], rows.tip_m) for j in joints for sign in (-1.0, 1.0)
+    ]

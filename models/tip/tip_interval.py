@@ -6,17 +6,21 @@ and rate times the mean square innovation, and what the tip has moved since a sa
 
     σ² = c₀ + c₁ D² + Σⱼ (c₂ β² + c₃ β̇² + c₄ q̇²)ⱼ + E Σⱼ (c₅ β² + c₆ β̇²)ⱼ + (L a)² Σⱼ (q̇² + β̇²)ⱼ
 
-with the excess E of the mean square innovation over what three quarters of the rows show. It is
-fitted to errors on trials and payloads left out, and to those of the same trials with an observer
-whose stiffness is wrong: they let the width rise with the innovation. The half width is q σ. The
-factor q is the quantile of |error| / σ on the trials left out, in four classes of rows (Mondrian
-conformal prediction: Vovk et al., Algorithmic Learning in a Random World, 2005, section 4.5):
-joints that stand or move, and innovation with or without an excess; with one, rows of the wrong
-plants are among them. Rows of a trial are correlated, so every trial has the same weight and the
-level rises by 1/n for n trials (two-layer hierarchical models: Dunn, Wasserman and Ramdas, J. Am.
-Stat. Assoc. 118, 2023). Of a deviation that lasts for a whole trial only n values were seen: q is
-at least √(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal variable with the root
-mean square B of the trials' means and the scatter W within trials.
+with the excess E of the mean square innovation over what three quarters of the rows show, which
+counts up to what 95 % of them show: a violent motion raises the innovation of a true plant as well.
+The coefficients are fitted to errors on trials and payloads left out, and to those of the same
+trials with plants that are wrong on purpose (disturbed). The half width is q σ, with one q for each
+of four classes of rows (Mondrian conformal prediction: Vovk et al., Algorithmic Learning in a
+Random World, 2005, section 4.5): joints that stand or move, innovation with or without an excess.
+
+q is the largest of the quantiles of |error| / σ at 95 % on the trials left out and at 90 % on each
+kind of wrong plant. A link that is mounted askew or 20 % stiffer shows little in the signals of the
+servos, so an interval that covers it cannot wait for the innovation. Rows of a trial are
+correlated, so every trial has the same weight and the level of 95 % rises by 1/n for n trials
+(two-layer hierarchical models: Dunn, Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023). Of a
+deviation that lasts for a whole trial only n values were seen: q is at least
+√(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal variable with the root mean
+square B of the trials' means and the scatter W within trials.
 """
 
 from __future__ import annotations
@@ -44,6 +48,10 @@ SMALLEST_M: Final = 2e-4
 """Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
 USUAL: Final = 0.75
 """Quantile of the mean square innovation above which there is an excess; assumed."""
+LARGEST: Final = 0.95
+"""Quantile of the mean square innovation up to which the excess counts; assumed."""
+WRONG_COVERAGE: Final = 0.9
+"""Coverage with each kind of wrong plant; a requirement."""
 HIGHEST_LEVEL: Final = 0.98
 """Highest level of the quantile, which rises with few trials."""
 NORMAL: Final = 1.96
@@ -65,14 +73,14 @@ class TipInterval:
         Coefficients of the variance.
     quantile : ndarray, shape (4, 3)
         q per axis: joints that stand, that move, then both with an excess of the innovation.
-    usual : float
-        Mean square innovation above which there is an excess, in A².
+    innovation : tuple of float
+        Mean square innovation above which there is an excess, and up to which it counts, in A².
     """
 
     names: tuple[str, ...]
     weights: Array
     quantile: Array
-    usual: float
+    innovation: tuple[float, float]
 
     @classmethod
     def fit(
@@ -90,30 +98,32 @@ class TipInterval:
         calibration : tuple of ndarray
             Inputs (n, inputs), errors in m (n, 3) and trial of each row.
         disturbed : sequence of (inputs, errors)
-            The same with an observer of a wrong plant.
+            The same rows with a wrong plant, one kind each.
         """
         first, first_m, run = calibration
-        usual = float(np.quantile(first**2 @ _marked(names, "innovation"), USUAL))
-        inputs = np.vstack([first, *(x for x, _ in disturbed)])
-        error_m = np.vstack([first_m, *(e for _, e in disturbed)])
-        trials = int(run.max()) + 1
-        runs = np.concatenate([run + k * trials for k in range(1 + len(disturbed))])
-        terms = _terms(names, inputs, usual)
+        squares = first**2 @ _marked(names, "innovation")
+        usual, largest = (float(np.quantile(squares, level)) for level in (USUAL, LARGEST))
+        kinds_of_plant = ((first, first_m), *disturbed)
+        terms = [_terms(names, inputs, (usual, largest)) for inputs, _ in kinds_of_plant]
+        stacked, error_m = np.vstack(terms), np.vstack([error_m for _, error_m in kinds_of_plant])
         weights = np.column_stack(
-            [_fit_variance(terms, error_m[:, axis], names, axis) for axis in range(3)]
+            [_fit_variance(stacked, error_m[:, axis], names, axis) for axis in range(3)]
         )
-        score = error_m / np.sqrt(terms @ weights)
-        kind = _kinds(names, inputs, usual)
-        nominal = np.arange(len(inputs)) < len(first)
-        quantile = np.array(
-            [_quantiles(score, runs, (kind == k) & (nominal | (k >= 2)), trials) for k in range(4)]
-        )
-        return cls(names, weights, quantile, usual)
+        quantile = np.zeros((4, 3))
+        for number, (inputs, own_m) in enumerate(kinds_of_plant):
+            score = own_m / np.sqrt(terms[number] @ weights)
+            kind = _kinds(names, inputs, usual)
+            quantiles = _wrong_quantiles if number else _quantiles
+            found = [quantiles(score, run, kind == k) for k in range(4)]
+            quantile = np.maximum(quantile, found)
+        return cls(names, weights, quantile, (usual, largest))
 
     def half_width(self, inputs: Array) -> Array:
         """Return the half width of the 95 % interval in m, shape (n, 3)."""
-        deviation_m = np.sqrt(_terms(self.names, inputs, self.usual) @ self.weights)
-        return np.asarray(deviation_m * self.quantile[_kinds(self.names, inputs, self.usual)])
+        deviation_m = np.sqrt(_terms(self.names, inputs, self.innovation) @ self.weights)
+        return np.asarray(
+            deviation_m * self.quantile[_kinds(self.names, inputs, self.innovation[0])]
+        )
 
     def write(self, graph: GraphWriter, source: str, output: str) -> None:
         """Write the half width of an input row.
@@ -127,7 +137,7 @@ class TipInterval:
         output : str
             Name of the result, shape (1, 3).
         """
-        sums, constants = _bases(self.names, self.usual)
+        sums, constants, most = _bases(self.names, self.innovation)
         first, second = _factors(self.names)
         square = graph.temporary("Mul", [source, source], "square")
         base = graph.temporary(
@@ -135,7 +145,7 @@ class TipInterval:
             [square, graph.constant("sums", sums), graph.constant("constants", constants)],
             "sum",
         )
-        base = graph.temporary("Max", [base, graph.constant("zero", np.zeros((1, 1)))], "base")
+        base = graph.clipped(base, np.zeros(most.shape[1]), most[0])
         left = graph.temporary("MatMul", [base, graph.constant("first", first)], "left")
         right = graph.temporary("MatMul", [base, graph.constant("second", second)], "right")
         terms = graph.temporary("Mul", [left, right], "terms")
@@ -149,7 +159,7 @@ class TipInterval:
     def _write_factor(self, graph: GraphWriter, square: str) -> str:
         """Write q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of two bits m, e."""
         bits = []
-        for stem, bound in (("joint_rate", STANDING_RAD_S**2), ("innovation", self.usual)):
+        for stem, bound in (("joint_rate", STANDING_RAD_S**2), ("innovation", self.innovation[0])):
             column = graph.constant(f"{stem}_columns", _marked(self.names, stem)[:, None])
             total = graph.temporary("MatMul", [square, column], stem)
             bits.append(graph.bits(total, np.array([bound]), stem))
@@ -166,8 +176,8 @@ def _joints(names: Sequence[str]) -> range:
     return range(1, 3 if "angle_2_rad" in names else 2)
 
 
-def _bases(names: Sequence[str], usual: float) -> tuple[Array, Array]:
-    """Sums of squares of inputs, (inputs, bases), and constants, (1, bases).
+def _bases(names: Sequence[str], innovation: tuple[float, float]) -> tuple[Array, Array, Array]:
+    """Sums of squares of inputs, (inputs, bases), constants and largest values, (1, bases) each.
 
     The bases are: one, D² of each axis, E, a², then β², β̇² and q̇² of each joint.
     """
@@ -182,8 +192,10 @@ def _bases(names: Sequence[str], usual: float) -> tuple[Array, Array]:
             sums[names.index(name), column] = 1.0
     constants = np.zeros((1, len(groups)))
     constants[0, 0] = 1.0
-    constants[0, _EXCESS] = -usual
-    return sums, constants
+    constants[0, _EXCESS] = -innovation[0]
+    most = np.full((1, len(groups)), np.finfo(float).max)
+    most[0, _EXCESS] = innovation[1] - innovation[0]
+    return sums, constants, most
 
 
 _ONE, _DEVIATION, _EXCESS, _AGE, _FIRST_JOINT = 0, 1, 4, 5, 6
@@ -209,10 +221,10 @@ def _factors(names: Sequence[str]) -> tuple[Array, Array]:
     return first, second
 
 
-def _terms(names: Sequence[str], inputs: Array, usual: float) -> Array:
-    sums, constants = _bases(names, usual)
+def _terms(names: Sequence[str], inputs: Array, innovation: tuple[float, float]) -> Array:
+    sums, constants, most = _bases(names, innovation)
     first, second = _factors(names)
-    base = np.maximum(inputs**2 @ sums + constants, 0.0)
+    base = np.clip(inputs**2 @ sums + constants, 0.0, most)
     return np.asarray((base @ first) * (base @ second))
 
 
@@ -250,26 +262,37 @@ def _fit_variance(terms: Array, error_m: Array, names: Sequence[str], axis: int)
     return weights
 
 
-def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_], trials: int) -> Array:
+def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_]) -> Array:
     """Factor q of some rows, (3,), from their signed scores; every trial has the same weight."""
+    if not rows.any():
+        rows = np.ones(len(run), dtype=bool)
     runs, own = np.unique(run[rows], return_inverse=True)
-    # Runs of observers with a wrong plant are further runs of the same trials.
-    if not len(runs):
-        return _quantiles(score, run, np.ones(len(run), dtype=bool), trials)
     count = len(runs)
     weight = 1.0 / np.bincount(own)[own] / count
-    seen = max(len(np.unique(runs % trials)), 2)
+    seen = max(count, 2)
     level = min(HIGHEST_LEVEL, COVERAGE * (1.0 + 1.0 / seen))
     lasting = float(student_t.ppf(0.5 + COVERAGE / 2, seen - 1)) * np.sqrt(1 + 1 / seen)
     found = []
     for axis in range(3):
         signed = score[rows, axis]
-        size = np.abs(signed)
-        order = np.argsort(size)
-        last = np.searchsorted(np.cumsum(weight[order]), level)
-        quantile = size[order][min(int(last), len(order) - 1)]
         mean = np.bincount(own, weight * signed) * count
         within = weight @ (signed - mean[own]) ** 2
         least = np.sqrt(lasting**2 * np.mean(mean**2) + NORMAL**2 * within)
-        found.append(max(quantile, least))
+        found.append(max(_weighted_quantile(np.abs(signed), weight, level), least))
     return np.array(found)
+
+
+def _wrong_quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_]) -> Array:
+    """Factor q that `WRONG_COVERAGE` asks for, (3,); 0 where there are no such rows."""
+    if not rows.any():
+        return np.zeros(3)
+    own = np.unique(run[rows], return_inverse=True)[1]
+    weight = 1.0 / np.bincount(own)[own] / (own.max() + 1)
+    sizes = np.abs(score[rows])
+    return np.array([_weighted_quantile(size, weight, WRONG_COVERAGE) for size in sizes.T])
+
+
+def _weighted_quantile(size: Array, weight: Array, level: float) -> float:
+    order = np.argsort(size)
+    last = int(np.searchsorted(np.cumsum(weight[order]), level))
+    return float(size[order][min(last, len(order) - 1)])

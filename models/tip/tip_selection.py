@@ -19,6 +19,7 @@ from models.learning.predictors import Array, Fold
 from models.learning.validation import euclidean_distance_m
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.guarded_tip import GuardedTip
+from models.tip.observed_trials import askew_shifts_m
 from models.tip.predictors_document import TipScore
 from models.tip.tip_interval import TipInterval
 from models.tip.tip_predictor import TipPredictor
@@ -232,4 +233,5 @@ def _interval(
     fitted: TipPredictor, rows: TipRows, left_out_m: Array, disturbed: Sequence[TipRows]
 ) -> TipInterval:
     wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
+    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows)]
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)

@@ -7,6 +7,7 @@ import pytest
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.candidates.corrected_tip import CorrectedTip
 from models.tip.candidates.observer_tip import ObserverTip
+from models.tip.observed_trials import ASKEW_RAD, askew_shifts_m
 from models.tip.tip_interval import TipInterval
 from models.tip.tip_selection import choose_tip_predictor, group_folds
 from tests.models.tip.tip_cases import made_up_rows
@@ -85,3 +86,41 @@ def test_the_interval_widens_with_what_makes_the_tip_uncertain():
     assert width(age_s=0.034) > width(age_s=0.017) > width(age_s=0.0)
     still = {"joint_rate_1_rad_s": 0.0, "age_s": 0.034}
     assert width(**still, bend_rate_1_rad_s=1.0) > width(**still, bend_rate_1_rad_s=0.0)
+
+
+def test_the_interval_covers_a_wrong_plant_that_the_innovation_does_not_show():
+    rows = made_up_rows()
+    error_m = rows.tip_m - rows.observer_tip_m
+    calibration = (rows.inputs, error_m, rows.run)
+    askew = [(rows.inputs, error_m + shift_m) for shift_m in ([0.004, 0, 0], [-0.004, 0, 0])]
+    alone = TipInterval.fit(rows.names, calibration)
+    warned = TipInterval.fit(rows.names, calibration, askew)
+    assert (np.abs(askew[0][1]) <= alone.half_width(rows.inputs)).mean(axis=0)[0] < 0.5
+    for _, wrong_m in askew:
+        assert (np.abs(wrong_m) <= warned.half_width(rows.inputs)).mean(axis=0).min() >= 0.9
+    assert (np.abs(error_m) <= warned.half_width(rows.inputs)).mean(axis=0).min() >= 0.95
+
+
+def test_a_violent_motion_widens_the_interval_only_so_far():
+    rows = made_up_rows()
+    error_m = rows.tip_m - rows.observer_tip_m
+    wrong = (rows.inputs, 5.0 * error_m)
+    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run), [wrong])
+    point = np.repeat(rows.inputs[:1], 2, axis=0)
+    point[:, rows.names.index("innovation_1_a")] = 0.1, 1.0
+    first, second = interval.half_width(point)
+    assert first == pytest.approx(second)
+
+
+def test_a_link_mounted_askew_shifts_the_tip_in_the_plane_of_a_joint():
+    rows = made_up_rows(dof=2)
+    angles = [rows.names.index(f"angle_{j}_rad") for j in (1, 2)]
+    rows.inputs[:, angles] = 0.0
+    rows.tip_m[:] = [0.0, 0.0, 1.0]
+    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows)]
+    a = ASKEW_RAD
+    assert np.allclose(shifts_m, [[-a, 0, 0], [a, 0, 0], [0, -a, 0], [0, a, 0]])
+    rows.inputs[:, angles[0]] = np.pi / 2  # the link points along x; plane 1 is x and z
+    rows.tip_m[:] = [1.0, 0.0, 0.0]
+    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows)]
+    assert np.allclose(shifts_m, [[0, 0, a], [0, 0, -a], [0, -a, 0], [0, a, 0]])
