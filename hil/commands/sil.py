@@ -47,7 +47,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
     )
-    parser.add_argument("--rig", action="store_true", help="put the rig behind the servos instead")
+    parser.add_argument(
+        "--rig", nargs="?", const="default", metavar="RIG",
+        help="put the rig behind the servos instead; RIG is a structure or a file that changes it",
+    )  # fmt: skip
     parser.add_argument(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
         help="with --rig: add an effect to what the rig has; repeatable",
@@ -119,7 +122,7 @@ def _rig_source(args: argparse.Namespace) -> RigSource | None:
     hidden = parse_strengths(args.hide)
     if hidden and not args.rig:
         raise InputError("--hide", "needs the rig, not a twin", "add --rig")
-    return RigSource(hidden, args.seed) if args.rig else None
+    return RigSource(hidden, args.seed, args.rig) if args.rig else None
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:

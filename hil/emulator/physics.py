@@ -57,7 +57,10 @@ class RigSource:
         Effects added to its default ones, in the unit that `models.shared.catalogue` lists.
     seed : int
         Of the variation between trials and of the current's noise.
+    rig : str
+        Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`).
     """
 
     hidden: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
+    rig: str = "default"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
+from models.rig.drawn_rig import rig_named
 from models.rig.rig import build_rig
 from models.rig.rig_parameters import read_parameters
 from models.rig.sensors import read_current
@@ -35,7 +36,7 @@ class RigPhysics:
     Parameters
     ----------
     rig : RigSource
-        Hidden effects and seed.
+        Rig, hidden effects and seed.
     dof : int
         Number of joints.
     payload_kg : float
@@ -51,7 +52,7 @@ class RigPhysics:
         # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
         case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=rig.seed)
         self._rng = case.rng()
-        variation = draw_variation(read_parameters().hide(rig.hidden), case, self._rng)
+        variation = draw_variation(rig_named(rig.rig).hide(rig.hidden), case, self._rng)
         self.dof, self._parameters = dof, variation.parameters
         self._rig = build_rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
         self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)
