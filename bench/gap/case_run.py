@@ -80,6 +80,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
         "separation": [c.separation for c in found.inclusions],
         "hypotheses": [[list(h.effects), h.gain, h.least] for h in found.hypotheses],
         "bias": found.nuisance_bias,
+        "refused": [[r.effect, r.kind, r.name, r.value, r.limit] for r in found.refused],
         "look_alikes": [[list(a.effects) for a in c.look_alikes] for c in found.inclusions],
         "largest": max(found.screened.values(), default=0.0),
         "true": {e: true_strength(plant, rig, e, s) for e, s in case.hidden.items()},
