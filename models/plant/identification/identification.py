@@ -6,7 +6,8 @@ The trials to fit to are those that `TrialSet.split` gives; all others are held 
    mode and does not converge to a wrong cycle of the vibration.
 2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
    Without a servo loop a wrong gain cannot hide a wrong stiffness.
-3. Fit the drive and its friction: the twin, driven by the goals, to angle and current.
+3. Fit the drive and its friction: the twin, driven by the goals, to angle and current. In the first
+   round also with profiled goals (`models.plant.identification.goal_profile_fit`).
 4. Repeat both on all trials, weighted by the errors of the first round. The first round uses the
    trials with the fewest joints only, which take the least time.
 
@@ -27,6 +28,11 @@ from firmware_py.errors import InputError
 from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.effects import EFFECTS
 from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.goal_profile_fit import (
+    PROFILE_FALL,
+    profiled_starts,
+    with_profile_of,
+)
 from models.plant.identification.simulation_fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, ModelKind, Plant
@@ -107,7 +113,8 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found = _scan_stiffness(plant, first, report)
         found, rms = _fit_link_and_drive(found, plant, first, None, report)
         found = _with_second_plane(found, first)
-        found, rms = _fit_link_and_drive(found, plant, fit.trials, rms, report)
+        prior = with_profile_of(plant, found)
+        found, rms = _fit_link_and_drive(found, prior, fit.trials, rms, report)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
         solution = _best_of_several(
@@ -116,6 +123,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found, rms = solution.plant, solution.rms
     found = _with_second_plane(found, fit.trials)
     errors = evaluate_plant(found, held_out if len(held_out) else fit)
+    link, drive = _free_parameters(found, planes)
     fitted = tuple(dict.fromkeys((*link, *drive)))
     provenance = Provenance(
         parent_sha256=plant.sha256(),
@@ -157,12 +165,23 @@ def _fit_link_and_drive(
     report: Report,
 ) -> tuple[Plant, dict[str, float]]:  # fmt: skip
     """Fit the link, then the drive; the errors of an earlier round are the scales."""
-    link, drive = _free_parameters(plant, max(t.meta.dof for t in trials))
+    planes = max(t.meta.dof for t in trials)
+    link, drive = _free_parameters(plant, planes)
     angles = {n: v for n, v in (rms or {}).items() if n.startswith("angle_")}
     first = _fit_stage(plant, prior, "driven", trials, link, LINK_SIGNALS, rms, report)
-    second = _fit_stage(
-        first.plant, prior, "twin", _payload_extremes(trials), drive, DRIVE_SIGNALS, angles, report
-    )
+    extremes = _payload_extremes(trials)
+    second = _fit_stage(first.plant, prior, "twin", extremes, drive, DRIVE_SIGNALS, angles, report)
+    if rms is None:
+        profiled = [
+            _fit_stage(
+                start, with_profile_of(prior, start), "twin", extremes,
+                _free_parameters(start, planes)[1], DRIVE_SIGNALS, angles, report,
+            )
+            for start in profiled_starts(second.plant)
+        ]  # fmt: skip
+        best = min(profiled, key=lambda s: s.cost, default=second)
+        if best.cost < (1 - PROFILE_FALL) * second.cost:
+            second = best
     angles = {n: v for n, v in second.rms.items() if n.startswith("angle_")}
     return second.plant, angles | first.rms
 

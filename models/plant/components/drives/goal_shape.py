@@ -1,13 +1,14 @@
-"""Shape of the goal within a step: held, interpolated or limited in speed, and the current in it.
+"""Shape of the goal within a step: held, interpolated or profiled, and the current in it.
 
 A servo receives a goal once a step. With w(s) the fraction of the change that has taken effect at
 the phase s of the step, 0 to 1::
 
-    g(s) = g_before + Δ w(s),   w(s) = 1 − λ + λ s,   Δ = clip(goal − g_before, ±v h)
+    g(s) = g_before + Δ w(s),   w(s) = 1 − λ + λ s
 
 λ = 0 holds the goal (a staircase), λ = 1 interpolates linearly from the goal before, which delays
-it by half a step more than a held one. v is the speed of a velocity profile; what is left of a
-change is made in the next steps. A profile that ends within the step is a λ between 0 and 1.
+it by half a step more than a held one. Δ is the whole change, or what a profile of limited speed
+and acceleration makes of it in one step (`models.plant.components.drives.goal_profile`); the rest
+is made in the next steps. A profile that ends within the step is a λ between 0 and 1.
 
 The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which decays with the velocity loop,
 τ = J / (k_t k_v); a steady motion adds the jumps of the earlier steps. Sampled at the phase φ, the
@@ -20,6 +21,7 @@ from __future__ import annotations
 import casadi as ca
 
 from models.plant.components.drives.drive_protocol import SI_UNIT_OF, declare_goal
+from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT, profiled_change
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
@@ -45,6 +47,10 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
         Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
                   description="speed limit of the goal's profile; 100 is none",
                   source="docs/sources.md, \"Control tables\": profile velocity, 0 is none"),
+        Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
+                  value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
+                  description="acceleration limit of the goal's profile; 1e6 is none",
+                  source="docs/sources.md, \"Control tables\": profile acceleration, 0 is none"),
     ]  # fmt: skip
 
 
@@ -73,8 +79,14 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
     held = 1 - scope.p("goal_interpolation_{j}", joint)
     shaped = scope.state(Variable(f"shaped_goal_{joint}_{angle}", unit, nominal=0.5), sent)
     change = scope.state(Variable(f"goal_change_{joint}_{angle}", unit, nominal=0.01))
-    limit = scope.p("profile_speed_{j}_rad_s", joint) * scope.step_s
-    wanted = ca.fmin(ca.fmax(sent - shaped, -limit), limit)
+    rate = scope.state(Variable(f"goal_rate_{joint}_{angle}_s", f"{unit}/s", nominal=0.5))
+    wanted, scope.states[rate.name()].begin = profiled_change(
+        sent - shaped,
+        rate,
+        scope.p("profile_speed_{j}_rad_s", joint),
+        scope.p("profile_acceleration_{j}_rad_s2", joint),
+        scope.step_s,
+    )
     scope.states[change.name()].begin = wanted
     scope.states[shaped.name()].begin = shaped + held * wanted
     scope.states[shaped.name()].rate = (1 - held) * change / step_s

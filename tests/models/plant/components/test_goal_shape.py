@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from models.plant.components.drives.cascade import Cascade
 from models.plant.components.drives.drive_protocol import declare_goal
+from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT
 from models.plant.components.drives.goal_shape import sawtooth_above_mean
 from models.plant.components.link import Link
 from models.plant.composition.twin import compose_twin
@@ -188,11 +189,14 @@ def test_a_file_without_a_shape_reads_as_one_that_holds_its_goals(tmp_path):
     nominal = read_plant()
     shape = {
         n for n in nominal.parameters
-        if "interpolation" in n or "phase" in n or "goal_delay" in n
+        if "interpolation" in n or "phase" in n or "goal_delay" in n or "acceleration" in n
     }  # fmt: skip
     older = replace(
         nominal, parameters={n: q for n, q in nominal.parameters.items() if n not in shape}
     )
     older.write(tmp_path / "older.json")
     read = read_plant(tmp_path / "older.json").parameters
-    assert shape and all(read[n].value == (1.0 if "phase" in n else 0.0) for n in shape)
+    default = {"phase": 1.0, "acceleration": NO_ACCELERATION_LIMIT}
+    for name in shape:
+        expected = next((v for part, v in default.items() if part in name), 0.0)
+        assert read[name].value == expected, name

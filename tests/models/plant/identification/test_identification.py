@@ -43,9 +43,14 @@ def trials_of(plant, synthetic, rng, payloads=(0.0, 1.0, 2.0), numbers=(1, 2), d
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_known_parameters_come_back(synthetic, seed):
+@pytest.mark.parametrize(
+    "seed, profile_rad_s2", [(1, None), (2, 18.0)], ids=["at once", "profiled"]
+)
+def test_known_parameters_come_back(synthetic, seed, profile_rad_s2):
     true, rng = drawn(seed)
+    if profile_rad_s2:
+        limits = {n: profile_rad_s2 for n in true.parameters if "profile_acceleration" in n}
+        true = true.with_values(limits)
     found = identify(read_plant(), trials_of(true, synthetic, rng))
     assert found.held_out.tip_rms_m < 1e-3
     assert found.held_out.tip_rms_m < 0.05 * found.held_out.rigid_tip_rms_m
@@ -63,6 +68,10 @@ def test_known_parameters_come_back(synthetic, seed):
         return sum(
             lever[h] ** 2 / parameters[f"{h}_stiffness_1_nm_rad"].value for h in ("root", "span")
         )
+
+    limit = q["profile_acceleration_1_rad_s2"]
+    assert limit.role == ("nuisance" if profile_rad_s2 else "fixed")
+    assert limit.value == pytest.approx(p[limit.name].value, rel=0.05)
 
     # hysteresis and creep carry part of the stiffness, so that springs alone are known less well
     assert tip_compliance(q) == pytest.approx(tip_compliance(p), rel=0.15)
