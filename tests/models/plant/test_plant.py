@@ -56,7 +56,7 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
         *(f"{name}_{j}_{unit}" for j in joints for name, unit in OF_THE_ESTIMATE),
         *(f"tip_{axis}_deviation_m" for axis in "xyz"),
     }
-    springs, creep_branches, shape_of_goal, sampling, step_length = 2, 3, 2, 1, 1
+    springs, creep_branches, shape_of_goal, sampling, step_length = 2, 3, 3, 1, 1
     own = 8 + shape_of_goal + sampling + springs * creep_branches
     assert len(twin.states) == own * dof + step_length
     every = (*twin.inputs, *twin.outputs, *observer.inputs, *observer.outputs)
