@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from firmware_py.documents import Document, read_document
 from firmware_py.errors import InputError
 
-__all__ = ["PayloadPlan", "TipPlan", "read_tip_plan"]
+__all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "read_tip_plan"]
 
 Array = NDArray[np.float64]
 MOST_ROWS: Final = 100_000
@@ -56,6 +56,55 @@ class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     expected_rms_m: float
 
 
+class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Recorded run from which a plan was improved.
+
+    Attributes
+    ----------
+    sha256 : str
+        Hash of the recording.
+    source : {"mocap", "observer"}
+        What measured the tip.
+    payload_kg : float
+        Payload between whose plans the robot interpolated.
+    rms_m : float
+        Measured root mean square distance of the tip from the path, bias of the source included.
+    predicted_rms_m : float
+        The same as predicted for the next run.
+    goal_delay_s : float
+        Measured time by which the joints follow later than the twin's; 0 where it was not used.
+    gain : float
+        Fraction of the full correction that was applied.
+    """
+
+    sha256: str
+    source: str
+    payload_kg: float
+    rms_m: float
+    predicted_rms_m: float
+    goal_delay_s: float
+    gain: float
+
+
+class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Best recorded run so far at a payload, to which learning goes back after a worse one.
+
+    Attributes
+    ----------
+    run : int
+        Its place in `TipPlan.learned`.
+    goals_rad : tuple of columns
+        Goals that were sent.
+    tip_m, angle_rad : tuple of columns
+        Measured tip and joint angles.
+    """
+
+    run: int
+    goals_rad: Columns
+    tip_m: Columns
+    angle_rad: Columns
+
+
 class TipPlan(Document, frozen=True):
     """Plan of a path of the tip.
 
@@ -85,6 +134,12 @@ class TipPlan(Document, frozen=True):
         Error of the tip of the plant on trials that it was not fitted to.
     plant_sha256, bundle_sha256 : str
         Hashes of the plant that was inverted and of the manifest of the robot's bundle.
+    goal_lead_s : float
+        Time by which learning has moved the goals ahead.
+    learned : tuple of LearnedRun
+        Runs that improved the plan, in order.
+    best : tuple of BestRun
+        Best of them, one for each payload that was run.
     """
 
     VERSION: ClassVar[int] = 1
@@ -104,6 +159,9 @@ class TipPlan(Document, frozen=True):
     plant_error_rms_m: float | None
     plant_sha256: str
     bundle_sha256: str
+    goal_lead_s: float = 0.0
+    learned: tuple[LearnedRun, ...] = ()
+    best: tuple[BestRun, ...] = ()
 
     @property
     def name(self) -> str:
@@ -192,4 +250,18 @@ def _wrong_in(plan: TipPlan) -> str:
                 return f"needs {plan.dof} columns of {plan.rows} rows in {name}"
             if not np.isfinite(columns).all():
                 return f"has a value in {name} that is not finite"
+    return _wrong_in_learning(plan)
+
+
+def _wrong_in_learning(plan: TipPlan) -> str:
+    if not abs(plan.goal_lead_s) <= 1.0:
+        return f"moves its goals ahead by {plan.goal_lead_s:g} s, more than 1 s"
+    for best in plan.best:
+        tables = best.goals_rad, best.tip_m, best.angle_rad
+        if not 0 <= best.run < len(plan.learned):
+            return f"has a best run {best.run} of {len(plan.learned)}"
+        if any(len(t) != plan.dof or any(len(c) != plan.rows for c in t) for t in tables):
+            return f"needs {plan.dof} columns of {plan.rows} rows in its best runs"
+        if not all(np.isfinite(t).all() for t in tables):
+            return "has a value in a best run that is not finite"
     return ""

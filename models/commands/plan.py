@@ -18,10 +18,10 @@ import msgspec
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
 from firmware_py.console import DONE, Progress, emit
-from firmware_py.display_units import CURRENT, LENGTH
+from firmware_py.display_units import CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
-from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import MANIFEST, read_manifest, sha256_of
 from firmware_py.safety.limits import Limits
 from models.plan.path_file import read_path
@@ -37,7 +37,15 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("path", metavar="PATH", help="built-in path or CSV file")
+    add(
+        "path",
+        metavar="PATH",
+        help="built-in path or CSV file; with --improve the plan that was run",
+    )
+    add(
+        "--improve", type=Path, metavar="LOG",
+        help="improve the plan PATH by a recorded run of it: a trial (.csv) or a log (.mcap)",
+    )  # fmt: skip
     add("--plant", type=Path, required=True, help="plant to invert")
     add("--bundle", type=Path, required=True, help="bundle of the robot: its joints and its period")
     add("--out", type=Path, required=True, metavar="PLAN.json", help="file to write")
@@ -58,11 +66,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Plan, write, report."""
     manifest = read_manifest(args.bundle)
+    if args.improve is not None:
+        return _improve(args)
     path = _path(args, manifest.dof, manifest.period_s)
     plant = read_plant(args.plant)
     limits = _limits(args.limits)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.plan.plan_picture import draw_plan
     from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
@@ -72,17 +81,54 @@ def run(args: argparse.Namespace) -> int:
         sha256_of(args.bundle / MANIFEST), args.rigid,
     )  # fmt: skip
     plan = plan_path(path, request, progress.step)
-    try:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        write_document(args.out, plan)
-        picture = args.out.with_suffix(".svg")
-        draw_plan(plan, picture)
-    except OSError as error:
-        raise InputError(
-            args.out, f"cannot be written ({error.strerror})", "name another"
-        ) from error
+    picture = _write(plan, args.out)
     emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
     return DONE
+
+
+def _improve(args: argparse.Namespace) -> int:
+    """Read a plan and a run of it, improve, write, report."""
+    plan = read_tip_plan(Path(args.path))
+    if plan.bundle_sha256 != sha256_of(args.bundle / MANIFEST):
+        raise InputError(
+            args.path, f"was made for another bundle than {args.bundle}", "name its bundle"
+        )
+    from models.plan.plan_learning import improve_plan
+    from models.plan.recorded_plan_run import read_plan_run
+
+    run = read_plan_run(args.improve, plan)
+    found = improve_plan(plan, run, read_plant(args.plant), _limits(args.limits))
+    picture = _write(found.plan, args.out)
+    own = found.run
+    text = (
+        f"{args.improve}: tip by {own.source}, {own.payload_kg:.2f} kg, off its path by "
+        f"{LENGTH.number(own.rms_m, 2)} mm RMS; {LENGTH.number(own.predicted_rms_m, 2)} mm "
+        f"predicted for the next run\n"
+    )
+    if found.went_back:
+        text += "this run was worse than the best one, from which half a step was taken\n"
+    if own.goal_delay_s:
+        text += f"the joints follow {TIME.number(own.goal_delay_s, 4)} s later than the twin's\n"
+    result = _result(found.plan, args.out) | {
+        "learned": [msgspec.to_builtins(r) for r in found.plan.learned],
+        "went_back": found.went_back,
+    }
+    emit(args, result, text + plan_in_words(found.plan, args.out, picture))
+    return DONE
+
+
+def _write(plan: TipPlan, out: Path) -> Path:
+    """Write a plan and its picture; return the path of the picture."""
+    from models.plan.plan_picture import draw_plan
+
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_document(out, plan)
+        picture = out.with_suffix(".svg")
+        draw_plan(plan, picture)
+    except OSError as error:
+        raise InputError(out, f"cannot be written ({error.strerror})", "name another") from error
+    return picture
 
 
 def _path(args: argparse.Namespace, dof: int, period_s: float) -> DesiredPath:

@@ -82,7 +82,7 @@ class Inverter:
     ) -> None:  # fmt: skip
         self._twin, self._line, self._report = twin, line, report
         self._reach_m = reach_m
-        self._basis, second = _splines(line, twin.period_s)
+        self._basis, second = goal_splines(line, twin.period_s)
         own = WEIGHT_M_S2**2 * second.T @ second
         self._count = self._basis.shape[1]
         self._rough = np.kron(np.eye(twin.dof), own)
@@ -174,8 +174,16 @@ class Inverter:
         return c
 
 
-def _splines(line: Timeline, period_s: float) -> tuple[Array, Array]:
-    """Cubic B-splines after the rest, and their second derivatives, shapes (n, count)."""
+def goal_splines(line: Timeline, period_s: float) -> tuple[Array, Array]:
+    """Cubic B-splines after the rest, and their second derivatives, shapes (n, count).
+
+    Parameters
+    ----------
+    line : Timeline
+        Rest and rows of the plan.
+    period_s : float
+        Control period.
+    """
     rows = len(line.desired_m)
     begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
     count = max(4, round((end_s - begin_s) / KNOT_S)) - 3

@@ -10,6 +10,7 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals
+from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import MANIFEST, Manifest, ModelBundle, sha256_of, write_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import read_recording
@@ -19,8 +20,10 @@ from hil.__main__ import main
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
+from models.__main__ import main as models_main
 from models.plan.path_shapes import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path
+from models.plan.recorded_plan_run import read_plan_run
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial_files import read_trial
 from tests.hil.sil.test_sil import RigidPredictor
@@ -75,7 +78,7 @@ def options(bundle, plan, fmu, tmp_path):
     return build
 
 
-def test_the_robot_sends_the_planned_goals_and_the_tip_follows_its_path(options, plan, tmp_path):
+def test_the_robot_sends_the_planned_goals_and_learns_from_the_run(options, bundle, plan, tmp_path):
     chosen = options(seconds=2 * plan.duration_s)
     result = run_sil(chosen)
     own = result.records[result.records["tick"] >= 0]
@@ -93,6 +96,27 @@ def test_the_robot_sends_the_planned_goals_and_the_tip_follows_its_path(options,
     assert (trial.meta.motion, trial.meta.rest_samples) == ("plan_line", round(1 / PERIOD_S))
     log = read_recording(tmp_path / LOG_NAME)
     assert json.loads(log.metadata["motion"])["motion"] == "plan_line"
+    by_mocap, by_robot = (
+        read_plan_run(tmp_path / name, plan) for name in ("trial/sil.csv", LOG_NAME)
+    )
+    assert (by_mocap.source, by_robot.source) == ("mocap", "observer")
+    assert by_mocap.payload_kg == by_robot.payload_kg == pytest.approx(0.8, abs=1e-6)
+    assert by_robot.goals_rad[:, 0] == pytest.approx(wanted[plan.rows :], abs=1e-9)
+    assert by_mocap.goals_rad[:, 0] == pytest.approx(wanted[plan.rows :], abs=1e-6)
+    _improve(bundle, plan, tmp_path, timing.path_errors[-1].rms_m)
+
+
+def _improve(bundle, plan, directory, measured_m):
+    write_document(directory / "plan.json", plan)
+    words = [
+        "plan", directory / "plan.json", "--improve", directory / "trial" / "sil.csv", "--plant",
+        NOMINAL, "--bundle", bundle.directory, "--out", directory / "next.json",
+    ]  # fmt: skip
+    assert models_main([str(w) for w in words]) == 0
+    improved = read_tip_plan(directory / "next.json")
+    assert improved.learned[0].rms_m == pytest.approx(measured_m, rel=0.02)
+    assert improved.learned[0].predicted_rms_m < measured_m / 2
+    assert (directory / "next.svg").stat().st_size > 1000
 
 
 def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):

@@ -1,0 +1,275 @@
+"""Learning from recorded runs of a plan: norm-optimal iterative learning on the twin.
+
+With the goals u sent and the tip y measured, the next goals u + B c minimise::
+
+    |desired - y - S c|^2 + (CHANGE * acceleration of B c)^2
+
+S are the exact derivatives of the twin's tip along the goals sent, B the splines of the plan. What
+the twin has wrong and repeats from run to run is in y and need not be known (Amann, Owens and
+Rogers, *IEE Proc. Control Theory Appl.* 143, 1996; Bristow, Tharayil and Alleyne, *IEEE Control
+Systems* 26, 2006). The step is taken as far as the twin itself, moved to the recorded run, says
+that it helps. The k-th run at a payload counts with 2 / (k + 1), because runs differ and learning
+is to average them. After a run that was worse than the best one at its payload, learning goes back
+to the best one and takes half the step.
+
+Goals for other payloads get a part of the change that falls with the distance in payload, so that
+the goals for the recorded payload change by exactly B c and all others as little as is smooth.
+
+Joints that follow their goals later or earlier than the twin's do so with every payload: that delay
+is measured on the recorded angles, and all goals are moved ahead by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.goals.plan_goals import check_plan_goals
+from firmware_py.goals.tip_plan import BestRun, Columns, LearnedRun, PayloadPlan, TipPlan
+from firmware_py.safety.limits import Limits
+from models.plan.inversion import goal_splines
+from models.plan.plan_timeline import Timeline
+from models.plan.recorded_plan_run import RecordedRun, interpolated, payload_weights
+from models.plan.twin_sensitivity import TipTwin
+from models.plant.plant import Plant
+
+Array = NDArray[np.float64]
+CHANGE_M_S2: Final = 1e-4
+"""Tip error that 1 rad/s² of a change's acceleration outweighs: ten times the weight of planning,
+because a measured tip has noise and the twin is wrong most where it hardly moves [assumed]."""
+STEPS: Final = 3
+"""Gauss–Newton steps with the same derivatives [assumed]."""
+PAYLOAD_REACH_KG: Final = 1.0
+"""Distance in payload over which a change fades: the correlation of the goals to be learned
+[assumed]."""
+WORSE: Final = 1.3
+"""RMS of a run over that of the best at its payload, above which learning goes back. Measured on
+the rig, circle of 6 s with 1.8 kg: runs of one plan differ by a quarter."""
+NEAR_KG: Final = 0.1
+"""Payloads that count as one [assumed]."""
+LONGEST_DELAY_PERIODS: Final = 3.0
+LEAST_DELAY_PERIODS: Final = 0.25
+"""Delays of the joints that are looked for, and that are made up for [assumed]."""
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """Improved plan, and what it was made of.
+
+    Attributes
+    ----------
+    plan : TipPlan
+        The next plan.
+    run : LearnedRun
+        What was learned from.
+    went_back : bool
+        Whether the recorded run was worse than the best before it.
+    """
+
+    plan: TipPlan
+    run: LearnedRun
+    went_back: bool
+
+
+def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) -> Improvement:
+    """Improve a plan by a recorded run of it.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        That was run.
+    run : RecordedRun
+        The run.
+    plant : Plant
+        Its twin gives the derivatives; it may be another than that which was inverted.
+    limits : Limits
+        Limits of the robot, as in force.
+
+    Raises
+    ------
+    InputError
+        If the run was learned from before, the plant is not the link, or every change breaks a
+        limit.
+    """
+    if any(run.sha256 == known.sha256 for known in plan.learned):
+        raise InputError(
+            "--improve", "names a recording that the plan was improved by already",
+            "run the improved plan and name its recording",
+        )  # fmt: skip
+    if plant.load != "link":
+        raise InputError(f"plant {plant.name!r}", "is not the link", "plans are made for the link")
+    measured_m = _rms(run.tip_m - plan.desired_tip_m())
+    start, gain, before = _start(plan, run, measured_m)
+    went_back = start is not run
+    twin = TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)
+    step = _Step(plan, start, twin)
+    tried: InputError | None = None
+    for part in (1.0, 0.5, 0.25, 0.1):
+        improved, predicted_m = step.plan(gain * part)
+        try:
+            check_plan_goals(improved, limits, f"plan {plan.path}, improved")
+            break
+        except InputError as error:
+            tried = error
+    else:
+        raise tried or InputError("--improve", "changes nothing", "name another recording")
+    learned = LearnedRun(
+        sha256=run.sha256, source=run.source, payload_kg=run.payload_kg, rms_m=measured_m,
+        predicted_rms_m=predicted_m, goal_delay_s=step.delay_s, gain=gain * part,
+    )  # fmt: skip
+    best = plan.best
+    if before is None or measured_m < plan.learned[before.run].rms_m:
+        own = BestRun(
+            run=len(plan.learned), goals_rad=_columns(run.goals_rad, 7),
+            tip_m=_columns(run.tip_m, 6), angle_rad=_columns(run.angle_rad, 6),
+        )  # fmt: skip
+        best = (*(b for b in plan.best if b is not before), own)
+    improved = msgspec.structs.replace(improved, learned=(*plan.learned, learned), best=best)
+    return Improvement(improved, learned, went_back)
+
+
+class _Step:
+    """Change of the goals by one recorded run."""
+
+    def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin) -> None:
+        self._plan, self._run, self._twin = plan, run, twin
+        rest = round(plan.rest_s / plan.period_s)
+        desired = plan.desired_tip_m()
+        line = Timeline(desired, rest, plan.start_row, plan.end_row, plan.drawn)
+        self._basis, second = goal_splines(line, plan.period_s)
+        self._rough = np.kron(np.eye(plan.dof), CHANGE_M_S2**2 * second.T @ second)
+        self._rest, self._error = rest, desired - run.tip_m
+        outputs = twin.run(run.goals_rad, run.payload_kg)
+        self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
+        self._sent = self._late(run.goals_rad)
+        self._own_tip = twin.tip_m(twin.run(self._sent, run.payload_kg))
+        self._full = self._solved()
+
+    def plan(self, gain: float) -> tuple[TipPlan, float]:
+        """Plan with a part of the change, and the RMS error that it predicts for the next run."""
+        plan, run, twin = self._plan, self._run, self._twin
+        lead_s = self.delay_s - plan.goal_lead_s
+        c = gain * self._full
+        wanted = run.goals_rad + self._goals(c)
+        tables = [self._moved(t, lead_s) for t in plan.goals_rad()]
+        weights = payload_weights(plan, run.payload_kg)
+        # The change is spread over payloads like a Gaussian process with this correlation.
+        apart = (plan.grid_kg[:, None] - plan.grid_kg) / PAYLOAD_REACH_KG
+        spread = np.exp(-0.5 * apart**2) @ weights
+        spread = spread / float(weights @ spread)
+        base = np.einsum("p,pnj->nj", weights, np.array(tables))
+        change = np.linalg.lstsq(self._basis, wanted - base, rcond=None)[0]
+        repeats = run.tip_m - self._own_tip
+        payloads = []
+        for own, table, part in zip(plan.payloads, tables, spread, strict=True):
+            goals = table + part * (self._basis @ change)
+            goals[: self._rest] = 0.0
+            outputs = twin.run(self._late(goals), own.payload_kg)
+            tip = twin.tip_m(outputs) + part * repeats
+            left = _rms(tip - plan.desired_tip_m())
+            payloads.append(_next(own, goals, tip, twin.current_a(outputs), left, part, plan))
+        improved = msgspec.structs.replace(plan, payloads=tuple(payloads), goal_lead_s=self.delay_s)
+        predicted = self._predicted(interpolated(improved, run.payload_kg))
+        return improved, _rms(predicted - plan.desired_tip_m())
+
+    def _solved(self) -> Array:
+        """Coefficients of the change, as far as the moved twin says that it helps."""
+        slopes = self._twin.slopes(self._sent, self._late(self._basis), self._run.payload_kg)
+        slopes = slopes.reshape(-1, slopes.shape[2])
+        normal = slopes.T @ slopes + self._rough
+        normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal)
+        c, cost = np.zeros(slopes.shape[1]), float(np.sum(self._error**2))
+        error = self._error
+        for _ in range(STEPS):
+            step = np.linalg.solve(normal, slopes.T @ error.ravel() - self._rough @ c)
+            for part in (1.0, 0.5, 0.25, 0.1):
+                tried = c + part * step
+                tip = self._predicted(self._run.goals_rad + self._goals(tried))
+                own_error = self._plan.desired_tip_m() - tip
+                own = float(np.sum(own_error**2) + tried @ self._rough @ tried)
+                if own < cost:
+                    c, cost, error = tried, own, own_error
+                    break
+            else:
+                break
+        return c
+
+    def _predicted(self, goals_rad: Array) -> Array:
+        """Tip of the recorded run with other goals: what the twin adds to what was measured."""
+        outputs = self._twin.run(self._late(goals_rad), self._run.payload_kg)
+        return self._run.tip_m + self._twin.tip_m(outputs) - self._own_tip
+
+    def _goals(self, c: Array) -> Array:
+        return np.asarray(self._basis @ c.reshape(self._plan.dof, -1).T)
+
+    def _late(self, table: Array) -> Array:
+        return self._moved(table, -self.delay_s)
+
+    def _moved(self, table: Array, lead_s: float) -> Array:
+        """Table whose rows come earlier by a time that need not be whole periods."""
+        if lead_s == 0.0:
+            return table
+        rows = np.arange(len(table), dtype=np.float64)
+        at = rows + lead_s / self._plan.period_s
+        return np.column_stack([np.interp(at, rows, column) for column in table.T])
+
+
+def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
+    """Time by which measured angles follow later than those of the twin; 0 where it is small."""
+    rows = np.arange(len(twin_rad), dtype=np.float64)
+
+    def distance(periods: float) -> float:
+        late = [np.interp(rows - periods, rows, column) for column in twin_rad.T]
+        return float(np.sum((measured_rad - np.column_stack(late)) ** 2))
+
+    grid = np.arange(-LONGEST_DELAY_PERIODS, LONGEST_DELAY_PERIODS + 1e-9, 0.05)
+    found = float(grid[int(np.argmin([distance(p) for p in grid]))])
+    if abs(found) < LEAST_DELAY_PERIODS or abs(found) > LONGEST_DELAY_PERIODS - 0.1:
+        return 0.0
+    return found * period_s
+
+
+def _next(
+    own: PayloadPlan, goals: Array, tip: Array, current: Array, left_m: float, part: float,
+    plan: TipPlan,
+) -> PayloadPlan:  # fmt: skip
+    """Plan for one payload, after a part of a change."""
+    unknown = (1.0 - min(part, 1.0)) * (plan.plant_error_rms_m or 0.0)
+    return msgspec.structs.replace(
+        own, goals_rad=_columns(goals, 7), tip_m=_columns(tip, 6),
+        current_a=_columns(current, 4), residual_rms_m=left_m,
+        expected_rms_m=float(np.hypot(left_m, unknown)),
+    )  # fmt: skip
+
+
+def _start(
+    plan: TipPlan, run: RecordedRun, measured_m: float
+) -> tuple[RecordedRun, float, BestRun | None]:
+    """Run to start from, fraction of the step, and the best run before at this payload."""
+    near = [r for r in plan.learned if abs(r.payload_kg - run.payload_kg) < NEAR_KG]
+    gain = 2.0 / (len(near) + 2.0)
+    best = _best_at(plan, run.payload_kg)
+    if best is None or measured_m <= WORSE * plan.learned[best.run].rms_m:
+        return run, gain, best
+    known = plan.learned[best.run]
+    goals, angle, tip = (np.transpose(t) for t in (best.goals_rad, best.angle_rad, best.tip_m))
+    start = RecordedRun(goals, angle, tip, known.payload_kg, known.source, run.sha256)
+    return start, 0.5 * gain, best
+
+
+def _best_at(plan: TipPlan, payload_kg: float) -> BestRun | None:
+    near = [b for b in plan.best if abs(plan.learned[b.run].payload_kg - payload_kg) < NEAR_KG]
+    return near[-1] if near else None
+
+
+def _columns(table: Array, decimals: int) -> Columns:
+    return tuple(tuple(column) for column in (np.round(table, decimals) + 0.0).T.tolist())
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
