@@ -18,6 +18,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 LOCK = "requirements/robot.txt"
+LOCKED = ("record", "trust")
 PIN = re.compile(r"^(?P<name>[a-z0-9-]+)==(?P<version>[^ ;\\]+)(?: ; (?P<marker>[^\\]+?))? *\\?$")
 
 
@@ -37,7 +38,7 @@ def bill_of_materials(
     name, version, licence : str
         Of this project; the licence as SPDX expression.
     direct, optional : list of str
-        Requirements of the project, and those of the extra that the lock also holds.
+        Requirements of the project, and those of the extras that the lock also holds.
     lock : str
         Text of the lock file.
     """
@@ -104,7 +105,7 @@ class SbomBuildHook(BuildHookInterface):  # type: ignore[type-arg,misc]
             self.metadata.version,
             core.license_expression,
             core.dependencies,
-            core.optional_dependencies["record"],
+            [r for extra in LOCKED for r in core.optional_dependencies[extra]],
             (Path(self.root) / LOCK).read_text(encoding="utf-8"),
         )
         self.work = Path(tempfile.mkdtemp(prefix="sbom"))

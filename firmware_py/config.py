@@ -18,6 +18,7 @@ from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup, check_assumed
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
 from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
@@ -115,7 +116,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Whether the recorder process writes the ticks to a file.
     logs : str
         Directory of these files, relative to the file.
-    motion, limits, live, real_time
+    motion, limits, live, trust, real_time
         Tables of these names.
     """
 
@@ -130,6 +131,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     motion: MotionConfig = MotionConfig()
     limits: Limits = Limits()
     live: LiveConfig = LiveConfig()
+    trust: TrustConfig = TrustConfig()
     real_time: RealTimeOptions = RealTimeOptions()
 
     @property
@@ -286,6 +288,8 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     ids = [servo.id for servo in config.servos]
     if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
         raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
+    for key in config.trust.keys:
+        key_bytes(key, path)
     for setup in config.setups():
         check_assumed(setup, path)
 

@@ -38,7 +38,7 @@ from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.goal_source import GoalSource, GoalTable
-from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import Telemetry
@@ -88,7 +88,7 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
     InputError
         If the bundle cannot be used, or is for another number of joints or another period.
     """
-    bundle = ModelBundle.load(path.parent / config.bundle)
+    bundle = ModelBundle.load(path.parent / config.bundle, config.trust.keys)
     manifest = bundle.manifest
     if manifest.dof != config.dof:
         raise InputError(
@@ -238,7 +238,7 @@ def log_metadata(
         "started_utc": started.isoformat(),
         "software": f"dropstitch {__version__}",
         "bundle": str(bundle.directory.resolve()),
-        "manifest_sha256": sha256_of(bundle.directory / MANIFEST),
+        "manifest_sha256": bundle.manifest_sha256,
         "period_s": repr(config.period_s),
         "payload_kg": msgspec.json.encode(config.payload_kg).decode(),
         "rest_samples": str(round(config.motion.rest_s / config.period_s)),

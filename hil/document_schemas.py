@@ -15,6 +15,7 @@ from typing import Final
 
 from firmware_py.documents import Document, schema_of
 from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.faults.faults_document import FaultsDocument
@@ -27,6 +28,7 @@ from models.tip.predictors_document import PredictorsDocument
 
 DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,
+    "signature": BundleSignature,
     "rig_conditions": ConditionsRecord,
     "faults": FaultsDocument,
     "gap": GapDocument,

@@ -34,6 +34,7 @@ from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.motion import KINDS
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
-        for sentence in _uncompared(config, settings):
+        for sentence in (_origin(bundle), *_uncompared(config, settings)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
         telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings, plan))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
@@ -153,6 +154,18 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         config = msgspec.structs.replace(config, payload_kg=args.payload)
         check_config(config, "--payload")
     return config
+
+
+def _origin(bundle: ModelBundle) -> str:
+    """Say who answers for the code in the bundle."""
+    if bundle.signed_by:
+        return f"the bundle {bundle.directory} is signed by {bundle.signed_by}"
+    signed = (bundle.directory / SIGNATURE).exists()
+    found = "has a signature that is not checked" if signed else "is not signed"
+    return (
+        f"the bundle {bundle.directory} {found}, and it holds code that runs here: add the key of "
+        "its maker to [trust] keys to refuse any other"
+    )
 
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:

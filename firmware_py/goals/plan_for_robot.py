@@ -10,7 +10,7 @@ from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
 from firmware_py.goals.tip_plan import TipPlan
-from firmware_py.inference.bundle import MANIFEST, ModelBundle, sha256_of
+from firmware_py.inference.bundle import ModelBundle
 
 __all__ = ["goals_of_plan", "log_facts"]
 
@@ -43,7 +43,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
             where, f"has a period of {plan.period_s:g} s, the robot {config.period_s:g} s",
             "plan for this robot",
         )  # fmt: skip
-    if plan.bundle_sha256 != sha256_of(bundle.directory / MANIFEST):
+    if plan.bundle_sha256 != bundle.manifest_sha256:
         raise InputError(
             where, f"was made for another bundle than {bundle.directory}",
             f"plan again with --bundle {bundle.directory}",

@@ -12,103 +12,36 @@
     predictors.json   the candidates compared, and why this one was chosen
     golden.npz        ticks that the robot replays before it moves
     MODEL_CARD.md     description for people
+    manifest.sig      signature of the manifest, where `python -m models sign` was used
 
-`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads it and refuses
-files that do not match.
+`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads each file once and
+refuses what does not match. `observer.fmu` is a native library: **who makes a bundle decides what
+runs on the robot PC**.
 """
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from firmware_py.errors import InputError
 from firmware_py.inference.estimator import DeformationEstimator, ObserverEstimator, load_estimator
 from firmware_py.inference.golden import GOLDEN, read_golden, verify
+from firmware_py.inference.manifest import (
+    BundleFiles,
+    Manifest,
+    Quantity,
+    read_bundle_files,
+    write_manifest,
+)
 from firmware_py.inference.predictor import OnnxPredictor
 
 __all__ = ["Manifest", "ModelBundle", "Quantity", "read_manifest", "write_manifest"]
 
-SCHEMA: Final = 1
-MANIFEST: Final = "manifest.json"
 PREDICTOR: Final = "predictor.onnx"
 POLYNOMIAL: Final = "polynomial.onnx"
-
-
-class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Feature or output of the predictor.
-
-    Attributes
-    ----------
-    name : str
-        Name of the signal.
-    unit : str
-        SI unit; "1" for none.
-    minimum, maximum : float
-        Range in the training data.
-    """
-
-    name: str
-    unit: str
-    minimum: float
-    maximum: float
-
-
-class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Contents of `manifest.json`.
-
-    Attributes
-    ----------
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period of the training data.
-    features, outputs : tuple of Quantity
-        In the order of the graph's input columns and output rows.
-    estimator : str
-        Source of the DI on the robot: "observer", "lagged" or "none".
-    degree : int
-        Degree of the paper's polynomial, chosen by cross-validation on the training trials.
-    predictor : str
-        Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone.
-    lag_ticks : tuple of int
-        Ages of the samples that the lagged estimator uses.
-    training_data_sha256, plant_sha256 : str
-        Hashes of the training trials and of the plant.
-    libraries : dict
-        Versions of the libraries, by name.
-    metrics : dict
-        Errors on held-out trials by name, SI units in the names.
-    coefficients : dict
-        Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only.
-    files : dict
-        SHA-256 by file name.
-    """
-
-    schema: int = SCHEMA
-    dof: int
-    period_s: float
-    degree: int
-    estimator: str
-    features: tuple[Quantity, ...]
-    outputs: tuple[Quantity, ...]
-    lag_ticks: tuple[int, ...]
-    training_data_sha256: str
-    plant_sha256: str
-    libraries: dict[str, str]
-    metrics: dict[str, float]
-    coefficients: dict[str, tuple[float, ...]]
-    files: dict[str, str]
-    predictor: str = ""
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_manifest(directory: Path | str) -> Manifest:
@@ -124,61 +57,16 @@ def read_manifest(directory: Path | str) -> Manifest:
     InputError
         If the directory or a file is missing, damaged, of another schema or does not match.
     """
-    directory = Path(directory)
-    path = directory / MANIFEST
-    try:
-        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
-    except FileNotFoundError:
-        raise InputError(
-            path, "is missing", "make a bundle with 'python -m models train'"
-        ) from None
-    except msgspec.DecodeError as error:  # also what is valid JSON of another form
-        raise InputError(path, str(error), "train the bundle again with this version") from None
-    if manifest.schema != SCHEMA:
-        raise InputError(
-            path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
-        )
-    for name, expected in manifest.files.items():
-        file = directory / name
-        if not file.is_file():
-            raise InputError(file, "is missing", "copy the whole bundle directory")
-        if sha256_of(file) != expected:
-            raise InputError(
-                file, "does not match the hash in manifest.json", "copy or train the bundle again"
-            )
-    return manifest
+    return read_bundle_files(directory).manifest
 
 
-def write_manifest(directory: Path, manifest: Manifest) -> None:
-    """Replace `manifest.json` atomically, with the hashes of every other file of the directory.
-
-    Parameters
-    ----------
-    directory : Path
-        The bundle.
-    manifest : Manifest
-        Manifest to write; its `files` are replaced.
-    """
-    files = {
-        p.name: sha256_of(p)
-        for p in sorted(directory.iterdir())
-        if p.is_file() and p.name != MANIFEST and not p.name.startswith(".")
-    }
-    manifest = msgspec.structs.replace(manifest, files=files)
-    scratch = directory / f".{MANIFEST}"
-    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
-    scratch.replace(directory / MANIFEST)
-
-
-def load_predictor(directory: Path, manifest: Manifest) -> OnnxPredictor:
+def load_predictor(files: BundleFiles) -> OnnxPredictor:
     """Load the predictor that the estimator of a bundle can serve.
 
     Parameters
     ----------
-    directory : Path
+    files : BundleFiles
         The bundle.
-    manifest : Manifest
-        Its manifest.
 
     Raises
     ------
@@ -186,15 +74,17 @@ def load_predictor(directory: Path, manifest: Manifest) -> OnnxPredictor:
         If a file cannot be used, or the predictor needs the observer and the bundle has neither
         that nor a polynomial.
     """
-    predictor = OnnxPredictor(directory / PREDICTOR, manifest.dof)
+    manifest = files.manifest
+    predictor = OnnxPredictor(files.file(PREDICTOR), manifest.dof)
     if manifest.estimator == "observer" or not predictor.wanted:
         return predictor
-    if POLYNOMIAL not in manifest.files:
+    if POLYNOMIAL not in files.contents:
         raise InputError(
-            directory / PREDICTOR, f"needs {predictor.wanted[0]} of an observer that is missing",
+            files.directory / PREDICTOR,
+            f"needs {predictor.wanted[0]} of an observer that is missing",
             "add it with 'python -m fmu build --unit observer'",
-        )  # fmt: skip
-    return OnnxPredictor(directory / POLYNOMIAL, manifest.dof)
+        )
+    return OnnxPredictor(files.file(POLYNOMIAL), manifest.dof)
 
 
 @dataclass(frozen=True)
@@ -212,12 +102,18 @@ class ModelBundle:
     predictor : OnnxPredictor
         Predictor from `predictor.onnx`; from `polynomial.onnx` where the estimator does not know
         what that one wants.
+    manifest_sha256 : str
+        Hash of `manifest.json` as it was loaded.
+    signed_by : str
+        Trusted key that has signed it; empty where none was asked for.
     """
 
     directory: Path
     manifest: Manifest
     estimator: DeformationEstimator
     predictor: OnnxPredictor
+    manifest_sha256: str = ""
+    signed_by: str = ""
 
     def assume_payload(self, payload_kg: float | None) -> None:
         """Give the payload to an estimator that uses it; others are not changed.
@@ -236,29 +132,30 @@ class ModelBundle:
             self.estimator.assume_payload(payload_kg)
 
     @classmethod
-    def load(cls, directory: Path | str) -> ModelBundle:
-        """Verify every hash, load, and replay the golden ticks.
+    def load(cls, directory: Path | str, trusted: Sequence[str] = ()) -> ModelBundle:
+        """Read every file once, verify signature and hashes, load, and replay the golden ticks.
 
         Parameters
         ----------
         directory : Path or str
             The bundle.
+        trusted : sequence of str, optional
+            Public keys of which one must have signed the bundle; without one none is checked.
 
         Raises
         ------
         InputError
-            If a file is missing or damaged, or the results on this machine differ from those on the
-            machine that made the bundle.
+            If a file is missing or damaged, no trusted key has signed the bundle, or the results on
+            this machine differ from those on the machine that made it.
         """
-        directory = Path(directory)
-        manifest = read_manifest(directory)
-        for name in (PREDICTOR, GOLDEN):
-            if name not in manifest.files:
-                raise InputError(directory / MANIFEST, f"names no {name}", "train the bundle again")
-        predictor = load_predictor(directory, manifest)
+        files = read_bundle_files(directory, trusted)
+        manifest = files.manifest
+        golden = read_golden(files.file(GOLDEN), manifest.dof)
+        predictor = load_predictor(files)
         estimator = load_estimator(
-            manifest.estimator, directory, manifest.dof, manifest.lag_ticks, predictor.wanted
+            manifest.estimator, files.file, manifest.dof, manifest.lag_ticks, predictor.wanted
         )
-        golden = read_golden(directory / GOLDEN, manifest.dof)
-        verify(golden, estimator, predictor, directory / GOLDEN)
-        return cls(directory, manifest, estimator, predictor)
+        verify(golden, estimator, predictor, files.directory / GOLDEN)
+        return cls(
+            files.directory, manifest, estimator, predictor, files.manifest_sha256, files.signed_by
+        )

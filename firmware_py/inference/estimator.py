@@ -8,14 +8,14 @@ baseline without DI.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.file_content import Source
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import NO_SIGNALS, OnnxGraph
 
@@ -118,7 +118,7 @@ class LaggedEstimator:
 
     Parameters
     ----------
-    path : Path or str
+    path : Path, str or FileContent
         The graph: input "lagged", for each lag angles then currents; output "di".
     lag_ticks : sequence of int
         Ages of the samples that it uses, in ticks; from the manifest.
@@ -133,7 +133,7 @@ class LaggedEstimator:
 
     waits_for_fresh: ClassVar[bool] = False
 
-    def __init__(self, path: Path | str, lag_ticks: Sequence[int], dof: int) -> None:
+    def __init__(self, path: Source, lag_ticks: Sequence[int], dof: int) -> None:
         self._graph = OnnxGraph(path, 2 * dof * len(lag_ticks), (("di", 1),))
         self._input = self._graph.row.reshape(len(lag_ticks), 2 * dof)
         self._history: Array = np.zeros((max(lag_ticks) + 1, 2 * dof))
@@ -296,7 +296,11 @@ class SampleHold:
 
 
 def load_estimator(
-    name: str, directory: Path, dof: int, lag_ticks: Sequence[int], wanted: Sequence[str] = ()
+    name: str,
+    file: Callable[[str], Source],
+    dof: int,
+    lag_ticks: Sequence[int],
+    wanted: Sequence[str] = (),
 ) -> DeformationEstimator:
     """Load the estimator of a bundle.
 
@@ -304,8 +308,8 @@ def load_estimator(
     ----------
     name : str
         "observer", "lagged" or "none", from the manifest.
-    directory : Path
-        The bundle.
+    file : callable
+        Returns a file of the bundle by its name.
     dof : int
         Number of joints.
     lag_ticks : sequence of int
@@ -319,13 +323,13 @@ def load_estimator(
         If the name is unknown or the file cannot be used.
     """
     if name == "observer":
-        return ObserverEstimator(FmuInstance(directory / "observer.fmu"), dof, wanted)
+        return ObserverEstimator(FmuInstance(file("observer.fmu")), dof, wanted)
     if name == "lagged":
-        return LaggedEstimator(directory / "lagged.onnx", lag_ticks, dof)
+        return LaggedEstimator(file("lagged.onnx"), lag_ticks, dof)
     if name == "none":
         return NoEstimator()
     raise InputError(
-        directory / "manifest.json",
+        "manifest.json",
         f"estimator is {name!r}, not 'observer', 'lagged' or 'none'",
         "build the bundle again with this version",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import io
 import platform
 import zipfile
 import zlib
@@ -13,6 +14,7 @@ from typing import Final, NamedTuple
 from xml.etree import ElementTree as ET
 
 from firmware_py.errors import InputError
+from firmware_py.inference.file_content import Source, content_of
 
 __all__ = ["InstanceVariable", "open_fmu"]
 
@@ -53,12 +55,12 @@ class InstanceVariable(NamedTuple):
     start: float | None
 
 
-def open_fmu(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
+def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
     """Read the model description with its variables, and load the binary for this machine.
 
     Parameters
     ----------
-    path : Path
+    source : Path, str or FileContent
         The .fmu file.
 
     Returns
@@ -77,8 +79,9 @@ def open_fmu(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctype
         this machine.
     """
     remedy = "build it again with 'python -m fmu build' or copy it again"
+    path, data = content_of(source, remedy)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
             astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
             if astray:
@@ -89,8 +92,6 @@ def open_fmu(path: Path) -> tuple[ET.Element, dict[str, InstanceVariable], ctype
             variables = {v.name: v for v in _variables(root)}
             name = _binary(path, root, names)
             binary = archive.read(name)
-    except FileNotFoundError:
-        raise InputError(path, "is missing", remedy) from None
     except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
             ValueError, RuntimeError) as error:  # fmt: skip
         raise InputError(path, f"is no FMU ({error})", remedy) from None

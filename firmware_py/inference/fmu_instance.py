@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.fmu_file import InstanceVariable, open_fmu
 
 __all__ = ["Channel", "FmuInstance"]
@@ -69,7 +69,7 @@ class FmuInstance:
 
     Parameters
     ----------
-    path : Path or str
+    source : Path, str or FileContent
         The .fmu file.
 
     Attributes
@@ -86,9 +86,10 @@ class FmuInstance:
         this machine.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
-        root, self.variables, self._library = open_fmu(self.path)
+    def __init__(self, source: Source) -> None:
+        content = content_of(source, "build it again with 'python -m fmu build' or copy it again")
+        self.path = content.path
+        root, self.variables, self._library = open_fmu(content)
         self.time_s = 0.0
         self._message = ""
         self._log = _LOG(self._take_message)

@@ -6,6 +6,7 @@ detected before the start.
 
 from __future__ import annotations
 
+import io
 import zipfile
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -23,6 +25,8 @@ TOLERANCE: Final = 1e-9
 """Largest permitted difference, in the SI unit of each quantity."""
 FEWEST_TICKS: Final = 100
 """Fewest golden ticks: 1.7 s of a motion at 17 ms. [assumed]"""
+_SHORTEST_S, _LONGEST_S = 1e-3, 1.0
+"""Range of the period in robot.toml and in the manifest, too."""
 _LEAST_WAY_RAD: Final = 1e-3
 """Least movement of the joint that moves most: one hundredth of the 5° of a first run. [assumed]"""
 
@@ -93,12 +97,12 @@ def write_golden(path: Path, golden: Golden) -> None:
     np.savez(path, allow_pickle=False, **golden._asdict())
 
 
-def read_golden(path: Path, dof: int) -> Golden:
+def read_golden(source: Source, dof: int) -> Golden:
     """Read the golden ticks.
 
     Parameters
     ----------
-    path : Path
+    source : Path, str or FileContent
         The file `golden.npz`.
     dof : int
         Number of joints.
@@ -109,11 +113,10 @@ def read_golden(path: Path, dof: int) -> Golden:
         If the file is missing or damaged, its arrays do not fit together, or it does not hold 100
         finite ticks in which a joint moves.
     """
+    path, data = content_of(source)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = [np.asarray(file[name], dtype=np.float64) for name in Golden._fields]
-    except FileNotFoundError:
-        raise InputError(path, "is missing", "copy the whole bundle directory") from None
     except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(path, f"cannot be read ({error})", "copy the bundle again") from None
     count = len(np.atleast_1d(arrays[0]))
@@ -129,6 +132,7 @@ def read_golden(path: Path, dof: int) -> Golden:
 def _check_evidence(golden: Golden, path: Path) -> None:
     """Refuse ticks with which every estimator and predictor would agree."""
     finite = all(np.isfinite(part).all() for part in golden[:-1])  # a payload may be unknown
+    finite &= _SHORTEST_S <= golden.step_s <= _LONGEST_S
     way_rad = np.ptp(golden.angle_rad, axis=0).max()
     if len(golden.angle_rad) < FEWEST_TICKS or not finite or not way_rad >= _LEAST_WAY_RAD:
         raise InputError(

@@ -12,6 +12,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.inference.file_content import Source, content_of
 from firmware_py.signals import AGE, feature_names, observer_signals
 
 __all__ = ["NO_SIGNALS", "OnnxGraph", "OnnxPredictor", "Prediction", "Predictor", "named_inputs"]
@@ -80,7 +81,7 @@ class OnnxGraph:
 
     Parameters
     ----------
-    path : Path or str
+    source : Path, str or FileContent
         ONNX file.
     inputs : int or None
         Required width of the input; None for any.
@@ -109,17 +110,15 @@ class OnnxGraph:
     """
 
     def __init__(
-        self, path: Path | str, inputs: int | None, outputs: tuple[tuple[str, int], ...]
+        self, source: Source, inputs: int | None, outputs: tuple[tuple[str, int], ...]
     ) -> None:
-        path = Path(path)
-        if not path.is_file():
-            raise InputError(path, "is missing", "train the bundle again or copy all of it")
+        path, data = content_of(source, "train the bundle again or copy all of it")
         options = ort.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.log_severity_level = 4  # a damaged file is reported below, in one sentence
         try:
-            session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            session = ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
         except Exception:  # onnxruntime raises its own types, which differ between versions
             raise InputError(
                 path, "is not a graph that onnxruntime can load", "train or copy the bundle again"
@@ -155,7 +154,7 @@ class OnnxPredictor:
 
     Parameters
     ----------
-    path : Path or str
+    source : Path, str or FileContent
         The file.
     dof : int
         Number of joints.
@@ -175,9 +174,11 @@ class OnnxPredictor:
         input.
     """
 
-    def __init__(self, path: Path | str, dof: int) -> None:
+    def __init__(self, source: Source, dof: int) -> None:
+        source = content_of(source, "train the bundle again or copy all of it")
+        path = source.path
         outputs = (("tip_m", AXES), ("in_range", 1), ("half_width_m", AXES))
-        self._graph = OnnxGraph(path, None, outputs)
+        self._graph = OnnxGraph(source, None, outputs)
         self._prediction = Prediction(*self._graph.results)
         measured, row = feature_names(dof), self._graph.row
         self.inputs = named_inputs(self._graph.metadata, path) or measured

@@ -22,7 +22,7 @@ from firmware_py.display_units import CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
-from firmware_py.inference.bundle import MANIFEST, read_manifest, sha256_of
+from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.safety.limits import Limits
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
@@ -65,9 +65,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, write, report."""
-    manifest = read_manifest(args.bundle)
+    files = read_bundle_files(args.bundle)
+    manifest = files.manifest
     if args.improve is not None:
-        return _improve(args)
+        return _improve(args, files.manifest_sha256)
     path = _path(args, manifest.dof, manifest.period_s)
     plant = read_plant(args.plant)
     limits = _limits(args.limits)
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("plan", 1 if args.rigid else 1 + len(payloads))
     request = PlanRequest(
         plant, manifest.dof, manifest.period_s, limits, payloads,
-        sha256_of(args.bundle / MANIFEST), args.rigid,
+        files.manifest_sha256, args.rigid,
     )  # fmt: skip
     plan = plan_path(path, request, progress.step)
     picture = _write(plan, args.out)
@@ -86,10 +87,10 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _improve(args: argparse.Namespace) -> int:
+def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
     """Read a plan and a run of it, improve, write, report."""
     plan = read_tip_plan(Path(args.path))
-    if plan.bundle_sha256 != sha256_of(args.bundle / MANIFEST):
+    if plan.bundle_sha256 != bundle_sha256:
         raise InputError(
             args.path, f"was made for another bundle than {args.bundle}", "name its bundle"
         )

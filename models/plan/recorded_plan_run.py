@@ -7,6 +7,7 @@ recording the last whole one counts: there the robot's estimate of the payload h
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan
-from firmware_py.inference.bundle import sha256_of
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
@@ -87,7 +87,9 @@ def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
             path, f"is no run of the plan {plan.path}: its goals differ by {difference:.3f} rad",
             "name a recording of this plan",
         )  # fmt: skip
-    return RecordedRun(goals, angle, tip, payload_kg, source, sha256_of(path))
+    return RecordedRun(
+        goals, angle, tip, payload_kg, source, hashlib.sha256(path.read_bytes()).hexdigest()
+    )
 
 
 def interpolated(plan: TipPlan, payload_kg: float) -> Array:

@@ -309,8 +309,8 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
         raise InputError(
             where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
         )
-    low, high = entry.bounds or (q.low, q.high)
-    if not (math.isfinite(entry.value) and low <= high):
+    (low, high), spread = entry.bounds or (q.low, q.high), entry.prior_deviation or 0.0
+    if not (math.isfinite(entry.value) and -math.inf < low <= high < math.inf > spread >= 0.0):
         raise InputError(where, f"parameter {q.name} is not a finite number", "correct it")
     return msgspec.structs.replace(
         q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,

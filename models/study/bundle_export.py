@@ -13,7 +13,6 @@ import onnx
 
 from firmware_py.errors import DropstitchError, InputError
 from firmware_py.inference.bundle import (
-    MANIFEST,
     POLYNOMIAL,
     PREDICTOR,
     Manifest,
@@ -22,6 +21,7 @@ from firmware_py.inference.bundle import (
 )
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
+from firmware_py.inference.manifest import MANIFEST
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
 from models.learning.lagged import LAG_TICKS

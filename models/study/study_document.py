@@ -12,7 +12,7 @@ Source   observer, lagged, none: estimator of DI
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -53,7 +53,7 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     payload_kg: tuple[float, ...]
     amplitude_rad: tuple[float, ...]
     phase_2_rad: tuple[float, ...]
-    step_s: float
+    step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
 
 
 class FoldErrors(
@@ -265,7 +265,7 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "python -m models train"
 
-    dof: int
+    dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     rows: str
     training: TrialsSummary
     cross_validation: dict[Variant, dict[Degree, FoldErrors]]

@@ -6,7 +6,7 @@ Distances and widths are in m; coverage and fractions are dimensionless.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 
@@ -95,7 +95,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "python -m models train"
 
-    dof: int
+    dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     chosen: str
     reason: str
     trials: tuple[str, ...]

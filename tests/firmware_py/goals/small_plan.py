@@ -3,7 +3,8 @@
 import numpy as np
 
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
-from firmware_py.inference.bundle import MANIFEST, sha256_of
+from firmware_py.inference.file_content import content_of
+from firmware_py.inference.manifest import MANIFEST
 from firmware_py.signals import PERIOD_S
 
 ROWS = 40
@@ -26,5 +27,5 @@ def small_plan(bundle):
         schema=1, path="circle", method="inverse", dof=1, period_s=PERIOD_S, rest_s=PERIOD_S,
         start_row=5, end_row=30, drawn=((5, 30),), desired_m=(column(0.02),), payloads=payloads,
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="",
-        bundle_sha256=sha256_of(bundle / MANIFEST),
+        bundle_sha256=content_of(bundle / MANIFEST).sha256,
     )  # fmt: skip

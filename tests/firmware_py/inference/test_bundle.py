@@ -111,6 +111,8 @@ def one_tick(golden):
         lambda golden: golden._replace(angle_rad=golden.angle_rad * np.nan),
         lambda golden: golden._replace(angle_rad=golden.angle_rad * 0.0),
         lambda golden: golden._replace(step_s=np.nan),
+        lambda golden: golden._replace(step_s=-0.017),
+        lambda golden: golden._replace(step_s=1e9),
     ],
 )
 def test_golden_ticks_that_prove_nothing_are_refused(bundle, change):

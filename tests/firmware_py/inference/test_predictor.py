@@ -117,9 +117,11 @@ def test_lagged_estimator_runs_like_the_regression_over_the_whole_trial(
 
 
 def test_estimators_are_loaded_by_name(toy_bundle):
-    assert isinstance(load_estimator("lagged", toy_bundle, 1, (0, 4, 8, 16)), LaggedEstimator)
-    none = load_estimator("none", toy_bundle, 1, ())
+    assert isinstance(
+        load_estimator("lagged", toy_bundle.joinpath, 1, (0, 4, 8, 16)), LaggedEstimator
+    )
+    none = load_estimator("none", toy_bundle.joinpath, 1, ())
     assert isinstance(none, NoEstimator)
     assert none.update(np.zeros(1), np.zeros(1), 0.017).di == 0.0
     with pytest.raises(InputError, match="crystal ball"):
-        load_estimator("crystal ball", toy_bundle, 1, ())
+        load_estimator("crystal ball", toy_bundle.joinpath, 1, ())

@@ -11,7 +11,7 @@ from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import read_tip_plan
-from firmware_py.inference.bundle import MANIFEST, Manifest, ModelBundle, sha256_of, write_manifest
+from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
@@ -54,7 +54,7 @@ def bundle(tmp_path_factory):
 @pytest.fixture(scope="module")
 def plan(bundle):
     path = built_in_path("line", 1, PERIOD_S, PathOptions(size_m=0.2, seconds=2.0))
-    sha256 = sha256_of(bundle.directory / MANIFEST)
+    sha256 = bundle.manifest_sha256
     return plan_path(
         path, PlanRequest(read_plant(), 1, PERIOD_S, Limits(rate_rad_s=1.0), (0.5, 1.5), sha256)
     )

@@ -1,0 +1,172 @@
+"""Signature of a bundle: Ed25519 over its manifest, which holds the hash of every other file.
+
+A private key is a PEM file (`openssl genpkey -algorithm ed25519`) or one of OpenSSH (`ssh-keygen -t
+ed25519`); a public key is written `ed25519:` and its 32 bytes in base64 (RFC 8032, RFC 4648).
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+
+from firmware_py.documents import Document
+from firmware_py.errors import InputError
+from firmware_py.inference.file_content import FileContent, content_of
+
+__all__ = ["BundleSignature", "TrustConfig", "check_signature", "key_bytes", "signed_message"]
+
+SIGNATURE: Final = "manifest.sig"
+_PREFIX: Final = "ed25519:"
+_KEY_BYTES: Final = 32
+_CONTEXT: Final = b"dropstitch bundle manifest 1\n"
+"""Start of the signed message: the key's signature of anything else is none of a bundle."""
+_SIGN: Final = "sign it with 'python -m models sign'"
+
+
+class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[trust]` of `robot.toml`.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Public keys of which one must have signed the bundle; empty accepts unsigned bundles.
+    """
+
+    keys: tuple[str, ...] = ()
+
+
+class BundleSignature(Document, frozen=True, kw_only=True):
+    """Contents of `manifest.sig`.
+
+    Attributes
+    ----------
+    key : str
+        Public key, `ed25519:` and base64.
+    signature : str
+        The 64 bytes of the signature in base64.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m models sign"
+
+    key: str
+    signature: str
+
+
+def signed_message(manifest: FileContent) -> bytes:
+    """Return the bytes that a signature of a bundle signs.
+
+    Parameters
+    ----------
+    manifest : FileContent
+        The file `manifest.json`.
+    """
+    return _CONTEXT + manifest.data
+
+
+def key_text(raw: bytes) -> str:
+    """Return a public key as robot.toml names it.
+
+    Parameters
+    ----------
+    raw : bytes
+        Its 32 bytes.
+
+    Examples
+    --------
+    >>> key_text(bytes(32))
+    'ed25519:AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA='
+    """
+    return _PREFIX + base64.b64encode(raw).decode()
+
+
+def key_bytes(text: str, where: Path | str) -> bytes:
+    """Return the 32 bytes of a public key.
+
+    Parameters
+    ----------
+    text : str
+        The key, `ed25519:` and base64.
+    where : Path or str
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If it is no such key.
+    """
+    raw = _decoded(text.removeprefix(_PREFIX))
+    if not text.startswith(_PREFIX) or len(raw) != _KEY_BYTES:
+        raise InputError(
+            where, f"{text!r} is no public key",
+            "give ed25519: and 44 characters, as 'python -m models sign' prints them",
+        )  # fmt: skip
+    return raw
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError):
+        return b""
+
+
+def check_signature(manifest: FileContent, path: Path, trusted: Sequence[str]) -> str:
+    """Require that a trusted key has signed a manifest.
+
+    Parameters
+    ----------
+    manifest : FileContent
+        The file `manifest.json`.
+    path : Path
+        The file `manifest.sig` beside it.
+    trusted : sequence of str
+        Public keys.
+
+    Returns
+    -------
+    str
+        The key that has signed it.
+
+    Raises
+    ------
+    InputError
+        If the signature is missing, damaged, by another key or of another manifest, or the library
+        for it is missing.
+    """
+    try:
+        from cryptography.exceptions import InvalidSignature
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    except ImportError:
+        raise InputError(
+            "[trust] keys", "needs the package cryptography to check signatures",
+            "pip install 'dropstitch[trust]'",
+        ) from None  # fmt: skip
+    if not path.exists():
+        raise InputError(
+            path.parent, "is not signed, and [trust] keys are given", f"{_SIGN} and one of them"
+        )
+    try:
+        signature = msgspec.json.decode(content_of(path, _SIGN).data, type=BundleSignature)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(path, f"is no signature ({error})", f"{_SIGN} again") from None
+    if signature.schema != BundleSignature.VERSION:
+        raise InputError(path, f"has schema version {signature.schema}", f"{_SIGN} again")
+    if signature.key not in trusted:
+        raise InputError(
+            path, f"is by the key {signature.key[:80]!r}, which [trust] does not name",
+            "add the key to [trust] keys if you trust its owner, who decides what runs here",
+        )  # fmt: skip
+    try:
+        key = Ed25519PublicKey.from_public_bytes(key_bytes(signature.key, path))
+        key.verify(_decoded(signature.signature), signed_message(manifest))
+    except InvalidSignature:
+        raise InputError(
+            path, "does not fit manifest.json: the bundle was changed after it was signed",
+            f"copy the bundle again, or {_SIGN} again",
+        ) from None  # fmt: skip
+    return signature.key

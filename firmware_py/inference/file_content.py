@@ -1,0 +1,74 @@
+"""Content of a file, read once: what was hashed is what is used."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from firmware_py.errors import InputError
+
+__all__ = ["FileContent", "Source", "content_of"]
+
+LARGEST_BYTES: Final = 64 * 2**20
+"""Largest file of a bundle; those of the demo have 360 kB at most. [assumed]"""
+
+
+class FileContent(NamedTuple):
+    """File in memory.
+
+    Attributes
+    ----------
+    path : Path
+        Where it was read, for messages.
+    data : bytes
+        Its content.
+    """
+
+    path: Path
+    data: bytes
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the content, in hexadecimal."""
+        return hashlib.sha256(self.data).hexdigest()
+
+
+Source = Path | str | FileContent
+"""A file by its path, or one that was read already."""
+
+
+def content_of(source: Source, remedy: str = "copy the whole bundle directory") -> FileContent:
+    """Return the content of a file; one that was read before is returned as it is.
+
+    Parameters
+    ----------
+    source : Path, str or FileContent
+        The file.
+    remedy : str, optional
+        What the user can do where it is missing, for the message.
+
+    Raises
+    ------
+    InputError
+        If it is missing, is no file, cannot be read or is larger than `LARGEST_BYTES`.
+    """
+    if isinstance(source, FileContent):
+        return source
+    path = Path(source)
+    try:
+        # Without O_NONBLOCK a named pipe in place of the file would wait for its writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise InputError(path, "is no file", remedy)
+            data = file.read(LARGEST_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError(path, "is missing", remedy) from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(path, f"cannot be read ({error})", remedy) from None
+    if len(data) > LARGEST_BYTES:
+        raise InputError(path, f"is larger than {LARGEST_BYTES >> 20} MB", remedy)
+    return FileContent(path, data)

@@ -1,0 +1,241 @@
+"""Manifest of a bundle: its contents with units and ranges, and the hash of every file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.inference.bundle_signature import SIGNATURE, check_signature
+from firmware_py.inference.file_content import FileContent, content_of
+
+__all__ = ["BundleFiles", "Manifest", "Quantity", "read_bundle_files", "write_manifest"]
+
+SCHEMA: Final = 1
+MANIFEST: Final = "manifest.json"
+FILES: Final = frozenset(
+    {
+        "predictor.onnx", "polynomial.onnx", "lagged.onnx", "observer.fmu", "plant.json",
+        "study.json", "predictors.json", "golden.npz", "MODEL_CARD.md",
+    }
+)  # fmt: skip
+"""Files that a manifest may name; whatever else lies in the directory is never read."""
+_MOST_DOF: Final = 2
+_PERIOD_S: Final = (1e-3, 1.0)
+"""Range of the period in robot.toml, too."""
+_MOST_LAG_TICKS: Final = 1000
+_MOST_LAGS: Final = 100
+_MOST_DEGREE: Final = 20
+_LARGEST: Final = 1e6
+"""Largest magnitude of a range, a metric or a coefficient, in SI units. [assumed]"""
+_LARGEST_COEFFICIENT: Final = 1e15
+"""Of a monomial in amperes, radians and DI near 0.01: its cube is 1e-6. [assumed]"""
+
+
+class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Feature or output of the predictor.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal.
+    unit : str
+        SI unit; "1" for none.
+    minimum, maximum : float
+        Range in the training data.
+    """
+
+    name: str
+    unit: str
+    minimum: float
+    maximum: float
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Contents of `manifest.json`.
+
+    Attributes
+    ----------
+    dof : int
+        Number of joints.
+    period_s : float
+        Control period of the training data.
+    features, outputs : tuple of Quantity
+        In the order of the graph's input columns and output rows.
+    estimator : str
+        Source of the DI on the robot: "observer", "lagged" or "none".
+    degree : int
+        Degree of the paper's polynomial, chosen by cross-validation on the training trials.
+    predictor : str
+        Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone.
+    lag_ticks : tuple of int
+        Ages of the samples that the lagged estimator uses.
+    training_data_sha256, plant_sha256 : str
+        Hashes of the training trials and of the plant.
+    libraries : dict
+        Versions of the libraries, by name.
+    metrics : dict
+        Errors on held-out trials by name, SI units in the names.
+    coefficients : dict
+        Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only.
+    files : dict
+        SHA-256 by file name.
+    """
+
+    schema: int = SCHEMA
+    dof: int
+    period_s: float
+    degree: int
+    estimator: str
+    features: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    lag_ticks: tuple[int, ...]
+    training_data_sha256: str
+    plant_sha256: str
+    libraries: dict[str, str]
+    metrics: dict[str, float]
+    coefficients: dict[str, tuple[float, ...]]
+    files: dict[str, str]
+    predictor: str = ""
+
+
+@dataclass(frozen=True)
+class BundleFiles:
+    """Files of a bundle in memory, as the manifest's hashes describe them.
+
+    Attributes
+    ----------
+    directory : Path
+        Where they were read.
+    manifest : Manifest
+        Contents of `manifest.json`.
+    manifest_sha256 : str
+        Hash of that file.
+    signed_by : str
+        Trusted key that has signed the manifest; empty where none was asked for.
+    contents : mapping of str to FileContent
+        Every file that the manifest names.
+    """
+
+    directory: Path
+    manifest: Manifest
+    manifest_sha256: str
+    signed_by: str
+    contents: Mapping[str, FileContent]
+
+    def file(self, name: str) -> FileContent:
+        """Return a file.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Raises
+        ------
+        InputError
+            If the manifest does not name it.
+        """
+        if name not in self.contents:
+            raise InputError(
+                self.directory / MANIFEST, f"names no {name}", "copy or train the bundle again"
+            )
+        return self.contents[name]
+
+
+def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> BundleFiles:
+    """Read every file of a bundle once and compare it with the manifest.
+
+    Parameters
+    ----------
+    directory : Path or str
+        The bundle.
+    trusted : sequence of str, optional
+        Public keys of which one must have signed the manifest; without one no signature is checked.
+
+    Raises
+    ------
+    InputError
+        If the directory or a file is missing, damaged, of another schema or does not match; if the
+        manifest names a file that no bundle has; if no trusted key has signed it.
+    """
+    directory = Path(directory)
+    path = directory / MANIFEST
+    raw = content_of(path, "make a bundle with 'python -m models train'")
+    signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
+    try:
+        manifest = msgspec.json.decode(raw.data, type=Manifest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(path, str(error), "train the bundle again with this version") from None
+    if manifest.schema != SCHEMA:
+        raise InputError(
+            path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
+        )
+    for wrong in _out_of_bounds(manifest):
+        raise InputError(path, wrong, "copy or train the bundle again")
+    contents = {}
+    for name, expected in manifest.files.items():
+        contents[name] = content = content_of(directory / name)
+        if content.sha256 != expected:
+            raise InputError(
+                content.path, "does not match the hash in manifest.json",
+                "copy or train the bundle again",
+            )  # fmt: skip
+    return BundleFiles(directory, manifest, raw.sha256, signed_by, contents)
+
+
+def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
+    """Yield what no manifest that was written by this project holds."""
+    low_s, high_s = _PERIOD_S
+    if unknown := sorted(set(manifest.files) - FILES):
+        yield f"names {unknown[0]!r}, which is no file of a bundle"
+    if not 1 <= manifest.dof <= _MOST_DOF:
+        yield f"dof is {manifest.dof}, outside 1 to {_MOST_DOF}"
+    if not low_s <= manifest.period_s <= high_s:
+        yield f"period_s is {manifest.period_s}, outside {low_s:g} to {high_s:g}"
+    if not 0 <= manifest.degree <= _MOST_DEGREE:
+        yield f"degree is {manifest.degree}, outside 0 to {_MOST_DEGREE}"
+    lags = manifest.lag_ticks
+    if len(lags) > _MOST_LAGS or not all(0 <= lag <= _MOST_LAG_TICKS for lag in lags):
+        yield f"lag_ticks are not up to {_MOST_LAGS} ages of 0 to {_MOST_LAG_TICKS} ticks"
+    if manifest.estimator == "lagged" and not lags:
+        yield "lag_ticks is empty, which the lagged estimator needs"
+    for quantity in (*manifest.features, *manifest.outputs):
+        if not -_LARGEST <= quantity.minimum <= quantity.maximum <= _LARGEST:
+            low, high = quantity.minimum, quantity.maximum
+            yield f"the range of {quantity.name!r} is {low:g} to {high:g}"
+    for name, value in manifest.metrics.items():
+        if not abs(value) <= _LARGEST:
+            yield f"the metric {name!r} is {value:g}"
+    for name, values in manifest.coefficients.items():
+        if not all(math.isfinite(v) and abs(v) <= _LARGEST_COEFFICIENT for v in values):
+            yield f"a coefficient of {name!r} is not within ±{_LARGEST_COEFFICIENT:g}"
+
+
+def write_manifest(directory: Path, manifest: Manifest) -> None:
+    """Replace `manifest.json` atomically, with the hashes of the bundle's other files.
+
+    A signature of the old manifest is removed.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+    manifest : Manifest
+        Manifest to write; its `files` are replaced.
+    """
+    files = {
+        name: content_of(directory / name).sha256
+        for name in sorted(FILES)
+        if (directory / name).is_file()
+    }
+    manifest = msgspec.structs.replace(manifest, files=files)
+    scratch = directory / f".{MANIFEST}"
+    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
+    (directory / SIGNATURE).unlink(missing_ok=True)
+    scratch.replace(directory / MANIFEST)

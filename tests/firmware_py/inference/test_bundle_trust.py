@@ -1,0 +1,267 @@
+"""Trust in a bundle: names and bounds of the manifest, one read of every file, signatures."""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import msgspec
+import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.rsa import generate_private_key
+
+from firmware_py.config import read_config
+from firmware_py.documents import read_document
+from firmware_py.errors import InputError
+from firmware_py.inference import file_content
+from firmware_py.inference.bundle import ModelBundle, read_manifest, write_manifest
+from firmware_py.inference.bundle_signature import key_text
+from firmware_py.inference.file_content import content_of
+from models.__main__ import main as models
+from models.plant.plant import read_plant
+from models.study.study_document import StudyDocument
+
+# RFC 8032, section 7.1, test 1: secret and public key.
+SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
+PUBLIC = bytes.fromhex("d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a")
+
+
+@pytest.fixture
+def bundle(toy_bundle, tmp_path):
+    return shutil.copytree(toy_bundle, tmp_path / "bundle")
+
+
+@pytest.fixture
+def key(tmp_path):
+    path = tmp_path / "key.pem"
+    text = Ed25519PrivateKey.from_private_bytes(SECRET).private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    path.write_bytes(text)
+    return path
+
+
+def changed(bundle, **changes):
+    """The manifest of a bundle with other values, whatever they are."""
+    path = bundle / "manifest.json"
+    document = json.loads(path.read_text(encoding="utf-8")) | changes
+    path.write_text(json.dumps(document), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.txt", "/etc/hostname", "sub/predictor.onnx", "notes.txt", "", "a\0b", "."]
+)
+def test_a_manifest_that_names_another_file_is_refused(bundle, name):
+    (bundle.parent / "secret.txt").write_text("x", encoding="utf-8")
+    files = read_manifest(bundle).files
+    changed(bundle, files=files | {name: "0" * 64})
+    with pytest.raises(InputError, match="is no file of a bundle"):
+        ModelBundle.load(bundle)
+
+
+@pytest.mark.parametrize(("estimator", "name"), [("lagged", "lagged.onnx"), ("observer", "observ")])
+def test_a_file_that_runs_but_is_not_named_is_refused(bundle, estimator, name):
+    files = read_manifest(bundle).files
+    (bundle / "observer.fmu").write_bytes(b"put here later")
+    changed(bundle, estimator=estimator, files={k: v for k, v in files.items() if name not in k})
+    with pytest.raises(InputError, match=f"names no {name}"):
+        ModelBundle.load(bundle)
+
+
+def test_what_lies_beside_the_bundle_is_neither_named_nor_read(bundle):
+    (bundle / "notes.txt").write_text("for people", encoding="utf-8")
+    write_manifest(bundle, read_manifest(bundle))
+    assert "notes.txt" not in read_manifest(bundle).files
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"dof": 1_000_000_000}, "dof is 1000000000, outside 1 to 2"),
+        ({"dof": 0}, "dof is 0"),
+        ({"period_s": -0.017}, "period_s"),
+        ({"period_s": 1e300}, "period_s"),
+        ({"degree": 10**9}, "degree"),
+        ({"lag_ticks": [-1]}, "lag_ticks"),
+        ({"lag_ticks": [10**9]}, "lag_ticks"),
+        ({"lag_ticks": []}, "lag_ticks is empty"),
+        ({"metrics": {"a_m": 1e300}}, "metric 'a_m'"),
+        ({"outputs": [{"name": "x", "unit": "m", "minimum": 1.0, "maximum": 0.0}]}, "range of 'x'"),
+        ({"coefficients": {"1": [1e300]}}, "coefficient of '1'"),
+    ],
+)
+def test_numbers_out_of_bounds_are_refused(bundle, changes, said):
+    changed(bundle, **changes)
+    with pytest.raises(InputError, match=said):
+        ModelBundle.load(bundle)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\xe9", b'{"dof": 1e999}', b"[" * 100_000, b'{"a":' * 100_000, b'{"dof": NaN}', b"\0" * 9],
+)
+def test_no_manifest_ends_in_a_traceback(bundle, content):
+    (bundle / "manifest.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"manifest\.json"):
+        ModelBundle.load(bundle)
+
+
+def test_a_directory_a_pipe_and_a_huge_file_are_no_files(bundle, monkeypatch):
+    (bundle / "plant.json").unlink()
+    (bundle / "plant.json").mkdir()
+    with pytest.raises(InputError, match=r"plant\.json: (is no file|cannot be read)"):
+        ModelBundle.load(bundle)
+    (bundle / "plant.json").rmdir()
+    os.mkfifo(bundle / "plant.json")
+    with pytest.raises(InputError, match=r"plant\.json: is no file"):
+        ModelBundle.load(bundle)
+    monkeypatch.setattr(file_content, "LARGEST_BYTES", 10)
+    with pytest.raises(InputError, match="is larger than"):
+        ModelBundle.load(bundle)
+
+
+def test_every_file_is_read_once(bundle, monkeypatch):
+    """What is swapped after the check cannot be loaded: nothing is opened a second time."""
+    opened, plain = [], os.open
+    monkeypatch.setattr(os, "open", lambda p, *rest, **k: opened.append(p) or plain(p, *rest, **k))
+    ModelBundle.load(bundle)
+    own = [Path(p).name for p in opened if bundle in Path(str(p)).parents]
+    assert sorted(own) == sorted([*read_manifest(bundle).files, "manifest.json"])
+
+
+def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
+    public = key_text(PUBLIC)
+    with pytest.raises(InputError, match="is not signed"):
+        ModelBundle.load(bundle, [public])
+    assert models(["sign", str(bundle), "--key", str(key), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["key"] == public
+    assert ModelBundle.load(bundle, [key_text(bytes(32)), public]).signed_by == public
+    assert ModelBundle.load(bundle).signed_by == ""
+    with pytest.raises(InputError, match=r"which \[trust\] does not name"):
+        ModelBundle.load(bundle, [key_text(bytes(32))])
+
+
+def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
+    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    trusted = [key_text(PUBLIC)]
+    changed(bundle, degree=7)
+    with pytest.raises(InputError, match="was changed after it was signed"):
+        ModelBundle.load(bundle, trusted)
+    write_manifest(bundle, msgspec.structs.replace(read_manifest(bundle), degree=3))
+    with pytest.raises(InputError, match="is not signed"):  # the old signature is removed
+        ModelBundle.load(bundle, trusted)
+    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    content = bytearray((bundle / "predictor.onnx").read_bytes())
+    content[100] ^= 1
+    (bundle / "predictor.onnx").write_bytes(content)
+    with pytest.raises(InputError, match=r"predictor\.onnx.*hash"):
+        ModelBundle.load(bundle, trusted)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "",
+        lambda text: "{}",
+        lambda text: "[" * 100_000,
+        lambda text: text.replace('"schema": 1', '"schema": 2'),
+        lambda text: text.replace('"signature": "', '"signature": "!'),
+        lambda text: text.replace('"signature": "', '"signature": "AAAA'),
+    ],
+)
+def test_a_damaged_signature_is_one_sentence(bundle, key, change):
+    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    path = bundle / "manifest.sig"
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(InputError, match=r"manifest\.sig"):
+        ModelBundle.load(bundle, [key_text(PUBLIC)])
+
+
+def test_a_new_key_is_its_owners_alone_and_never_overwritten(bundle, tmp_path, capsys):
+    path = tmp_path / "new.pem"
+    assert models(["sign", str(bundle), "--key", str(path), "--new-key"]) == 0
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert models(["sign", str(bundle), "--key", str(path)]) == 0
+    assert models(["sign", str(bundle), "--key", str(path), "--new-key"]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+def test_a_key_of_openssh_signs_too(bundle, tmp_path):
+    if shutil.which("ssh-keygen") is None:
+        pytest.skip("ssh-keygen is not installed")
+    path = tmp_path / "id_ed25519"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", path], check=True)
+    assert models(["sign", str(bundle), "--key", str(path)]) == 0
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "rsa"])
+def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys):
+    path = tmp_path / "other"
+    if kind == "text":
+        path.write_text("no key", encoding="utf-8")
+    if kind == "rsa":
+        path.write_bytes(
+            generate_private_key(65537, 2048).private_bytes(
+                serialization.Encoding.PEM,
+                serialization.PrivateFormat.PKCS8,
+                serialization.NoEncryption(),
+            )
+        )
+    assert models(["sign", str(bundle), "--key", str(path)]) == 2
+    assert "other" in capsys.readouterr().err and not (bundle / "manifest.sig").exists()
+
+
+@pytest.mark.parametrize("key", ["", "ed25519:", "AAAA", "ed25519:AAAA", "rsa:" + "A" * 43 + "="])
+def test_a_trusted_key_that_is_none_is_refused(tmp_path, key):
+    path = tmp_path / "robot.toml"
+    text = 'bundle = "b"\n[bus]\nport = "p"\n[[servos]]\nid = 1\nmodel = "XM430-W350"\n'
+    path.write_text(f'{text}[trust]\nkeys = ["{key}"]\n', encoding="utf-8")
+    with pytest.raises(InputError, match="is no public key"):
+        read_config(path)
+
+
+def test_content_that_was_read_is_not_read_again(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"one")
+    content = content_of(path)
+    path.write_bytes(b"two")
+    assert content_of(content).data == b"one"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"dof": 10**9}, {"training": {"step_s": 1e300}}, {"training": {"step_s": -0.017}}],
+)
+def test_the_study_of_a_bundle_has_bounds_too(bundle, changes):
+    path = bundle / "study.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    for key, value in changes.items():
+        document[key] = document[key] | value if isinstance(value, dict) else value
+    path.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match=r"study\.json: does not fit its schema"):
+        read_document(path, StudyDocument)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"value": float("nan")},
+        {"bounds": [-float("inf"), float("inf")]},
+        {"bounds": [5.0, 1.0]},
+        {"prior_deviation": -1.0},
+    ],
+)
+def test_the_plant_of_a_bundle_holds_finite_numbers(bundle, changes):
+    path = bundle / "plant.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    name, entry = next(
+        (n, e) for n, e in document["parameters"].items() if isinstance(e, dict) and "bounds" in e
+    )
+    document["parameters"][name] = entry | changes
+    path.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match=f"{name} is not a finite number"):
+        read_plant(path)
