@@ -112,8 +112,9 @@ class TipPlan(Document, frozen=True):
     ----------
     path : str
         Name of the path.
-    method : {"inverse", "rigid"}
-        Whether the twin was inverted, or the link taken as rigid, for comparison.
+    method : {"inverse", "rigid", "zvd"}
+        Whether the twin was inverted, or, for comparison, the link taken as rigid, or that shaped
+        so that the first mode is not excited.
     dof : int
         Joints.
     period_s : float
@@ -140,6 +141,9 @@ class TipPlan(Document, frozen=True):
         Runs that improved the plan, in order.
     best : tuple of BestRun
         Best of them, one for each payload that was run.
+    moves : tuple of (int, int, int)
+        Moves from rest to rest: first row, row at which the move itself is over, and the row after
+        the rest that follows.
     """
 
     VERSION: ClassVar[int] = 1
@@ -162,6 +166,7 @@ class TipPlan(Document, frozen=True):
     goal_lead_s: float = 0.0
     learned: tuple[LearnedRun, ...] = ()
     best: tuple[BestRun, ...] = ()
+    moves: tuple[tuple[int, int, int], ...] = ()
 
     @property
     def name(self) -> str:
@@ -232,6 +237,8 @@ def _wrong_in(plan: TipPlan) -> str:
     ends = (plan.start_row, plan.end_row), *plan.drawn
     if not all(0 <= first < after <= plan.rows for first, after in ends):
         return f"has a path or a stroke outside of its {plan.rows} rows"
+    if not all(0 <= first < over < after <= plan.rows for first, over, after in plan.moves):
+        return f"has a move outside of its {plan.rows} rows"
     if not 1e-3 <= plan.period_s <= 1.0:
         return f"has a period of {plan.period_s:g} s, outside 0.001 to 1 s"
     if not 0 <= plan.rest_s < plan.duration_s:

@@ -21,7 +21,7 @@ import msgspec
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
-from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH
+from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH, TIME
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
@@ -154,6 +154,12 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
         f"{LENGTH.number(error.max_m)} mm at most; {LENGTH.number(error.path_rms_m, 2)} mm RMS "
         "on the path alone"
         for number, error in enumerate(timing.path_errors, start=1)
+    ]
+    lines += [
+        f"move {number}: {TIME.number(move.command_s, 2)} s, settled within 10 mm after "
+        f"{TIME.number(move.settling_s, 2)} s, swing {LENGTH.number(move.swing_m, 1)} mm, at rest "
+        f"{LENGTH.number(move.offset_m, 1)} mm beside its place"
+        for number, move in enumerate(timing.moves, start=1)
     ]
     lines.append(f"see {out}/summary.svg and timing.json")
     return "\n".join(lines)

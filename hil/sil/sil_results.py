@@ -6,8 +6,10 @@ from pathlib import Path
 
 import msgspec
 
+from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.summary import Ended
-from hil.sil.path_error import path_errors
+from hil.sil.move_figures import move_figures
+from hil.sil.path_error import path_errors, tip_of_runs_m
 from hil.sil.prediction_error import prediction_error
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, programme_s
@@ -17,7 +19,7 @@ from hil.timing.hdr_histogram import write_hgrm
 from hil.timing.reference_jitter import probe_jitter
 from hil.timing.tick_budget import measure_budget, plan_times
 from hil.timing.timeline import write_timeline
-from hil.timing.timing_document import RunFacts, TimingDocument, write_timing
+from hil.timing.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
 from hil.timing.timing_verdict import judge_timing, timing_junit
 from models.trials.trial_files import write_trial
 
@@ -87,7 +89,13 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
         path_errors=path_errors(result.records, result.outcome.truth, options.plan)
         if options.plan
         else (),
+        moves=_moves(result, options.plan) if options.plan else (),
     )
+
+
+def _moves(result: SilResult, plan: TipPlan) -> tuple[MoveFigures, ...]:
+    runs = tip_of_runs_m(result.records, result.outcome.truth, plan)
+    return move_figures(runs[-1], plan) if len(runs) else ()
 
 
 def _write_durations(result: SilResult, period_ns: int, out: Path) -> None:

@@ -158,6 +158,27 @@ class PathError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     rows: int
 
 
+class MoveFigures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Move of a plan from rest to rest, in the planned coordinates.
+
+    Attributes
+    ----------
+    settling_s : float
+        Time from its start until the tip stays within 10 mm of where it comes to rest.
+    swing_m : float
+        Half of the largest range of a coordinate after the move itself is over.
+    offset_m : float
+        Distance of the place of rest from the desired one.
+    command_s : float
+        Duration of the move itself: of the path, for comparisons of the goals.
+    """
+
+    settling_s: float
+    swing_m: float
+    offset_m: float
+    command_s: float
+
+
 class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     """Contents of `timing.json`: the verdict, and what it was reached on.
 
@@ -179,6 +200,8 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
         Error of the robot's prediction.
     path_errors : tuple of PathError
         Where a plan was run: error of the tip in each of its runs.
+    moves : tuple of MoveFigures
+        Moves from rest to rest in the last run of a plan.
     """
 
     MADE_BY: ClassVar[str] = "python -m hil sil"
@@ -191,6 +214,7 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     account: TickBudget
     prediction_error: PredictionError
     path_errors: tuple[PathError, ...] = ()
+    moves: tuple[MoveFigures, ...] = ()
 
 
 def read_timing(path: Path) -> TimingDocument:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -27,6 +27,9 @@ from firmware_py.safety.limits import Limits
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
 from models.plant.plant import read_plant
+
+if TYPE_CHECKING:
+    from models.plan.planning import Method
 
 EXAMPLE = (
     "python -m models plan circle --plant build/plant.json --bundle build/bundle_2dof "
@@ -60,7 +63,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--turns", type=int, default=1, help="times that the path is passed (1)")
     add("--angle-deg", type=float, default=0.0, help="direction of a line, from x towards y (0)")
     add("--payloads", type=float, nargs="+", metavar="KG", help="grid of payloads (0 0.5 1 1.5 2)")
-    add("--rigid", action="store_true", help="take the link as rigid, for comparison")
+    add("--rigid", action="store_true", help="take the link as rigid, for comparison; moves of "
+        "point_to_point are as fast as the limits permit")  # fmt: skip
+    add("--zvd", action="store_true", help="the same, moves shaped so that the first mode rests")
+    add("--move", type=float, default=0.0, metavar="S",
+        help="duration of a move of point_to_point (a quarter of --seconds)")  # fmt: skip
+    add("--fastest", action="store_true", help="shortest move that keeps the limits")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,18 +77,26 @@ def run(args: argparse.Namespace) -> int:
     manifest = files.manifest
     if args.improve is not None:
         return _improve(args, files.manifest_sha256)
-    path = _path(args, manifest.dof, manifest.period_s)
+    path = _path(args, manifest.dof, manifest.period_s, args.move)
     plant = read_plant(args.plant)
     limits = _limits(args.limits)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path
+    from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path, shortest_move_s
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
-    progress = Progress("plan", 1 if args.rigid else 1 + len(payloads))
+    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
+    progress = Progress("plan", 1 + len(payloads) if method == "inverse" else 1)
     request = PlanRequest(
         plant, manifest.dof, manifest.period_s, limits, payloads,
-        files.manifest_sha256, args.rigid,
+        files.manifest_sha256, method,
     )  # fmt: skip
+    if args.fastest:
+        if method != "inverse" or not path.moves:
+            raise InputError("--fastest", "is for the inverse of point_to_point", "leave it out")
+        seconds = shortest_move_s(
+            lambda s: _path(args, manifest.dof, manifest.period_s, s), request
+        )
+        path = _path(args, manifest.dof, manifest.period_s, seconds)
     plan = plan_path(path, request, progress.step)
     picture = _write(plan, args.out)
     emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
@@ -132,12 +148,13 @@ def _write(plan: TipPlan, out: Path) -> Path:
     return picture
 
 
-def _path(args: argparse.Namespace, dof: int, period_s: float) -> DesiredPath:
+def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) -> DesiredPath:
     if args.path.endswith(".csv"):
         return read_path(Path(args.path), dof, period_s)
     options = PathOptions(
-        args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg)
-    )
+        args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg),
+        move_s,
+    )  # fmt: skip
     return built_in_path(args.path, dof, period_s, options)
 
 

@@ -96,12 +96,15 @@ class Inverter:
         payload_kg : float
             Mass at the tip.
         """
+        return self.found(self.pointing_rad(), payload_kg)
+
+    def pointing_rad(self) -> Array:
+        """Goals at which the rigid link points at the desired tip, shape (n, dof)."""
         offset = self._line.desired_m[0]  # the arm stands there with its goals at zero
         lateral = np.zeros((len(self._line.desired_m), 2))
         lateral[:, : self._twin.dof] = self._line.desired_m - offset
         height = np.sqrt(np.maximum(self._reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
-        goals = pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
-        return self._found(goals, payload_kg)
+        return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
 
     def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
         """Goals for each payload, in the order given.
@@ -120,7 +123,7 @@ class Inverter:
             inner = k - 1 if k > middle else k + 1
             beyond = 2 * inner - k
             if inner not in found:
-                rigid = self.rigid(payloads_kg[k]).goals_rad
+                rigid = self.pointing_rad()
                 start = np.asarray(np.linalg.lstsq(self._basis, rigid, rcond=None)[0].T.ravel())
             elif beyond in found:
                 part = (payloads_kg[k] - payloads_kg[inner]) / (
@@ -131,12 +134,21 @@ class Inverter:
                 start = found[inner]
             found[k] = self._solved(start, payloads_kg[k])
             self._report(f"{payloads_kg[k]:g} kg inverted")
-        return [self._found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
+        return [self.found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
 
     def _goals(self, c: Array) -> Array:
         return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)
 
-    def _found(self, goals_rad: Array, payload_kg: float) -> Inverse:
+    def found(self, goals_rad: Array, payload_kg: float) -> Inverse:
+        """What the twin does with given goals.
+
+        Parameters
+        ----------
+        goals_rad : ndarray, shape (n, dof)
+            One row per control period.
+        payload_kg : float
+            Mass at the tip.
+        """
         y = self._twin.run(goals_rad, payload_kg)
         error = self._twin.tip_m(y) - self._line.desired_m
         rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))

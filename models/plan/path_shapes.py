@@ -45,11 +45,14 @@ class DesiredPath:
         Desired tip: x, and y with two joints.
     drawn : tuple of (int, int)
         Rows that are drawn, first and after the last.
+    moves : tuple of (int, int)
+        Moves from rest to rest: first row, and the row after the rest that follows.
     """
 
     name: str
     tip_m: Array
     drawn: tuple[tuple[int, int], ...]
+    moves: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,8 @@ class PathOptions:
         Times that it is passed.
     angle_rad : float
         Direction of a line in the plane, from x towards y.
+    move_s : float
+        Duration of a move of `point_to_point`; 0 is a quarter of a turn.
     """
 
     size_m: float = DEFAULT_SIZE_M
@@ -75,6 +80,7 @@ class PathOptions:
     seconds: float = 8.0
     turns: int = 1
     angle_rad: float = 0.0
+    move_s: float = 0.0
 
 
 def quintic(x: Array) -> Array:
@@ -125,17 +131,22 @@ def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) ->
     rows = max(2, round(options.seconds * options.turns / period_s)) + 1
     fraction = np.linspace(0.0, 1.0, rows)
     drawn: tuple[tuple[int, int], ...] = ((0, rows),)
+    moves: tuple[tuple[int, int], ...] = ()
     if name in _CURVES:
         turn = options.turns * _eased(fraction, EASE_FRACTION / options.turns)
         tip = options.size_m * _CURVES[name](2.0 * np.pi * turn, way)
     elif name in ("hold", "point_to_point"):
-        tip = options.size_m * _points(name, fraction, options.turns)[:, None] * way
+        part = options.move_s / options.seconds or 0.25
+        tip = options.size_m * _points(name, fraction, options.turns, part)[:, None] * way
+        if name == "point_to_point":
+            ends = np.linspace(0, rows - 1, 2 * options.turns + 1).round().astype(int).tolist()
+            moves = tuple(pairwise(ends))
     else:
         strokes = text_strokes(name[5:]) if name.startswith("text:") else [_polygon(name)]
         turns = 1 if name.startswith("text:") else options.turns
         tip, drawn = _along(strokes * turns, fraction, joined=not name.startswith("text:"))
         tip = options.size_m * tip
-    return DesiredPath(name, np.asarray((tip + centre)[:, :dof]), drawn)
+    return DesiredPath(name, np.asarray((tip + centre)[:, :dof]), drawn, moves)
 
 
 def _check_options(options: PathOptions, dof: int) -> None:
@@ -146,6 +157,7 @@ def _check_options(options: PathOptions, dof: int) -> None:
         ("--turns", options.turns, 1, 100),
         ("--centre", max(map(abs, centre), default=0.0), 0.0, 2.0),
         ("--angle-deg", options.angle_rad, -10.0, 10.0),
+        ("--move", options.move_s, 0.0, 0.45 * options.seconds),
     ):
         if not low <= value <= high:
             raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
@@ -180,12 +192,12 @@ _CURVES: Final[dict[str, Callable[[Array, Array], Array]]] = {
 """Shapes of size 1 over the phase; the line is a sinusoid of the time."""
 
 
-def _points(name: str, fraction: Array, turns: int) -> Array:
-    """Place along the way: held, or moved to the other side and back with each turn."""
+def _points(name: str, fraction: Array, turns: int, part: float) -> Array:
+    """Place along the way: held, or moved to the other side and back, each in a part of a turn."""
     if name == "hold":
         return np.ones_like(fraction)
     at = fraction * turns % 1.0
-    there = quintic(at / 0.25) - quintic((at - 0.5) / 0.25)
+    there = quintic(at / part) - quintic((at - 0.5) / part)
     return np.asarray(2.0 * np.where(fraction < 1.0, there, 0.0) - 1.0)
 
 

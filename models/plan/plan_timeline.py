@@ -38,6 +38,8 @@ class Timeline:
         First row of the path, and the first after it.
     drawn : tuple of (int, int)
         Rows that are drawn.
+    moves : tuple of (int, int)
+        Moves from rest to rest, the rest after them included.
     """
 
     desired_m: Array
@@ -45,6 +47,7 @@ class Timeline:
     start_row: int
     end_row: int
     drawn: tuple[tuple[int, int], ...]
+    moves: tuple[tuple[int, int], ...] = ()
 
 
 def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
@@ -67,7 +70,8 @@ def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
     end = start + len(path.tip_m)
     before, after = still[: rest + lead], still[:settle]
     desired = np.concatenate([before, there, path.tip_m, back, after])
-    return Timeline(desired, rest, start, end, tuple((start + a, start + b) for a, b in path.drawn))
+    drawn, moves = (tuple((start + a, start + b) for a, b in p) for p in (path.drawn, path.moves))
+    return Timeline(desired, rest, start, end, drawn, moves)
 
 
 def _speed(pair: Array, period_s: float) -> Array:

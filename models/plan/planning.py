@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import Columns, PayloadPlan, TipPlan
 from firmware_py.safety.limits import Limits
 from models.plan.inversion import Inverse, Inverter
+from models.plan.moves.point_moves import rate_limited, shaped, zvd_impulses
+from models.plan.moves.vibration_mode import first_modes
 from models.plan.path_shapes import DesiredPath
 from models.plan.plan_timeline import Timeline, timeline
 from models.plan.reach import check_reach
@@ -28,6 +30,14 @@ payload. Measured on the twin of the demo, circle of 0.4 m in 8 s: interpolated 
 with 0.25 kg, where those of the grid leave 0.66 and 0.71 mm."""
 PAYLOAD_RATE_KG_S: Final = 0.5
 """Largest rate of the payload of the goals [assumed]: the whole grid in four seconds."""
+STILL: Final = 1e-7
+"""Change in a period below which goals (rad) or the desired tip (m) rest [assumed]."""
+MOVE_S: Final = (0.2, 4.0)
+MOVE_STEP: Final = 0.06
+"""Durations between which the shortest move is sought, and how closely [assumed]."""
+FINE_M: Final = 2e-3
+"""Largest RMS error of a shortest move on the twin [assumed]."""
+Method = Literal["inverse", "rigid", "zvd"]
 _REMEDY: Final = "make the path slower or smaller, or widen [limits]"
 
 
@@ -49,8 +59,9 @@ class PlanRequest:
         Grid, rising.
     bundle_sha256 : str
         Hash of the manifest of the robot's bundle.
-    rigid : bool
-        Whether the link is taken as rigid, for comparison.
+    method : {"inverse", "rigid", "zvd"}
+        Inversion of the twin; the link taken as rigid, where moves from rest to rest are as fast as
+        the limits permit; the latter with ZVD shaping of the moves.
     """
 
     plant: Plant
@@ -59,7 +70,7 @@ class PlanRequest:
     limits: Limits
     payloads_kg: Sequence[float] = PAYLOADS_KG
     bundle_sha256: str = ""
-    rigid: bool = False
+    method: Method = "inverse"
 
 
 def plan_path(
@@ -93,7 +104,13 @@ def plan_path(
     reach_m = plant.parameters["base_offset_m"].value + plant.parameters["link_length_m"].value
     inverter = Inverter(twin, line, reach_m, report)
     rigid = [inverter.rigid(m) for m in payloads]
-    found = rigid if request.rigid else inverter.invert(payloads)
+    if request.method == "inverse":
+        found = inverter.invert(payloads)
+    elif line.moves:
+        tables = comparison_goals(inverter.pointing_rad(), line, twin, request)
+        found = [inverter.found(t, m) for t, m in zip(tables, payloads, strict=True)]
+    else:
+        found = rigid
     plan = _document(path, request, line, twin, list(zip(found, rigid, strict=True)))
     check_plan_goals(plan, request.limits, where)
     for own in found:
@@ -110,7 +127,7 @@ def _document(
     return TipPlan(
         schema=TipPlan.VERSION,
         path=path.name,
-        method="rigid" if request.rigid else "inverse",
+        method=request.method,
         dof=request.dof,
         period_s=request.period_s,
         rest_s=line.rest_rows * request.period_s,
@@ -134,7 +151,100 @@ def _document(
         plant_error_rms_m=own_error,
         plant_sha256=request.plant.sha256(),
         bundle_sha256=request.bundle_sha256,
+        moves=_moves(
+            line, None if request.method == "inverse" else [f.goals_rad for f, _ in found]
+        ),
     )
+
+
+def comparison_goals(
+    pointing_rad: Array, line: Timeline, twin: TipTwin, request: PlanRequest
+) -> list[Array]:
+    """Goals of a rigid link whose moves are as fast as the limits permit, for each payload.
+
+    Parameters
+    ----------
+    pointing_rad : ndarray, shape (n, dof)
+        Goals at which the rigid link points at the desired tip.
+    line : Timeline
+        With its moves.
+    twin : TipTwin
+        For the modes, where the moves are shaped.
+    request : PlanRequest
+        Method, limits and payloads.
+
+    Raises
+    ------
+    InputError
+        If the rest after a move is too short for it.
+    """
+    period_s, tables = request.period_s, []
+    for payload_kg in request.payloads_kg:
+        table = pointing_rad.copy()
+        for first, after in line.moves:
+            end = pointing_rad[after - 1]
+            fast = rate_limited(pointing_rad[first], end, request.limits, period_s)
+            table[first:after] = end
+            table[first] = pointing_rad[first]
+            table[first + 1 : first + 1 + len(fast)] = fast[: after - first - 1]
+            late_s = 0.0
+            if request.method == "zvd":
+                modes = first_modes(twin, end, payload_kg)
+                for joint, mode in enumerate(modes):
+                    column, impulses = table[first:after, joint], zvd_impulses(mode)
+                    table[first:after, joint] = shaped(column, impulses, period_s)
+                    late_s = max(late_s, impulses[-1][0])
+            if len(fast) * period_s + late_s > (after - first - 1) * period_s:
+                raise InputError("--seconds", "leaves no rest after a move", "give more time")
+        tables.append(table)
+    return tables
+
+
+def _moves(line: Timeline, tables: Sequence[Array] | None) -> tuple[tuple[int, int, int], ...]:
+    """Moves with the row at which the path, or else the goals, have come to rest."""
+    found = []
+    for first, after in line.moves:
+        over = 0
+        for table in (line.desired_m,) if tables is None else tables:
+            steps = np.abs(np.diff(table[first:after], axis=0)).max(axis=1)
+            over = max(over, int(np.flatnonzero(steps > STILL).max(initial=0)) + 1)
+        found.append((first, first + over, after))
+    return tuple(found)
+
+
+def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanRequest) -> float:
+    """Shortest duration of a move whose plans keep every limit and leave little error.
+
+    Parameters
+    ----------
+    path_of : callable
+        Path with moves of a duration in s.
+    request : PlanRequest
+        Plant, robot and payloads; the lightest and the heaviest are tried.
+
+    Raises
+    ------
+    InputError
+        If not even the longest duration keeps the limits.
+    """
+    ends = tuple(sorted({request.payloads_kg[0], request.payloads_kg[-1]}))
+    tried = replace(request, payloads_kg=ends)
+    low, high = MOVE_S
+
+    def keeps(seconds: float) -> bool:
+        try:
+            plan = plan_path(path_of(seconds), tried)
+        except InputError:
+            return False
+        return all(own.residual_rms_m < FINE_M for own in plan.payloads)
+
+    if not keeps(high):
+        plan_path(path_of(high), tried)  # says which limit
+        raise InputError("--fastest", f"finds no move within {high:g} s", "make the path smaller")
+    while high > (1.0 + MOVE_STEP) * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if keeps(middle) else (middle, high)
+    return high
 
 
 def _check(request: PlanRequest) -> None:

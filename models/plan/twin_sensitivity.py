@@ -94,6 +94,27 @@ class TipTwin:
         """
         return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
 
+    def derivatives_at_rest(self, goal_rad: Array, payload_kg: float) -> tuple[Array, Array]:
+        """Derivatives of state and tip after a period by the state before, at rest.
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goals at which it rests.
+        payload_kg : float
+            Mass at the tip.
+        """
+        stepper, size = self._one_step(), len(self._model.states)
+        x = self._plain.start(np.append(goal_rad, payload_kg), self._p)
+        p = np.concatenate([self._p, x, goal_rad])
+        _, by = stepper.simulate(np.array([[payload_kg]]), self.period_s, p)
+        return by[1, :size, :size], by[1, [size + k for k in self._tip], :size]
+
+    def _one_step(self) -> SensitiveModel:
+        if self._stepper is None:
+            self._stepper = _step_derivatives(self._model, self.dof)
+        return self._stepper
+
     def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
         """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
 
@@ -106,8 +127,7 @@ class TipTwin:
         payload_kg : float
             Mass at the tip.
         """
-        if self._stepper is None:
-            self._stepper = _step_derivatives(self._model, self.dof)
+        stepper = self._one_step()
         sizes, count = len(self._model.states), basis.shape[1]
         payload = np.array([[payload_kg]])
         u0 = np.append(goals_rad[0], payload_kg)
@@ -115,7 +135,7 @@ class TipTwin:
         result = np.zeros((len(goals_rad), self.dof, self.dof * count))
         for k, goal in enumerate(goals_rad[:-1]):
             p = np.concatenate([self._p, x, goal])
-            y, by = self._stepper.simulate(payload, self.period_s, p)
+            y, by = stepper.simulate(payload, self.period_s, p)
             x, by_x, by_u = y[1, :sizes], by[1, :, :sizes], by[1, :, sizes:]
             moved = by_x @ slope
             for j in range(self.dof):

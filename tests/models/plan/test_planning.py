@@ -95,7 +95,7 @@ def test_a_path_out_of_reach_names_the_nearest_place(plant, twin):
 def test_a_plan_that_breaks_a_limit_is_refused_with_its_row(plant, limits, sentence):
     path = built_in_path("line", 1, PERIOD_S, PathOptions(size_m=0.3, seconds=2.0))
     request = PlanRequest(
-        plant, 1, PERIOD_S, Limits(**({"rate_rad_s": 2.0} | limits)), (1.0,), rigid=True
+        plant, 1, PERIOD_S, Limits(**({"rate_rad_s": 2.0} | limits)), (1.0,), method="rigid"
     )
     with pytest.raises(InputError, match=sentence):
         plan_path(path, request)
