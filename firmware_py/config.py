@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +17,7 @@ from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup, check_assumed
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
 from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
@@ -223,15 +223,8 @@ def read_config(path: Path | str) -> RobotConfig:
     (1, 0.017, 1000000)
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        config = msgspec.convert(document, RobotConfig)
-    except FileNotFoundError:
-        raise InputError(path, "is missing", "copy the commented robot.toml and adapt it") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
-    except msgspec.ValidationError as error:
-        raise InputError(path, str(error), "see the commented robot.toml for every key") from None
+    document = read_toml(path, "copy the commented robot.toml and adapt it")
+    config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")
     if config.motion.file is not None:
         if config.motion.design is not None:
             raise InputError(path, "motion.file and motion.design are given", "leave one out")
@@ -285,6 +278,10 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     bus_plan.require_any(config.bus_plans(), config.transmission_budget_s, path)
     if config.dof > _MAX_DOF:
         raise InputError(path, f"servos has {config.dof} entries", "give one per joint, 1 or 2")
+    names = {"bundle": config.bundle, "logs": config.logs, "bus.port": config.bus.port}
+    for key, name in names.items():
+        if not name.isprintable():
+            raise InputError(path, f"{key} is {name!r}", "give a name without control characters")
     ids = [servo.id for servo in config.servos]
     if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
         raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
@@ -317,6 +314,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("live.port", config.live.port, 0, 65535),
         ("live.viewers", config.live.viewers, 1, 100),
         ("real_time.priority", config.real_time.priority, 0, 99),
+        ("real_time.cpu", config.real_time.cpu, 0, 4095),
     )
     for key, value, low, high in ranges:
         if value is not None and not low <= value <= high:

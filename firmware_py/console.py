@@ -12,8 +12,11 @@ It is imported only when it is called, so `--help` of a room costs nothing.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
+import io
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -69,10 +72,15 @@ def dispatch(
     parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("--version", action="version", version=_VERSION)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a sign that a terminal lacks must not end a run
+            stream.reconfigure(errors="backslashreplace")
     try:
         module = _declared(subparsers, commands, chosen)
         args = parser.parse_args(arguments)
-        return int(module.run(args)) if module else BAD_INPUT
+        code = int(module.run(args)) if module else BAD_INPUT
+        sys.stdout.flush()
+        return code
     except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
         return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
     except InputError as error:
@@ -85,7 +93,33 @@ def dispatch(
         print(f"{prog}: interrupted", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
+        silence_stdout()
         return DONE
+    except OSError as error:  # a full disk, a directory that may not be written, a closed stream
+        print(f"{prog}: {_refused_by_system(error)}", file=sys.stderr)
+        return BAD_INPUT
+    except MemoryError:
+        print(
+            f"{prog}: {arguments[0]}: needs more memory than there is; give less.", file=sys.stderr
+        )
+        return BAD_INPUT
+
+
+def _refused_by_system(error: OSError) -> InputError:
+    """Sentence for what the operating system refused."""
+    if error.filename is None:
+        silence_stdout()
+    return InputError(
+        "output" if error.filename is None else str(error.filename),
+        error.strerror or str(error) or "cannot be used",
+        "check the name, its permissions and the space on its disk",
+    )
+
+
+def silence_stdout() -> None:
+    """Discard what standard output still holds: it would fail again at the exit of Python."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _declared(

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, TypeVar
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_JSON_BYTES, check_json, convert, read_bytes
 
 __all__ = ["Document", "read_document", "schema_of", "write_document"]
 
@@ -52,20 +53,17 @@ def read_document(path: Path, kind: type[T]) -> T:
         If the file is missing or damaged, of another version, or does not hold this document.
     """
     remedy = f"write it anew with {kind.MADE_BY}"
+    data = read_bytes(path, remedy, MOST_JSON_BYTES)
+    check_json(path, data, remedy)
     try:
-        raw = msgspec.json.decode(path.read_bytes())
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read", remedy) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raw = msgspec.json.decode(data)
+    except (ValueError, RecursionError) as error:
         raise InputError(path, f"is no JSON document ({error})", remedy) from error
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != kind.VERSION:
         found = "has no schema version" if version is None else f"has schema version {version}"
         raise InputError(path, f"{found}, this release reads version {kind.VERSION}", remedy)
-    try:
-        return msgspec.convert(raw, kind)
-    except msgspec.ValidationError as error:
-        raise InputError(path, f"does not fit its schema ({error})", remedy) from error
+    return convert(raw, kind, path, "does not fit its schema", remedy)
 
 
 def write_document(path: Path, document: Document) -> None:

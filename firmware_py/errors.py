@@ -13,9 +13,13 @@ Inside the loop a fault is a value (`firmware_py.bus.servo_bus.BusStatus`), neve
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 __all__ = ["DropstitchError", "FmuRefusal", "InputError", "SafetyTrip"]
+
+
+_LONGEST: Final = 800
+"""Characters of the longest part of a sentence; what is beyond is a file's content."""
 
 
 class DropstitchError(Exception):
@@ -36,8 +40,8 @@ class InputError(DropstitchError):
     """
 
     def __init__(self, where: str | Path, what: str, remedy: str) -> None:
-        self.where, self.what, self.remedy = str(where), what, remedy
-        super().__init__(f"{where}: {what}; {remedy}.")
+        self.where, self.what, self.remedy = map(_one_line, (str(where), what, remedy))
+        super().__init__(f"{self.where}: {self.what}; {self.remedy}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support pickling, so that the error passes from a worker process to the command."""
@@ -62,3 +66,10 @@ class SafetyTrip(DropstitchError):
     def __init__(self, reason: str, last_ticks: Any = None) -> None:
         super().__init__(reason)
         self.last_ticks = last_ticks
+
+
+def _one_line(text: str) -> str:
+    """Text of a library or a file on one line, without what controls a terminal."""
+    line = " ".join(text[: 10 * _LONGEST].split())
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 4 :]}"

@@ -17,7 +17,6 @@ et al., IEEE Trans. Robotics and Automation 13, 1997)::
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 
 __all__ = ["JointSeries", "MotionDocument", "read_motion_document"]
 
@@ -135,20 +135,12 @@ def read_motion_document(path: Path | str) -> MotionDocument:
         If it is missing, is no motion, is of another version, or a value is out of range.
     """
     path = Path(path)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read", _MAKE) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})", _MAKE) from error
+    raw = read_toml(path, _MAKE, _MAKE)
     version = raw.get("schema")
     if version != MotionDocument.VERSION:
         found = "has no schema version" if version is None else f"has schema version {version}"
         raise InputError(path, f"{found}, this release reads {MotionDocument.VERSION}", _MAKE)
-    try:
-        document = msgspec.convert(raw, MotionDocument)
-    except msgspec.ValidationError as error:
-        raise InputError(path, f"is no motion ({error})", _MAKE) from error
+    document = convert(raw, MotionDocument, path, "is no motion", _MAKE)
     check_motion_document(document, path)
     return document
 

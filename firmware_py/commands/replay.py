@@ -6,7 +6,6 @@ Without a log the bundle's golden ticks are replayed, as the robot does at start
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
+from firmware_py.log.logged_run import logged_run
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import DI, PAYLOAD, tip_names
 
@@ -86,12 +86,6 @@ def _bundle_of(path: Path, log: Recording) -> Path:
     return directory
 
 
-def _assumed_payload_kg(log: Recording) -> float | None:
-    """Return the payload that the run's robot.toml gave to the estimator, or None."""
-    payload_kg: float | None = json.loads(log.metadata.get("config", "{}")).get("payload_kg")
-    return payload_kg
-
-
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     """Run a log's measurements through a bundle's estimator and predictor.
 
@@ -122,10 +116,13 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     columns = log.columns
     angle_rad = np.column_stack([columns[f"angle_{j}_rad"] for j in range(1, dof + 1)])
     current_a = np.column_stack([columns[f"current_{j}_a"] for j in range(1, dof + 1)])
-    step_s = float(log.metadata["period_s"]) * (columns["missed"] + 1)
+    facts = logged_run(log)
+    if facts.period_s is None:
+        raise InputError(log.path, "its metadata give no period_s", "name another log")
+    step_s = facts.period_s * (columns["missed"] + 1)
     recorded = np.column_stack([columns[name] for name in _COMPARED])
     replayed = np.empty_like(recorded)
-    bundle.assume_payload(_assumed_payload_kg(log))
+    bundle.assume_payload(facts.assumed_payload_kg)
     hold = SampleHold(bundle.estimator)
     hold.reset()
     fresh = columns.get("stale_ticks", np.zeros(len(replayed))) == 0

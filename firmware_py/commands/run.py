@@ -27,7 +27,7 @@ import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
 from firmware_py.config import RobotConfig, check_config, read_config
-from firmware_py.console import DONE, emit
+from firmware_py.console import DONE, emit, silence_stdout
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
@@ -131,8 +131,7 @@ def _tell(args: argparse.Namespace, document: RunDocument, text: str) -> None:
         emit(args, msgspec.to_builtins(document), text)
         sys.stdout.flush()
     except OSError:
-        with contextlib.suppress(OSError, ValueError):  # what is left would fail again at the exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence_stdout()
 
 
 def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
@@ -142,6 +141,8 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--plan", "is given beside a motion", "leave one out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
+    if args.log is not None:
+        _check_free(args.log)
     motion = config.motion
     if args.motion is not None:
         motion = motion.with_motion(args.motion)
@@ -166,6 +167,13 @@ def _origin(bundle: ModelBundle) -> str:
         f"the bundle {bundle.directory} {found}, and it holds code that runs here: add the key of "
         "its maker to [trust] keys to refuse any other"
     )
+
+
+def _check_free(log: Path) -> None:
+    """Refuse a log that would overwrite another one, or whose summary would."""
+    for path in (log, log.with_suffix(".timing.json")):
+        if os.path.lexists(path):
+            raise InputError("--log", f"{path} exists", "name a new file, or move that one away")
 
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:

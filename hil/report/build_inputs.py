@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_json, read_text
 from firmware_py.inference.bundle import Manifest, read_manifest
 from firmware_py.log.recording import read_recording
 from hil.faults.faults_document import FaultsDocument, read_faults
@@ -232,10 +233,8 @@ def read_output(path: Path, kind: type[T]) -> T:
     InputError
         If it holds something else.
     """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read ({error})", "write it again") from None
+    remedy = "write it again"
+    return convert(read_json(path, remedy), kind, path, "cannot be read", remedy)
 
 
 def _motions(directory: Path, studies: dict[int, StudyDocument]) -> dict[str, StudyDocument]:
@@ -295,6 +294,6 @@ def read_commands(path: Path) -> list[str]:
     """
     if not path.is_file():
         return []
-    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [line.strip() for line in read_text(path, "make it again").splitlines()]
     last = {line: k for k, line in enumerate(lines) if re.match(r"\S", line)}
     return sorted(last, key=last.__getitem__)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import DURATION
+from firmware_py.files.guarded_call import guarded_call
 from firmware_py.log.recording import read_recording
 from models.trials.importers import KINDS, read_series
 from models.trials.importers.assembly import align_rest_pose, assemble_trial
@@ -17,7 +20,7 @@ from models.trials.importers.mapping import read_mapping
 from models.trials.importers.robot_log import with_log_conditions
 from models.trials.importers.synchronisation import shift_clock, synchronise
 from models.trials.importers.table_file import read_scalars
-from models.trials.trial_files import read_trial, write_trial
+from models.trials.trial_files import check_trial_name, read_trial, write_trial
 
 EXAMPLE = (
     "python -m models import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
@@ -47,7 +50,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one recording and check the written trial as any other."""
+    """Import one recording and check the written trial as any other.
+
+    The work is done in a child process with limits of memory and time: libraries that read binary
+    formats crash or allocate without bound on damaged files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, or the name of the trial is none.
+    """
+    name = args.name or args.file.stem
+    check_trial_name(name, "--name")
+    args.out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".import-", dir=args.out) as scratch:
+        answer = guarded_call(
+            lambda: msgspec.json.encode(_import(args, name, Path(scratch))), args.file,
+            "export it again, or import less of it",
+        )  # fmt: skip
+        result: dict[str, Any] = msgspec.json.decode(answer)
+        for file in sorted(Path(scratch).iterdir()):  # the CSV first: a trial needs both
+            file.replace(args.out / file.name)
+    emit(args, result, _described(result))
+    return DONE
+
+
+def _import(args: argparse.Namespace, name: str, out: Path) -> dict[str, Any]:
+    """Facts about the trial that is written to `out`."""
     mapping = read_mapping(args.map)
     cut_off = []
     for path in filter(_is_recording, (args.file, args.servo)):
@@ -67,29 +96,33 @@ def run(args: argparse.Namespace) -> int:
         else:
             result = {"offset_s": args.offset}
         series = [*series, *shift_clock(servo, result["offset_s"])]
-    trial = assemble_trial(series, mapping, args.name or args.file.stem)
-    path = write_trial(trial, args.out)
+    path = write_trial(assemble_trial(series, mapping, name), out)
     trial = read_trial(path, mapping.signals)
-    result |= {
-        "trial": str(path),
+    return result | {
+        "trial": str(args.out / path.name),
         "rows": len(trial),
         "step_s": trial.step_s,
         "rest_samples": trial.meta.rest_samples,
         "occluded_share": None if mapping.signals else float(np.mean(np.isnan(trial.markers_m))),
         "cut_off": cut_off,
     }
-    rest = trial.meta.rest_samples
-    text = f"{path}: {len(trial)} rows of {DURATION.factor * trial.step_s:.3g} ms, {rest} at rest"
-    if not mapping.signals:
+
+
+def _described(result: dict[str, Any]) -> str:
+    """Result for people."""
+    text = (
+        f"{result['trial']}: {result['rows']} rows of "
+        f"{DURATION.factor * result['step_s']:.3g} ms, {result['rest_samples']} at rest"
+    )
+    if result["occluded_share"] is not None:
         text += f", {result['occluded_share']:.1%} of the marker cells empty"
     if "correlation" in result:
         text += (
             f"; servo clock {result['offset_s']:+.4f} s, correlation {result['correlation']:.4f}"
         )
-    for name in cut_off:
+    for name in result["cut_off"]:
         text += f"; {name} was cut off: read up to its last whole chunk"
-    emit(args, result, text)
-    return DONE
+    return text
 
 
 def _is_recording(path: Path | None) -> bool:

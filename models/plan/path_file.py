@@ -8,10 +8,13 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_text
 from models.plan.path_shapes import DesiredPath
 
 LONGEST_S: Final = 600.0
 """Longest path [assumed]."""
+MOST_PATH_BYTES: Final = 10_000_000
+"""Size of the largest file of a path: 600 s at 1 kHz with 16 characters a row [assumed]."""
 
 
 def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
@@ -33,12 +36,7 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     """
     names = ["time_s", "x_m", "y_m"][: dof + 1]
     remedy = f"give the columns {','.join(names)} in s and m"
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read", remedy) from error
-    except UnicodeDecodeError:
-        raise InputError(path, "is no text", remedy) from None
+    lines = read_text(path, remedy, MOST_PATH_BYTES).split("\n")
     head = [name.strip() for name in lines[0].split(",")]
     if head != names:
         raise InputError(path, f"has the columns {lines[0].strip()[:80]!r}", remedy)

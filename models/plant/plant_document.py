@@ -20,7 +20,6 @@ People write TOML; `identify` and `gap` write JSON of the same form::
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,6 +28,7 @@ import tomli_w
 
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_json, read_toml
 from models.plant.parameter import Role
 from models.plant.provenance import Provenance, read_provenance
 from models.trials.trial import SignalRole
@@ -129,17 +129,10 @@ def read_plant_document(path: Path) -> PlantDocument:
     InputError
         If the file is missing, is no plant document, or is one of another version.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        raw = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-        table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
-        document = msgspec.convert(raw, PlantDocument)
-    except OSError:
-        raise InputError(
-            path, "cannot be read", "name a plant, e.g. models/plant/nominal.toml"
-        ) from None
-    except (ValueError, msgspec.ValidationError) as error:
-        raise InputError(path, f"is no plant document ({error})", "correct it") from None
+    remedy = "name a plant, e.g. models/plant/nominal.toml"
+    raw = read_json(path, remedy) if path.suffix == ".json" else read_toml(path, remedy)
+    table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
+    document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     if document.schema != PlantDocument.VERSION:
         raise InputError(
             path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"

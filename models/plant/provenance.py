@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert
 from models.trials.trial import Trial
 
 __all__ = [
@@ -211,7 +212,4 @@ def read_provenance(where: Path | str, table: object) -> Provenance:
         table = table | {"fitted_trials": rows}
     if isinstance(trials, list) and any(isinstance(row, str) for row in trials):
         raise InputError(where, "provenance.fitted_trials lists names without hashes", _WRITE_AGAIN)
-    try:
-        return msgspec.convert(table, Provenance)
-    except msgspec.ValidationError as error:
-        raise InputError(where, f"provenance: {error}", _WRITE_AGAIN) from None
+    return convert(table, Provenance, where, "provenance does not fit its form", _WRITE_AGAIN)

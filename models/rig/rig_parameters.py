@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 from models.rig.rig_structure import (
     DEFAULT_STRUCTURE,
     STRUCTURES,
@@ -204,14 +204,8 @@ def _check_names(entries: dict[str, Entry], own: dict[str, Entry], path: Path) -
 
 
 def _read_document(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        names = ", ".join(named_structures())
-        remedy = f"name a structure ({names}) or the TOML file of a rig"
-        raise InputError(path, "cannot be read", remedy) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+    names = ", ".join(named_structures())
+    return read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
 
 
 def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
@@ -220,10 +214,7 @@ def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
     for group, tables in groups.items():
         for key, table in tables.items():
             name = f"{group}.{key}"
-            try:
-                entry = msgspec.convert(table, Entry)
-            except msgspec.ValidationError as error:
-                raise InputError(path, f"{name}: {error}", "give value, unit and source") from None
+            entry = convert(table, Entry, path, name, "give value, unit and source")
             if entry.effect and entry.effect not in CATALOGUE:
                 raise InputError(
                     path, f"{name}: {entry.effect!r} is no effect", "see models/shared/catalogue.py"

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert
 
 __all__ = ["DEFAULT_STRUCTURE", "NamedStructure", "RigStructure", "named_structures"]
 
@@ -109,9 +109,5 @@ def structure_of(document: dict[str, Any], path: Path) -> NamedStructure:
     InputError
         If summary, purpose or a choice is missing, unknown or malformed.
     """
-    try:
-        return msgspec.convert(document, NamedStructure)
-    except msgspec.ValidationError as error:
-        raise InputError(
-            path, f"is no structure of a rig ({error})", "see docs/rig/structures.md for its form"
-        ) from None
+    remedy = "see docs/rig/structures.md for its form"
+    return convert(document, NamedStructure, path, "is no structure of a rig", remedy)

@@ -13,12 +13,15 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_CELLS, read_lines
 from firmware_py.signals import TIME, Signal, tip_names, trial_signals, unit_of
 from models.trials.trial import Array, SignalRole
 
 PlantSignals = Mapping[str, SignalRole]
 """Signals of a plant by name; empty for the link, whose columns the contract defines."""
 
+MOST_COLUMNS: Final = 1000
+"""Most columns of a table [assumed]; a trial of the link has 62 at most."""
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
 """Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
@@ -60,13 +63,12 @@ def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) 
     """
     required = [s.name for s in signals]
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            header = next(reader, [])
-            if header:
-                _check_header(path, header, required, known)
-            samples = _read_rows(path, header, reader, required)
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.reader(read_lines(path, "name an existing trial"))
+        header = next(reader, [])
+        if header:
+            _check_header(path, header, required, known)
+        samples = _read_rows(path, header, reader, required)
+    except csv.Error as error:
         raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
     if len(samples) < 3:
         raise InputError(path, f"has {len(samples)} rows", "give at least three")
@@ -89,6 +91,8 @@ def _read_rows(
             blank = True
             continue
         count += 1
+        if count * len(header) > MOST_CELLS:
+            raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide the trial")
         if blank or len(row) != len(header):
             raise InputError(
                 path,
@@ -132,6 +136,9 @@ def _no_number(path: Path, row: int, column: str, cell: str) -> InputError:
 
 
 def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
+    if len(header) > MOST_COLUMNS:
+        what = f"has {len(header)} columns, more than {MOST_COLUMNS}"
+        raise InputError(path, what, "leave out what is not needed")
     for name in required:
         if name not in header:
             raise InputError(path, f"column {name} is missing", _column_remedy(name, header))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +18,7 @@ import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 from firmware_py.signals import tick_signals
 from models.trials.trial import (
     LINK_CONDITIONS,
@@ -35,6 +35,7 @@ __all__ = [
     "TrialMeta",
     "TrialSet",
     "check_meta",
+    "check_trial_name",
     "read_trial",
     "read_trials",
     "write_trial",
@@ -42,6 +43,9 @@ __all__ = [
 
 STEP_TOLERANCE: Final = 1e-3
 """Largest relative deviation of a time step from the mean that counts as uniform."""
+
+LONGEST_NAME_BYTES: Final = 200
+"""Longest name of a trial; file systems take 255 bytes with the suffix."""
 
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
@@ -153,6 +157,27 @@ def _quantity(name: str, signals: PlantSignals | None) -> str:
     return (signals[name].quantity if signals and name in signals else "") or name
 
 
+def check_trial_name(name: str, where: Path | str) -> None:
+    """Refuse a name of a trial with which its files would lie elsewhere, or be hidden.
+
+    Parameters
+    ----------
+    name : str
+        Name of the trial.
+    where : Path or str
+        Option or directory, for the message.
+
+    Raises
+    ------
+    InputError
+        If it is empty, begins with a dot, is longer than 200 bytes, or holds a separator or a
+        control character.
+    """
+    plain = name.isprintable() and not set(name) & set("/\\") and not name.startswith(".")
+    if not name or not plain or len(name.encode("utf-8", "surrogateescape")) > LONGEST_NAME_BYTES:
+        raise InputError(where, f"{name!r} is no name of a trial", "give one without a directory")
+
+
 def write_trial(trial: Trial, directory: Path | str) -> Path:
     """Write a trial so that `read_trial` returns the same bits.
 
@@ -168,6 +193,11 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     Path
         CSV file; the TOML file lies beside it.
 
+    Raises
+    ------
+    InputError
+        If the name of the trial leads out of the directory.
+
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
@@ -182,6 +212,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     0.02,1.0
     <BLANKLINE>
     """
+    check_trial_name(trial.name, directory)
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"{trial.name}.csv"
@@ -225,10 +256,7 @@ def check_meta(
             raise InputError(
                 where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
             )
-    try:
-        meta = msgspec.convert(document, TrialMeta)
-    except msgspec.ValidationError as error:
-        raise InputError(where, str(error), "see docs/trials.md for its form") from None
+    meta = convert(document, TrialMeta, where, "", "see docs/trials.md for its form")
     for key, value in meta.conditions.items():
         if not math.isfinite(value):
             raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
@@ -243,12 +271,7 @@ def check_meta(
 
 
 def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "is missing", "write the conditions beside the CSV") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
+    document = read_toml(path, "write the conditions beside the CSV")
     if document.get("schema") != SCHEMA:
         raise InputError(
             path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"

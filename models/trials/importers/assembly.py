@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_CELLS
 from firmware_py.signals import TIME, joint_signals, tip_names
 from models.trials.importers.mapping import MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
@@ -58,7 +59,7 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     )
     _check_complete(where, list(source), [signal.name for signal in needed])
     used = list({id(s): s for s in source.values()}.values())
-    grid_s = _grid_s(used, mapping.step_s)
+    grid_s = _grid_s(used, mapping.step_s, MOST_CELLS // (len(source) + len(needed)))
     columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
     contract = [signal.name for signal in columns_of(mapping.dof, mapping.signals)[1:]]
     goals = [n for n in (*contract, *source) if _is_goal(n, mapping)]
@@ -150,14 +151,21 @@ def _with_tip(series: Series) -> Series:
     return replace(series, columns=series.columns | marker_columns({"tip": tip_m}))
 
 
-def _grid_s(series: list[Series], step_s: float) -> Array:
+def _grid_s(series: list[Series], step_s: float, most_rows: int) -> Array:
     if len(series) == 1:
         steps = np.diff(series[0].time_s)
         if np.all(np.abs(steps - step_s) <= STEP_TOLERANCE * step_s):
             return series[0].time_s
     start_s = max(s.time_s[0] for s in series)
     end_s = min(s.time_s[-1] for s in series)
-    count = int(np.floor((end_s - start_s) / step_s + 1e-9)) + 1
+    steps = np.floor((end_s - start_s) / step_s + 1e-9)
+    if steps > most_rows:
+        raise InputError(
+            series[0].path,
+            f"lasts {end_s - start_s:.3g} s, more than {most_rows} steps of {step_s} s",
+            "check the times and their units, set step_s, or divide the recording",
+        )  # fmt: skip
+    count = int(steps) + 1
     if count < 3:
         raise InputError(
             series[0].path,

@@ -38,7 +38,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -46,6 +45,7 @@ from typing import Literal
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 from firmware_py.signals import PERIOD_S
 from models.trials.importers.series import factor_to_si
 from models.trials.trial import SignalRole, TrialMeta
@@ -243,15 +243,8 @@ def read_mapping(path: Path | None) -> RecordingMap:
     """
     if path is None:
         return RecordingMap()
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        mapping = msgspec.convert(document, RecordingMap)
-    except FileNotFoundError:
-        raise InputError(path, "is missing", "name an existing MAP.toml") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"is not TOML ({error})", "correct the line it names") from None
-    except msgspec.ValidationError as error:
-        raise InputError(path, str(error), "see docs/trials.md for its form") from None
+    document = read_toml(path, "name an existing MAP.toml")
+    mapping = convert(document, RecordingMap, path, "", "see docs/trials.md for its form")
     for name in mapping.markers:
         if name not in (*MARKERS, "tip"):
             raise InputError(path, f"[markers] {name!r} is no marker", "use m01 … m16 or tip")
@@ -265,10 +258,5 @@ def read_mapping(path: Path | None) -> RecordingMap:
 
 def _signals(path: Path) -> dict[str, SignalRole]:
     """Signals that a plant document declares; the plant itself is not read."""
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-        return msgspec.convert(document.get("signals", {}), dict[str, SignalRole])
-    except OSError:
-        raise InputError(path, "cannot be read", "correct 'plant' in the map") from None
-    except (ValueError, msgspec.ValidationError) as error:
-        raise InputError(path, f"is no plant document ({error})", "correct it") from None
+    signals = read_toml(path, "correct 'plant' in the map").get("signals", {})
+    return convert(signals, dict[str, SignalRole], path, "is no plant document", "correct it")

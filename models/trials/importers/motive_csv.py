@@ -10,20 +10,27 @@ used; rotations of rigid bodies are skipped.
 from __future__ import annotations
 
 import csv
+import math
+from array import array
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_CELLS, read_lines
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, marker_columns
 from models.trials.trial import Array
+from models.trials.trial_columns import MOST_COLUMNS
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
 _RANK: Final = {"marker": 0, "rigid body marker": 1, "bone marker": 1}
 """Preference by kind, lowest first: a measured marker before the solver's expected one."""
+_MOST_HEADER_LINES: Final = 100
+"""Lines in which the header ends; Motive writes seven."""
 
 
 def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
@@ -42,17 +49,11 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
         If the file is no Motive export in a known length unit and global coordinates, is
         truncated, or holds no mapped marker.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            path, f"is not CSV text ({error})", "export it from Motive again"
-        ) from None
-    header = _header(path, rows)
+    rows = _rows(path)
+    header = _header(path, next(rows, []))
     metres = _METRES[header["Length Units"].lower()]
-    labels, start = _label_rows(path, rows)
-    positions = _position_columns(labels, mapping)
+    labels, line = _label_rows(path, rows)
+    positions = _position_columns(path, labels, mapping)
     if not positions:
         found = sorted({name for name in labels["Name"] if name})
         raise InputError(
@@ -60,17 +61,27 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
             "holds none of the mapped markers; it has " + (", ".join(found[:20]) or "no names"),
             'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
         )
-    width = len(labels["Frame"])
-    samples = _samples(path, rows, start, width)
     time = labels["Frame"].index("Time (Seconds)")
-    markers_m = {name: metres * samples[:, axes] for name, axes in positions.items()}
+    used = [time, *(k for axes in positions.values() for k in axes)]
+    samples = _samples(path, rows, line, len(labels["Frame"]), used)
+    markers_m = {
+        name: metres * samples[:, 1 + 3 * i : 4 + 3 * i] for i, name in enumerate(positions)
+    }
     world_m = to_world(markers_m, mapping.frame, default_up="y")
-    return [Series(samples[:, time], marker_columns(world_m), path)]
+    return [Series(samples[:, 0].copy(), marker_columns(world_m), path)]
 
 
-def _header(path: Path, rows: list[list[str]]) -> dict[str, str]:
+def _rows(path: Path) -> Iterator[list[str]]:
+    try:
+        yield from csv.reader(read_lines(path, "name an existing export of Motive"))
+    except csv.Error as error:
+        raise InputError(
+            path, f"is not CSV text ({error})", "export it from Motive again"
+        ) from None
+
+
+def _header(path: Path, first: list[str]) -> dict[str, str]:
     """Key, value pairs of the header's first line, checked."""
-    first = rows[0] if rows else []
     header = dict(zip(first[::2], first[1::2], strict=False))
     if "Format Version" not in header:
         raise InputError(
@@ -86,28 +97,35 @@ def _header(path: Path, rows: list[list[str]]) -> dict[str, str]:
     return header
 
 
-def _label_rows(path: Path, rows: list[list[str]]) -> tuple[dict[str, list[str]], int]:
-    """Label rows by label ("" is the Rotation / Position row), and the first row of samples."""
+def _label_rows(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, list[str]], int]:
+    """Label rows by label ("" is the Rotation / Position row), and the number of the last one."""
     labels: dict[str, list[str]] = {}
-    for number, row in enumerate(rows[1:], start=1):
+    for number, row in enumerate(rows, start=2):
+        if len(row) > MOST_COLUMNS:
+            what = f"line {number} has {len(row)} cells, more than {MOST_COLUMNS}"
+            raise InputError(path, what, "export fewer assets")
         if row and row[0] == "Frame":
             labels["Frame"] = row
             missing = {"Type", "Name", ""} - labels.keys()
             if missing or "Time (Seconds)" not in row:
+                lacks = " and ".join(map(repr, sorted(missing) or ["Time (Seconds)"]))
                 raise InputError(
-                    path,
-                    f"line {number + 1}: the header lacks its {missing or {'Time (Seconds)'}} row",
+                    path, f"line {number}: the header lacks its {lacks} row",
                     "export it from Motive again",
-                )
-            return {k: v + [""] * (len(row) - len(v)) for k, v in labels.items()}, number + 1
+                )  # fmt: skip
+            return {k: (v + [""] * len(row))[: len(row)] for k, v in labels.items()}, number
         if len(row) > 2 and row[0] == "":
             labels[row[1]] = row
+        if number > _MOST_HEADER_LINES:
+            break
     raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
 
 
-def _position_columns(labels: dict[str, list[str]], mapping: RecordingMap) -> dict[str, list[int]]:
+def _position_columns(
+    path: Path, labels: dict[str, list[str]], mapping: RecordingMap
+) -> dict[str, list[int]]:
     """Columns of X, Y and Z by the contract's marker name."""
-    best: dict[str, tuple[int, dict[str, int]]] = {}
+    best: dict[str, tuple[int, dict[str, list[int]]]] = {}
     for k, (kind, name, measure, axis) in enumerate(
         zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
     ):
@@ -118,28 +136,51 @@ def _position_columns(labels: dict[str, list[str]], mapping: RecordingMap) -> di
         if marker not in best or rank < best[marker][0]:
             best[marker] = (rank, {})
         if rank == best[marker][0]:
-            best[marker][1].setdefault(axis, k)
-    return {name: [axes["X"], axes["Y"], axes["Z"]] for name, (_, axes) in best.items()}
+            best[marker][1].setdefault(axis, []).append(k)
+    for name, (_, axes) in best.items():
+        for axis in "XYZ":
+            count = len(axes.get(axis, []))
+            if count != 1:
+                raise InputError(
+                    path, f"holds {count} columns for {axis} of {name}",
+                    "map one marker to it, and export it with all its positions",
+                )  # fmt: skip
+    return {name: [axes[axis][0] for axis in "XYZ"] for name, (_, axes) in best.items()}
 
 
-def _samples(path: Path, rows: list[list[str]], start: int, width: int) -> Array:
-    """All cells below the header as numbers, blank ones as NaN."""
-    body = [row for row in rows[start:] if row]
-    samples = np.full((len(body), width), np.nan)
-    for i, row in enumerate(body):
+def _samples(
+    path: Path, rows: Iterator[list[str]], line: int, width: int, used: list[int]
+) -> Array:
+    """Cells of the used columns below the header as numbers, blank ones as NaN."""
+    numbers = array("d")
+    for number, row in enumerate(rows, start=line + 1):
+        if not row:
+            continue
         if len(row) < width:
             raise InputError(
-                path, f"line {start + i + 1} has {len(row)} cells, the header {width}",
+                path, f"line {number} has {len(row)} cells, the header {width}",
                 "the file is truncated: export it again",
             )  # fmt: skip
-        for k, cell in enumerate(row[:width]):
-            if cell == "":
-                continue
-            try:
-                samples[i, k] = float(cell)
-            except ValueError:
-                raise InputError(
-                    path, f"line {start + i + 1}, cell {k + 1}: {cell!r} is not a number",
-                    "export it from Motive again",
-                ) from None  # fmt: skip
-    return samples
+        if len(numbers) > MOST_CELLS:
+            raise InputError(path, f"holds more than {MOST_CELLS} numbers", "export less of it")
+        try:
+            values = [float(cell) if cell else math.nan for cell in row[:width]]
+        except ValueError:
+            raise _no_number(path, number, row) from None
+        numbers.extend([values[k] for k in used])
+    return np.frombuffer(numbers, np.float64).reshape(-1, len(used))
+
+
+def _no_number(path: Path, line: int, row: list[str]) -> InputError:
+    k, cell = next((k, c) for k, c in enumerate(row, start=1) if not _is_number(c))
+    return InputError(
+        path, f"line {line}, cell {k}: {cell[:80]!r} is not a number", "export it from Motive again"
+    )
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or 0)
+    except ValueError:
+        return False
+    return True

@@ -8,16 +8,14 @@ every tick.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
+from firmware_py.log.logged_run import LoggedMotion, logged_run
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.motion import Motion
-from firmware_py.motion_document import MotionDocument
 from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
 from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.series import Series
@@ -70,21 +68,12 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     log : Recording
         Of `dropstitch run`.
     """
-    if "motion" in log.metadata:  # of a plan, which ran in place of the configured motion
-        motion = json.loads(log.metadata["motion"])
-    else:
-        motion = _motion_conditions(json.loads(log.metadata.get("config", "{}")).get("motion", {}))
-    known: dict[str, Scalar | None] = {
-        "dof": log.dof,
-        "source": "recording",
-        "motion": motion.get("motion"),
-        "period_s": motion.get("period_s"),
-        "amplitude_rad": motion.get("amplitude_rad"),
-        "phase_2_rad": motion.get("phase_2_rad"),
-        "payload_kg": json.loads(log.metadata.get("payload_kg", "null")),
-    }
+    facts = logged_run(log)
+    motion = _motion_conditions(facts.motion)
+    known: dict[str, Scalar | None] = {"dof": log.dof, "source": "recording", **motion}
+    known["payload_kg"] = facts.payload_kg
     trial = {key: value for key, value in known.items() if value is not None}
-    step_s = float(log.metadata.get("period_s", np.median(np.diff(log.columns["time_s"]))))
+    step_s = facts.period_s or float(np.median(np.diff(log.columns["time_s"])))
     return msgspec.structs.replace(
         mapping,
         trial=trial | mapping.trial,
@@ -92,11 +81,14 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     )
 
 
-def _motion_conditions(table: dict[str, Any]) -> dict[str, Any]:
-    """Conditions of a trial from the table `[motion]` of a log's configuration."""
-    if table.get("design") is None:
-        return {"motion": table.get("kind")} | table
-    motion = Motion.designed(msgspec.convert(table["design"], MotionDocument))
+def _motion_conditions(logged: LoggedMotion) -> dict[str, Scalar | None]:
+    """Conditions of a trial from the motion of a log."""
+    if logged.design is None:
+        return {
+            "motion": logged.motion or logged.kind, "period_s": logged.period_s,
+            "amplitude_rad": logged.amplitude_rad, "phase_2_rad": logged.phase_2_rad,
+        }  # fmt: skip
+    motion = Motion.designed(logged.design)
     return {
         "motion": motion.name, "period_s": motion.period_s, "amplitude_rad": motion.amplitude_rad,
         "phase_2_rad": motion.phase_2_rad,

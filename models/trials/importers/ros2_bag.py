@@ -9,17 +9,25 @@ a message is its header's stamp, or the time of recording where it has none.
 
 from __future__ import annotations
 
+import io
+import itertools
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_BYTES, open_bounded
 from models.trials.importers.mapping import MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, factor_to_si, marker_columns
 
+MOST_FILES: Final = 100
+"""Most files of a bag."""
+MOST_METADATA_BYTES: Final = 200_000
+"""Size of the largest metadata.yaml: 400 topics; its parser needs seconds for it."""
 Samples = list[tuple[float, dict[str, Any]]]
 
 
@@ -38,34 +46,62 @@ def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
     InputError
         If the bag cannot be read, a topic is missing, or its messages do not fit its role.
     """
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.typesys import Stores, get_typestore
-
     if not mapping.topics:
         raise InputError(
             mapping.path, "names no topics", 'add [topics] like "/joint_states" = "joints"'
         )
     samples: dict[str, Samples] = defaultdict(list)
+    _check_files(path)
+    for topic, recorded_ns, message in _messages(path, list(mapping.topics)):
+        try:
+            values = _values(path, message, topic, mapping)
+            samples[topic].append((_stamp_s(message, recorded_ns), values))
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            what = f"a message of {topic} has another form ({error})"
+            raise InputError(path, what, "correct [topics] in MAP.toml") from None
+    if not samples:
+        raise InputError(path, "holds no message of [topics]", "correct [topics] in MAP.toml")
+    return [_series(path, topic, rows, mapping) for topic, rows in samples.items()]
+
+
+def _check_files(path: Path) -> None:
+    """Refuse a bag whose files are not regular, too large or too many."""
+    if not path.is_dir():
+        open_bounded(path, "name the directory of the bag").close()
+        return
+    files = list(itertools.islice(path.iterdir(), MOST_FILES + 1))
+    if len(files) > MOST_FILES:
+        raise InputError(path, f"holds more than {MOST_FILES} files", "name one bag")
+    left = MOST_BYTES
+    for file in files:
+        most = MOST_METADATA_BYTES if file.suffix == ".yaml" else max(left, 0)
+        with open_bounded(file, "name the directory of a bag", most) as stream:
+            left -= stream.seek(0, io.SEEK_END)
+
+
+def _messages(path: Path, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time of recording in ns and content of every message of some topics."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
             known = {c.topic for c in bag.connections}
-            for topic in mapping.topics:
+            for topic in topics:
                 if topic not in known:
                     raise InputError(
                         path,
                         f"topic {topic} is missing; it has " + ", ".join(sorted(known)),
                         "correct [topics] in MAP.toml",
                     )
-            chosen = [c for c in bag.connections if c.topic in mapping.topics]
+            chosen = [c for c in bag.connections if c.topic in topics]
             for connection, recorded_ns, raw in bag.messages(connections=chosen):
-                message = bag.deserialize(raw, connection.msgtype)
-                values = _values(path, message, connection.topic, mapping)
-                samples[connection.topic].append((_stamp_s(message, recorded_ns), values))
-    except (AnyReaderError, OSError) as error:
-        raise InputError(
-            path, f"is no readable ROS 2 bag ({error})", "name its directory"
-        ) from None
-    return [_series(path, topic, rows, mapping) for topic, rows in samples.items()]
+                yield connection.topic, recorded_ns, bag.deserialize(raw, connection.msgtype)
+    except (InputError, MemoryError, GeneratorExit):
+        raise
+    except Exception as error:  # SQLite, YAML, MCAP and CDR each raise what they trip over
+        what = f"is no readable ROS 2 bag ({type(error).__name__}: {error})"
+        raise InputError(path, what, "name its directory, or record it again") from None
 
 
 def _stamp_s(message: Any, recorded_ns: int) -> float:

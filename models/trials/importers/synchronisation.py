@@ -23,6 +23,8 @@ from models.trials.trial import Array
 
 COARSE_STEP_S: Final = 0.01
 """Step of the first search over all offsets; the second one is continuous."""
+LONGEST_S: Final = 10_000.0
+"""Longest recording whose offset is searched: a million coarse steps."""
 MIN_CORRELATION: Final = 0.9
 """Correlation below which two files do not show the same motion."""
 
@@ -65,6 +67,10 @@ def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchroni
     """
     angle_s, angle_rad = _angle(servo, dof)
     seen_s, seen_rad = _direction(mocap, dof)
+    for own, time_s in ((servo, angle_s), (mocap, seen_s)):
+        if time_s[-1] - time_s[0] > LONGEST_S:
+            what = f"lasts {time_s[-1] - time_s[0]:.3g} s, more than {LONGEST_S:g} s"
+            raise InputError(own[0].path, what, "check the unit of its times, or give --offset")
     coarse_s = _coarse_offset_s(angle_s, angle_rad, seen_s, seen_rad)
 
     def disagreement(offset_s: float) -> float:

@@ -7,23 +7,24 @@ another plant needs another map but no other reader. In JSON a map may also give
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_CELLS, read_json
 from firmware_py.signals import TIME, unit_of
 from models.trials.importers.json_path import json_values
 from models.trials.importers.mapping import RecordingMap, Scalar
+from models.trials.importers.matlab_file import matlab_columns, matlab_scalars
 from models.trials.importers.series import Series, factor_to_si
+from models.trials.importers.text_columns import no_number, read_text_columns
 from models.trials.trial import Array
 
-MATRIX_COLUMNS: Final = 32
-"""Most columns of a matrix of a MATLAB file that are taken for channels sampled together."""
+LONGEST_NAME: Final = 1000
+"""Characters of the longest path to a single value in JSON."""
 
 
 def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
@@ -45,12 +46,14 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
         If the file cannot be read, a mapped column is missing, a cell is not a number, or nothing
         is mapped to `time_s`.
     """
-    raw = _with_paths(path, mapping, read_columns(path, may_be_nested=_is_json(path)))
-    columns = {
-        name: _numbers(path, name, cells)
-        for name, cells in raw.items()
-        if unit_of(name) is not None and name not in mapping.columns
-    }
+    sources = {column.source for column in mapping.columns.values()}
+
+    def kept(name: str) -> bool:
+        return unit_of(name) is not None and name not in mapping.columns
+
+    found = read_columns(path, lambda n: n in sources or kept(n), may_be_nested=_is_json(path))
+    raw = _with_paths(path, mapping, found)
+    columns = {name: _numbers(path, name, cells) for name, cells in raw.items() if kept(name)}
     for name, column in mapping.columns.items():
         if column.source not in raw:
             raise InputError(
@@ -115,13 +118,12 @@ def read_scalars(path: Path) -> dict[str, Scalar]:
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
-        dotted = _single_values(_json(path), "{}.{}")
+        document = _json(path)
+        dotted = _single_values(document, "{}.{}")
         return {n.removeprefix("."): v for n, v in dotted.items()} | _single_values(
-            _json(path), "{}/{}"
+            document, "{}/{}"
         )
-    if suffix == ".mat":
-        return {n: np.ravel(v)[0].item() for n, v in _matlab(path).items() if np.size(v) == 1}
-    return {}
+    return matlab_scalars(path) if suffix == ".mat" else {}
 
 
 def _single_values(node: Any, form: str, prefix: str = "") -> dict[str, Scalar]:
@@ -129,13 +131,17 @@ def _single_values(node: Any, form: str, prefix: str = "") -> dict[str, Scalar]:
     result: dict[str, Scalar] = {}
     for name, value in node.items() if isinstance(node, dict) else ():
         own = form.format(prefix, name)
+        if len(own) > LONGEST_NAME:
+            continue
         if isinstance(value, str | int | float):
             result[own] = value
         result |= _single_values(value, form, own)
     return result
 
 
-def read_columns(path: Path, *, may_be_nested: bool = False) -> dict[str, Sequence[Any]]:
+def read_columns(
+    path: Path, wanted: Callable[[str], bool] = bool, *, may_be_nested: bool = False
+) -> dict[str, Sequence[Any]]:
     """Cells of a file by the names of its columns, each of length n.
 
     JSON may be a list of records, an object of equally long lists, or an object in which one key
@@ -146,6 +152,8 @@ def read_columns(path: Path, *, may_be_nested: bool = False) -> dict[str, Sequen
     ----------
     path : Path
         The file.
+    wanted : callable
+        Whether the cells of a column of a text table are read; others are empty.
     may_be_nested : bool
         Whether a file without columns is accepted, because a map has paths into it.
 
@@ -155,46 +163,24 @@ def read_columns(path: Path, *, may_be_nested: bool = False) -> dict[str, Sequen
         If the file cannot be read as what its suffix says.
     """
     suffix = path.suffix.lower()
-    try:
-        if suffix == ".json":
-            columns = _json_columns(_json(path))
-        elif suffix == ".mat":
-            columns = _matlab_columns(path)
-        else:
-            columns = _text_columns(path)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            path, f"cannot be read as {suffix or 'text'} ({error})", "export it again"
-        ) from None
+    columns: dict[str, Any]
+    if suffix == ".json":
+        columns = _json_columns(path, _json(path))
+    elif suffix == ".mat":
+        columns = _most_frequent_length(matlab_columns(path))
+    else:
+        names, numbers = read_text_columns(path, wanted)
+        columns = dict(zip(names, numbers, strict=True))
     if not columns and not may_be_nested:
         raise InputError(path, "holds no columns", "export a header and one row per sample")
     return columns
 
 
-def _text_columns(path: Path) -> dict[str, Sequence[Any]]:
-    text = path.read_text(encoding="utf-8-sig")
-    first = text.partition("\n")[0]
-    delimiter = max(",;\t", key=first.count)
-    rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if row]
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(rows[0]):
-            raise InputError(
-                path,
-                f"row {number} has {len(row)} cells, the header {len(rows[0])}",
-                "the file is truncated or damaged: export it again",
-            )
-    header, body = (rows[0], rows[1:]) if rows else ([], [])
-    return {name.strip(): [row[k] for row in body] for k, name in enumerate(header)}
-
-
 def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read as .json ({error})", "export it again") from None
+    return read_json(path, "export it again")
 
 
-def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
+def _json_columns(path: Path, document: Any) -> dict[str, Sequence[Any]]:
     if isinstance(document, dict):
         lists = {k: v for k, v in document.items() if isinstance(v, list) and v}
         records = [v for v in lists.values() if isinstance(v[0], dict)]
@@ -203,31 +189,10 @@ def _json_columns(document: Any) -> dict[str, Sequence[Any]]:
         document = records[0]
     if not isinstance(document, list) or not all(isinstance(r, dict) for r in document):
         return {}
-    return {name: [record.get(name) for record in document] for name in (document or [{}])[0]}
-
-
-def _matlab(path: Path) -> dict[str, Any]:
-    """Variables of a MATLAB file."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        variables = loadmat(path)
-    except (MatReadError, NotImplementedError, ValueError, TypeError, OSError) as error:
-        raise InputError(
-            path, f"is not a MATLAB file up to version 7 ({error})", "save it with -v7"
-        ) from None
-    return {name: value for name, value in variables.items() if not name.startswith("__")}
-
-
-def _matlab_columns(path: Path) -> dict[str, Sequence[Any]]:
-    columns: dict[str, Sequence[Any]] = {}
-    for name, value in _matlab(path).items():
-        if np.size(value) == max(np.shape(value), default=0) > 1:
-            columns[name] = np.asarray(value).ravel().tolist()
-        elif np.ndim(value) == 2 and 1 < np.shape(value)[1] <= MATRIX_COLUMNS < len(value):
-            columns |= {f"{name}[{k}]": rows.tolist() for k, rows in enumerate(np.transpose(value))}
-    return _most_frequent_length(columns)
+    names = list((document or [{}])[0])
+    if len(names) * len(document) > MOST_CELLS:
+        raise InputError(path, f"holds more than {MOST_CELLS} values", "divide it")
+    return {name: [record.get(name) for record in document] for name in names}
 
 
 def _most_frequent_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
@@ -238,14 +203,12 @@ def _most_frequent_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
 
 def _numbers(path: Path, name: str, cells: Sequence[Any]) -> Array:
     """Cells as doubles; an empty one is NaN."""
+    if isinstance(cells, np.ndarray):
+        return np.asarray(cells, dtype=np.float64)
     numbers = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:
             numbers[i] = np.nan if cell is None or cell == "" else float(cell)
-        except (TypeError, ValueError):
-            raise InputError(
-                path,
-                f"sample {i + 1}, column {name!r}: {cell!r} is not a number",
-                "correct the cell or leave it empty",
-            ) from None
+        except (TypeError, ValueError, OverflowError):
+            raise no_number(path, i + 1, name, cell) from None
     return numbers

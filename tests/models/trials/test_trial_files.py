@@ -168,7 +168,7 @@ def test_a_file_without_samples_is_refused(written):
 
 def test_a_binary_file_is_refused(written):
     written.write_bytes(bytes(range(256)) * 4)
-    assert "is not CSV text" in refusal(written)
+    assert "is not UTF-8 text" in refusal(written)
 
 
 @pytest.mark.parametrize("time", ["0.0925", "0.051", "-1.0"])

@@ -171,7 +171,7 @@ def test_wrong_conditions_and_files_get_one_sentence(
     assert "is missing" in refused(*arguments, tmp_path / "none.toml")
     map_ = write_map(session.dof, columns=columns)
     for name, content, what in (
-        ("a.json", "{", "cannot be read as .json"),
+        ("a.json", "{", "is not JSON"),
         ("a.json", '{"note": "nothing"}', "holds no columns"),
         ("a.mat", "no matlab", "is not a MATLAB file"),
         ("a.csv", "a,b\n1,2\n3\n", "row 3 has 1 cells, the header 2"),

@@ -1,0 +1,1 @@
+"""Files from outside: bounded reading, and work in a child process with limits."""

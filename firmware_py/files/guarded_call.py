@@ -1,0 +1,146 @@
+"""Work in a child process with limits of memory, time and file size.
+
+Libraries that read binary formats crash, hang or allocate without bound on damaged files. In a
+child, all of that ends in one sentence of the parent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import select
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NoReturn
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+__all__ = ["MEMORY_BYTES", "guarded_call"]
+
+MEMORY_BYTES: Final = 350_000_000
+"""Memory that a child may take beyond its parent's: an importer has 100 MB of libraries loaded and
+stays below 500 MB."""
+SECONDS: Final = 120.0
+"""Longest time for one file: 100 MB of CSV need 20 s [measured]."""
+MOST_WRITTEN_BYTES: Final = 400_000_000
+"""Size of the largest file that a child may write: a trial of 10⁷ numbers of 20 digits, doubled."""
+
+_RESULT, _REFUSED, _MEMORY = b"r", b"i", b"m"
+
+
+def guarded_call(
+    work: Callable[[], bytes], where: Path | str, remedy: str,
+    memory_bytes: int = MEMORY_BYTES, seconds: float = SECONDS,
+) -> bytes:  # fmt: skip
+    """Result of `work()`, which runs in a child process.
+
+    The child is a fork: it starts in milliseconds and has everything that is loaded. It writes
+    nothing to the terminal, and its temporary files are removed with it.
+
+    Parameters
+    ----------
+    work : callable
+        Without arguments; returns bytes.
+    where : Path or str
+        File that it reads, for messages.
+    remedy : str
+        What the user can do if the child does not survive it.
+    memory_bytes : int
+        Memory that it may take beyond what is taken now (Linux; other systems do not limit it).
+    seconds : float
+        Longest time.
+
+    Raises
+    ------
+    InputError
+        That of `work`; or if the child dies, or needs more memory or time than it may.
+    """
+    reader, writer = os.pipe()
+    with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
+        with warnings.catch_warnings():
+            # Python 3.12 warns of threads; those of OpenBLAS survive a fork by its own handlers.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
+        if child == 0:
+            os.close(reader)
+            _live(work, writer, scratch, memory_bytes, seconds)
+        os.close(writer)
+        try:
+            answer, late = _received(reader, time.monotonic() + seconds)
+        finally:
+            os.close(reader)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)  # it has answered, or never will
+            _, status = os.waitpid(child, 0)
+    kind, content = answer[:1], answer[1:]
+    if kind == _RESULT and not late:
+        return content
+    if kind == _REFUSED and not late:
+        raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
+    if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
+        raise InputError(where, f"takes more than {seconds:g} s to read", remedy)
+    if kind == _MEMORY:
+        raise InputError(where, f"takes more than {memory_bytes / 1e6:.0f} MB to read", remedy)
+    raise InputError(where, "is damaged: the program that reads it has crashed", remedy)
+
+
+def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
+    """Everything from a pipe until it is closed, and whether that took too long."""
+    parts: list[bytes] = []
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        if select.select([reader], [], [], left_s)[0]:
+            part = os.read(reader, 1 << 20)
+            if not part:
+                return b"".join(parts), False
+            parts.append(part)
+    return b"", True
+
+
+def _live(
+    work: Callable[[], bytes], writer: int, scratch: str, memory_bytes: int, seconds: float
+) -> NoReturn:
+    """Life of the child: it ends here whatever happens, without the parent's clean-up."""
+    try:
+        faulthandler.disable()
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(nowhere, stream)
+        tempfile.tempdir = scratch
+        _limit(memory_bytes, seconds)
+        try:
+            answer = _RESULT + work()
+        except InputError as error:
+            said = (error.where, error.what, error.remedy)
+            answer = _REFUSED + msgspec.msgpack.encode(said)
+        except MemoryError:
+            answer = _MEMORY
+        while answer:
+            answer = answer[os.write(writer, answer) :]
+    except MemoryError:
+        os.write(writer, _MEMORY)
+    finally:
+        os._exit(0)
+
+
+def _limit(memory_bytes: int, seconds: float) -> None:
+    import resource  # only where there is a fork
+
+    limits = {
+        resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: int(seconds) + 1,
+        resource.RLIMIT_FSIZE: MOST_WRITTEN_BYTES,
+    }  # fmt: skip
+    if sys.platform == "linux":
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        limits[resource.RLIMIT_AS] = pages * os.sysconf("SC_PAGE_SIZE") + memory_bytes
+    for limit, most in limits.items():
+        hard = resource.getrlimit(limit)[1]
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(limit, (least, hard))

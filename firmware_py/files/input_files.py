@@ -1,0 +1,279 @@
+"""Bounded reading of files that come from outside: bytes, text, TOML, JSON.
+
+Every reader of this project goes through these functions, so that each refuses the same things in
+one sentence: what is missing, is no regular file, is too large, or is not of its form. The limits
+are in docs/files.md.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Final, TypeVar
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+__all__ = [
+    "MOST_BYTES", "MOST_CELLS", "check_json", "convert", "open_bounded", "read_bytes", "read_json",
+    "read_lines", "read_text", "read_toml",
+]  # fmt: skip
+
+T = TypeVar("T")
+
+MOST_BYTES: Final = 100_000_000
+"""Size of the largest file that is read: two hours of a trial of the link as CSV [assumed]."""
+MOST_CELLS: Final = 10_000_000
+"""Most numbers of a table: 80 MB as doubles; a file of `MOST_BYTES` with ten bytes each."""
+MOST_TOML_BYTES: Final = 1_000_000
+"""Size of the largest TOML file: people write them; tomllib needs a second for it [assumed]."""
+MOST_JSON_BYTES: Final = 64_000_000
+"""Size of the largest JSON document; as text of one wide character it is 256 MB in memory."""
+MOST_JSON_VALUES: Final = 4_000_000
+"""Most values of a JSON document: 32 bytes each as floats."""
+MOST_JSON_LISTS: Final = 500_000
+"""Most lists and objects of a JSON document: 64 to 230 bytes each."""
+LONGEST_LINE: Final = 1_000_000
+"""Characters of the longest line of a table."""
+_MOST_KEY_DOTS: Final = 500
+"""Dots between separators of a TOML file; tomllib needs quadratic time for a dotted key."""
+_TOML_SEPARATOR: Final = re.compile(rb"[,\[\]{}=\n]")
+
+
+def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:
+    """Open a regular file that is not too large.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    remedy : str
+        What the user can do where the file is missing or is no file.
+    most : int
+        Size of the largest file that is opened, in bytes.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, cannot be opened, is no regular file or is too large.
+    """
+    try:
+        # A FIFO without a writer would block the opening.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    except FileNotFoundError:
+        raise InputError(path, "is missing", remedy) from None
+    except OSError as error:
+        what = f"cannot be read ({error.strerror})"
+        raise InputError(path, what, remedy) from None
+    except ValueError as error:  # a NUL in the name
+        raise InputError(path, f"is no file name ({error})", remedy) from None
+    found = os.fstat(descriptor)
+    wrong = ""
+    if stat.S_ISDIR(found.st_mode):
+        wrong = "is a directory"
+    elif not stat.S_ISREG(found.st_mode):
+        wrong = "is no regular file"
+    if wrong or found.st_size > most:
+        os.close(descriptor)
+        if wrong:
+            raise InputError(path, wrong, remedy)
+        what = f"has {found.st_size / 1e6:.0f} MB, more than {most / 1e6:g} MB"
+        raise InputError(path, what, "shorten it or divide it")
+    return os.fdopen(descriptor, "rb")
+
+
+def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
+    """Content of a file that is not too large.
+
+    Parameters
+    ----------
+    path, remedy, most
+        See `open_bounded`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, cannot be read, is no regular file or is too large.
+    """
+    with open_bounded(path, remedy, most) as file:
+        try:
+            data = file.read(most + 1)  # it may grow meanwhile
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
+    if len(data) > most:
+        raise InputError(path, f"has more than {most / 1e6:g} MB", "shorten it or divide it")
+    return data
+
+
+def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
+    """Text of a UTF-8 file that is not too large.
+
+    Parameters
+    ----------
+    path, remedy, most
+        See `open_bounded`.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`, and if the file is not UTF-8.
+    """
+    try:
+        return read_bytes(path, remedy, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"is not UTF-8 text ({error})", "save it as UTF-8") from None
+
+
+def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
+    """Lines of a UTF-8 table one by one, with their ends.
+
+    Parameters
+    ----------
+    path, remedy
+        See `open_bounded`.
+
+    Raises
+    ------
+    InputError
+        As `read_text`, and if a line is longer than `LONGEST_LINE`.
+    """
+    with io.TextIOWrapper(
+        open_bounded(path, remedy), encoding="utf-8-sig", newline=""
+    ) as file:  # fmt: skip
+        try:
+            while line := file.readline(LONGEST_LINE + 1):
+                if len(line) > LONGEST_LINE:
+                    what = f"has a line of more than {LONGEST_LINE} characters"
+                    raise InputError(path, what, "write one sample per line")
+                yield line
+        except UnicodeDecodeError as error:
+            raise InputError(path, f"is not UTF-8 text ({error})", "save it as UTF-8") from None
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
+
+
+def read_toml(
+    path: Path | str, missing: str = "name an existing file", damaged: str = ""
+) -> dict[str, Any]:
+    """Tables of a TOML file.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    missing : str
+        What the user can do where it is missing.
+    damaged : str
+        What the user can do where it is not TOML.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is too large or too deeply nested, or is not TOML.
+    """
+    data = read_bytes(path, missing, MOST_TOML_BYTES)
+    damaged = damaged or "correct the line it names"
+    if max(map(_dots, _TOML_SEPARATOR.split(data))) > _MOST_KEY_DOTS:
+        raise InputError(path, f"has a name of more than {_MOST_KEY_DOTS} parts", damaged)
+    try:
+        return tomllib.loads(data.decode("utf-8"))
+    except RecursionError:
+        raise InputError(path, "is not TOML (it is too deeply nested)", damaged) from None
+    except ValueError as error:  # of the form, of the encoding, or a number of too many digits
+        raise InputError(path, f"is not TOML ({error})", damaged) from None
+
+
+def _dots(piece: bytes) -> int:
+    return piece.count(b".")
+
+
+def check_json(path: Path | str, data: bytes, remedy: str) -> None:
+    """Refuse a JSON document that would need much memory, before it is decoded.
+
+    Parameters
+    ----------
+    path : Path or str
+        For the message.
+    data : bytes
+        The document.
+    remedy : str
+        What the user can do.
+
+    Raises
+    ------
+    InputError
+        If it holds more than `MOST_JSON_VALUES` values or `MOST_JSON_LISTS` lists and objects.
+    """
+    lists = data.count(b"[") + data.count(b"{")
+    if lists > MOST_JSON_LISTS:
+        raise InputError(path, f"holds more than {MOST_JSON_LISTS} lists and objects", remedy)
+    if lists + data.count(b",") > MOST_JSON_VALUES:
+        raise InputError(path, f"holds more than {MOST_JSON_VALUES} values", remedy)
+
+
+def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any:
+    """Value of a JSON file.
+
+    Parameters
+    ----------
+    path, remedy, most
+        See `open_bounded`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is too large or too deeply nested, or is not JSON.
+    """
+    data = read_bytes(path, remedy, most)
+    check_json(path, data, remedy)
+    try:
+        return json.loads(data, object_pairs_hook=_object)
+    except RecursionError:
+        raise InputError(path, "is not JSON (it is too deeply nested)", remedy) from None
+    except ValueError as error:  # of the form, of the encoding, or a number of too many digits
+        raise InputError(path, f"is not JSON ({error})", remedy) from None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Object of JSON, in which every name stands once."""
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        names = [name for name, _ in pairs]
+        doubled = next(name for k, name in enumerate(names) if name in names[:k])
+        raise ValueError(f"the name {doubled[:80]!r} stands twice in an object")
+    return result
+
+
+def convert(raw: Any, kind: type[T], path: Path | str, what: str, remedy: str) -> T:
+    """Struct that decoded TOML or JSON holds.
+
+    Parameters
+    ----------
+    raw : Any
+        Decoded document.
+    kind : type
+        Struct.
+    path : Path or str
+        Its file, for the message.
+    what : str
+        What is wrong where it does not fit, like "is no motion"; empty for the reason alone.
+    remedy : str
+        What the user can do.
+
+    Raises
+    ------
+    InputError
+        If the document does not fit the struct.
+    """
+    try:
+        return msgspec.convert(raw, kind)
+    except (ValueError, OverflowError, RecursionError, TypeError) as error:
+        # msgspec's own error is a ValueError; an integer may be too large for a double.
+        raise InputError(path, f"{what} ({error})" if what else str(error), remedy) from None

@@ -1,0 +1,105 @@
+"""Facts about the run of a log, checked: period, payload, motion."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.log.recording import Recording
+from firmware_py.motion_document import MotionDocument, check_motion_document
+
+__all__ = ["LoggedMotion", "LoggedRun", "logged_run"]
+
+T = TypeVar("T")
+
+
+class LoggedMotion(msgspec.Struct, frozen=True):
+    """Motion of a run: of a plan, or the table `[motion]` of its robot.toml.
+
+    Attributes
+    ----------
+    motion, kind : str or None
+        Name, in the log of a plan; kind, in that of a configured motion.
+    period_s, amplitude_rad, phase_2_rad : float or None
+        Conditions, where they are known.
+    design : MotionDocument or None
+        Content of a motion file.
+    """
+
+    motion: str | None = None
+    kind: str | None = None
+    period_s: float | None = None
+    amplitude_rad: float | None = None
+    phase_2_rad: float | None = None
+    design: MotionDocument | None = None
+
+
+class _LoggedConfig(msgspec.Struct, frozen=True):
+    """What is used of the robot.toml of a run."""
+
+    motion: LoggedMotion = LoggedMotion()
+    payload_kg: float | None = None
+
+
+class LoggedRun(msgspec.Struct, frozen=True):
+    """Facts of a log.
+
+    Attributes
+    ----------
+    period_s : float or None
+        Control period.
+    payload_kg : float or None
+        Mass at the tip as the log states it.
+    assumed_payload_kg : float or None
+        Mass that robot.toml gave to the estimator.
+    motion : LoggedMotion
+        What ran.
+    """
+
+    period_s: float | None
+    payload_kg: float | None
+    assumed_payload_kg: float | None
+    motion: LoggedMotion
+
+
+def logged_run(log: Recording) -> LoggedRun:
+    """Facts that the metadata of a log hold.
+
+    Parameters
+    ----------
+    log : Recording
+        Of `dropstitch run`.
+
+    Raises
+    ------
+    InputError
+        If they are damaged.
+    """
+    config = _decoded(log, "config", "{}", _LoggedConfig)
+    period_s = _decoded(log, "period_s", "null", float | None)  # type: ignore[arg-type]
+    if period_s is not None and not 1e-3 <= period_s <= 1.0:
+        raise _damaged(log, "period_s", f"{period_s} s is outside 0.001 to 1 s")
+    payload_kg: float | None = _decoded(log, "payload_kg", "null", float | None)  # type: ignore[arg-type]
+    motion = config.motion
+    if "motion" in log.metadata:
+        motion = _decoded(log, "motion", "{}", LoggedMotion)
+    if motion.design is not None:
+        check_motion_document(motion.design, log.path)
+    return LoggedRun(period_s, payload_kg, config.payload_kg, motion)
+
+
+def _decoded(log: Recording, key: str, absent: str, kind: type[T]) -> T:
+    try:
+        value = msgspec.json.decode(log.metadata.get(key, absent), type=kind)
+    except (ValueError, RecursionError) as error:
+        raise _damaged(log, key, str(error)) from None
+    if isinstance(value, float) and not math.isfinite(value):
+        raise _damaged(log, key, f"it is {value}")
+    return value
+
+
+def _damaged(log: Recording, key: str, what: str) -> InputError:
+    return InputError(log.path, f"its metadata are damaged: {key} ({what})", "record it again")

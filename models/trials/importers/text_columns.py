@@ -1,0 +1,125 @@
+"""Columns of a text table (CSV, TSV), read row by row into doubles."""
+
+from __future__ import annotations
+
+import csv
+import math
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import MOST_CELLS, read_lines
+from models.trials.trial import Array
+from models.trials.trial_columns import MOST_COLUMNS
+
+
+def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[str], list[Array]]:
+    """Names of all columns of a text table, and the wanted ones among them as numbers.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8 text with a header; the commonest of `,`, `;` and tabulator in it separates.
+    wanted : callable
+        Whether a column of this name is read; cells of others may be anything.
+
+    Returns
+    -------
+    list of str
+        Names, in order.
+    list of ndarray, shape (n,)
+        Columns in this order; an empty cell is NaN, and columns that are not wanted are empty.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a name stands twice, a row has another number of cells, or a
+        wanted cell is not a number.
+    """
+    lines = read_lines(path, "name an existing table")
+    first = next(lines, "")
+    delimiter = max(",;\t", key=first.count)
+    header = [name.strip() for name in _split(path, first, delimiter)]
+    if len(header) > MOST_COLUMNS:
+        what = f"has {len(header)} columns, more than {MOST_COLUMNS}"
+        raise InputError(path, what, "leave out what is not needed")
+    refuse_doubled(path, header)
+    chosen = [k for k, name in enumerate(header) if wanted(name)]
+    columns = [array("d") for _ in header]
+    number = 1
+    try:
+        for row in csv.reader(lines, delimiter=delimiter):
+            if not row:
+                continue
+            number += 1
+            if len(row) != len(header):
+                raise InputError(
+                    path, f"row {number} has {len(row)} cells, the header {len(header)}",
+                    "the file is truncated or damaged: export it again",
+                )  # fmt: skip
+            if number * len(chosen) > MOST_CELLS:
+                raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
+            for k in chosen:
+                columns[k].append(_number(path, number - 1, header[k], row[k]))
+    except csv.Error as error:
+        raise InputError(path, f"is not CSV text ({error})", "export it again") from None
+    return header, [np.frombuffer(column, np.float64) for column in columns]
+
+
+def refuse_doubled(path: Path, names: list[str]) -> None:
+    """Refuse two columns of one name; empty names are no names.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message.
+    names : list of str
+        Names of its columns.
+
+    Raises
+    ------
+    InputError
+        If a name stands twice; it names the first.
+    """
+    seen: set[str] = set()
+    for name in names:
+        if name and name in seen:
+            raise InputError(path, f"column {name!r} stands twice", "rename one of the two")
+        seen.add(name)
+
+
+def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
+    """Sentence for a cell that is not a number.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    sample : int
+        Number of the sample, from 1.
+    column : str
+        Name of the column.
+    cell : object
+        Content.
+    """
+    return InputError(
+        path, f"sample {sample}, column {column!r}: {str(cell)[:80]!r} is not a number",
+        "correct the cell or leave it empty",
+    )  # fmt: skip
+
+
+def _number(path: Path, sample: int, column: str, cell: str) -> float:
+    try:
+        return float(cell) if cell else math.nan
+    except ValueError:
+        raise no_number(path, sample, column, cell) from None
+
+
+def _split(path: Path, line: str, delimiter: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error as error:
+        raise InputError(path, f"is not CSV text ({error})", "export it again") from None
