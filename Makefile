@@ -58,6 +58,7 @@ help:
 	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict"
 	@echo "make soak       the same for 28 minutes under load with faults on the line"
 	@echo "make faults     the fault campaign: every fault injected and judged, three minutes"
+	@echo "make recorded-runs  records the runs anew that every change has to answer as before"
 	@echo "make mutate     changes every comparison of the safety supervisor; a test has to fail"
 	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT"
 	@echo "make hitl-emulated  the same tests on an emulated servo"
@@ -302,6 +303,11 @@ hitl-emulated: $(READY)
 
 faults: build/twin_2dof.fmu
 	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out build/faults)
+
+# What tests/hil/faults/test_recorded_runs.py asks of every change.
+recorded-runs: build/twin_2dof.fmu
+	$(BIN)/python -m hil.faults.recorded.run_recorder --bundle build/bundle_2dof --fmu $< \
+	  --out tests/hil/faults/recorded_runs.xz
 
 mutate: $(READY)
 	$(BIN)/python tests/firmware_py/safety/mutation.py

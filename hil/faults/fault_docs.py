@@ -7,6 +7,7 @@ from typing import Final
 
 from firmware_py.safety.states import TRANSITIONS, SafetyState
 from hil.faults.fault_table import PARTS
+from hil.faults.safety_requirements import requirement_table
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
 
@@ -44,7 +45,12 @@ def fault_matrix() -> str:
 
 def redraw(text: str) -> str:
     """Return a document with the text between its marks generated anew."""
-    for name, part in (("state machine", state_machine()), ("faults", fault_matrix())):
+    parts = {
+        "state machine": state_machine(),
+        "requirements": requirement_table(),
+        "faults": fault_matrix(),
+    }
+    for name, part in parts.items():
         head, begin, rest = text.partition(f"<!-- drawn: {name} -->\n")
         _, end, tail = rest.partition(f"<!-- end: {name} -->\n")
         text = head + begin + part + "\n" + end + tail

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
@@ -36,6 +37,32 @@ _LEAN_STEP_S: Final = 0.05
 _OTHER_MODEL: Final = {54025: 54024, 54024: 54025}
 
 
+class RunTap(Protocol):
+    """Listener between the loop of a case and its bus."""
+
+    def wrap(self, bus: DynamixelBus) -> DynamixelBus:
+        """Return the bus that the loop gets.
+
+        Parameters
+        ----------
+        bus : DynamixelBus
+            The bus.
+        """
+        ...
+
+    def end(self, outcome: CaseOutcome, columns: Columns) -> None:
+        """Take the end of the run.
+
+        Parameters
+        ----------
+        outcome : CaseOutcome
+            How it ended.
+        columns : mapping of str to ndarray
+            Its ticks by column; empty where it was refused.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class CaseRobot:
     """Common part of every case of a campaign.
@@ -46,10 +73,13 @@ class CaseRobot:
         Bundle of the robot.
     fmu : Path
         Twin behind the servos.
+    tap : RunTap, optional
+        Receives what passes between loop and bus, and the end of the run.
     """
 
     bundle: ModelBundle
     fmu: Path
+    tap: RunTap | None = None
 
     @property
     def dof(self) -> int:
@@ -182,6 +212,8 @@ def run_case_loop(
     """
     try:
         bus = build_bus(config, opener(), clock, opener)
+        if robot.tap is not None:
+            bus = robot.tap.wrap(bus)
         loop = build_loop(
             config, FaultyModels(robot.bundle, host), bus, clock, goals=GoalTable(goals_rad),
             slots=slots, counters=counters, keep=2 * slots,
@@ -193,8 +225,11 @@ def run_case_loop(
             bus.close()
     except InputError as error:
         return CaseOutcome("refused", str(error)), {}
-    records = summary.records
-    return case_outcome(summary), {name: records[name] for name in records.dtype.names or ()}
+    records, outcome = summary.records, case_outcome(summary)
+    columns = {name: records[name] for name in records.dtype.names or ()}
+    if robot.tap is not None:
+        robot.tap.end(outcome, columns)
+    return outcome, columns
 
 
 def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:

@@ -1,10 +1,10 @@
-"""Change one comparison, constant or operator of the safety supervisor: do its tests notice?
+"""Change one comparison, constant or operator of supervisor or signals: do its tests notice?
 
     python tests/firmware_py/safety/mutation.py          # every mutant, exit 1 where one survives
 
-A mutant is one of the supervisor's modules with one node of its syntax tree changed. Each runs in
-a process forked from one that has everything imported, against the supervisor's tests until the
-first failure.
+A mutant is one module of supervisor or signal handling with one node of its syntax tree changed.
+Each runs in a process forked from one that has everything imported, against the tests of supervisor
+or signals until the first failure.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from typing import NamedTuple
 import hypothesis
 import pytest
 
+from firmware_py.realtime import stop_signals
 from firmware_py.safety import supervisor
 
 HERE = Path(__file__).parent
@@ -31,7 +32,9 @@ TARGETS = {
     f"firmware_py.safety.{name}": Path(supervisor.__file__).with_name(f"{name}.py")
     for name in ("limits", "blend", "stop_reason", "supervisor")
 }
+TARGETS |= {stop_signals.__name__: Path(stop_signals.__file__)}
 TESTS = [str(HERE / f"test_{name}.py") for name in ("limits", "blend", "supervisor")]
+SIGNAL_TESTS = [str(HERE.with_name("test_stop_signals.py"))]
 
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
@@ -135,8 +138,9 @@ def survives(mutant: Mutant) -> bool:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             hypothesis.settings.load_profile("mutation")
             exec(compile(mutant.tree, path, "exec"), module.__dict__)
+            tests = SIGNAL_TESTS if mutant.module == stop_signals.__name__ else TESTS
             code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "--no-header",
-                                    "-p", "no:xdist", *TESTS]))  # fmt: skip
+                                    "-p", "no:xdist", *tests]))  # fmt: skip
     finally:
         os._exit(0 if code == 0 else 1)
     return False

@@ -287,7 +287,7 @@ def test_every_fault_that_was_asked_for_is_in_the_table(words):
 def test_the_document_is_drawn_from_the_code():
     text = fault_docs.DOCUMENT.read_text(encoding="utf-8")
     assert fault_docs.redraw(text) == text, "run python -m hil.faults.fault_docs"
-    assert text.count("<!-- end:") == 2
+    assert text.count("<!-- end:") == 3
 
 
 def test_in_real_time_a_row_runs_once():

@@ -1,0 +1,152 @@
+"""Recorded run of the control loop: measurements by tick, what was answered, and their file."""
+
+from __future__ import annotations
+
+import io
+import lzma
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.config import RobotConfig
+from firmware_py.errors import InputError
+
+__all__ = ["RunTape", "TapeFacts", "read_runs", "write_runs"]
+
+Columns = Mapping[str, NDArray[Any]]
+_FACTS: Final = "facts"
+_MEASURED: Final = ("current_", "di", "predicted_")
+"""Columns of which 32 bits are enough: the loop only compares them with limits."""
+_REMEDY: Final = "record the runs again with 'python -m hil.faults.recorded.run_recorder'"
+
+
+class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """Facts of a recorded run beside its ticks.
+
+    Attributes
+    ----------
+    name : str
+        Fault, how and servo, as the campaign names the case.
+    config : RobotConfig
+        Configuration.
+    number : int
+        Model of the servos.
+    through_pulse : int or None
+        Goal in pulses of the motion, where it is not the configured one.
+    slots : int
+        Slots of the motion.
+    connected_rad : list of list of float
+        Angles at each connection of the servos.
+    torque : list of tuple of int
+        Status and alert bits after each switch of the torque.
+    requested : str
+        Reason with which a stop was requested; empty where none was.
+    ended, reason : str
+        End of the run.
+    ticks : int
+        Rows of its columns.
+    """
+
+    name: str
+    config: RobotConfig
+    number: int
+    through_pulse: int | None
+    slots: int
+    connected_rad: list[list[float]]
+    torque: list[tuple[int, int]]
+    requested: str
+    ended: str
+    reason: str
+    ticks: int
+
+
+@dataclass(frozen=True)
+class RunTape:
+    """One run.
+
+    Attributes
+    ----------
+    facts : TapeFacts
+        Configuration and end.
+    columns : mapping of str to ndarray
+        Ticks by column: those of the log that `COLUMNS` names, `read_status`, `write_status` and
+        `read_alert`.
+    """
+
+    facts: TapeFacts
+    columns: Columns
+
+
+def column_names(dof: int) -> tuple[str, ...]:
+    """Return the columns of a recorded run.
+
+    Parameters
+    ----------
+    dof : int
+        Joints.
+    """
+    joints = [f"{n}_{j}_{u}" for j in range(1, dof + 1)
+              for n, u in (("goal", "rad"), ("angle", "rad"), ("current", "a"))]  # fmt: skip
+    return (
+        "tick", *joints, "di", "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
+        "state", "lateness_ns", "read_ns", "estimate_ns", "predict_ns", "command_ns", "check_ns",
+        "write_ns", "busy_ns", "read_status", "write_status", "read_alert",
+    )  # fmt: skip
+
+
+def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
+    """Write recorded runs of one number of joints.
+
+    The ticks of all runs stand behind each other by column: most runs are equal up to their fault,
+    which the compression finds.
+
+    Parameters
+    ----------
+    path : Path
+        File to write, an .npz in xz.
+    runs : sequence of RunTape
+        The runs.
+    """
+    names = column_names(runs[0].facts.config.dof)
+    facts = np.frombuffer(msgspec.json.encode([run.facts for run in runs]), np.uint8)
+    arrays = {_FACTS: facts}
+    for name in names:
+        column = np.concatenate([run.columns[name] for run in runs])
+        arrays[name] = column.astype(np.float32) if name.startswith(_MEASURED) else column
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    path.write_bytes(lzma.compress(buffer.getvalue(), preset=9))
+
+
+def read_runs(path: Path) -> list[RunTape]:
+    """Read recorded runs.
+
+    Parameters
+    ----------
+    path : Path
+        File of `write_runs`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged, or of an older form.
+    """
+    try:
+        with np.load(io.BytesIO(lzma.decompress(path.read_bytes())), allow_pickle=False) as file:
+            facts = msgspec.json.decode(file[_FACTS].tobytes(), type=list[TapeFacts])
+            columns = {name: file[name] for name in column_names(facts[0].config.dof)}
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, lzma.LZMAError,
+            msgspec.DecodeError) as error:  # fmt: skip
+        raise InputError(path, f"holds no recorded runs ({error})", _REMEDY) from None
+    runs, first = [], 0
+    for one in facts:
+        part = slice(first, first + one.ticks)
+        runs.append(RunTape(one, {name: column[part] for name, column in columns.items()}))
+        first += one.ticks
+    return runs
