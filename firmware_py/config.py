@@ -19,6 +19,7 @@ from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
+from firmware_py.inference.compiled_observer import Runtime
 from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
@@ -112,6 +113,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Control period.
     payload_kg : float or None
         Mass at the tip; None where it is unknown and the observer estimates it.
+    runtime : {"onnx", "compiled"} or None
+        What evaluates the predictor; None takes the compiled one where the bundle has it.
     record : bool
         Whether the recorder process writes the ticks to a file.
     logs : str
@@ -126,6 +129,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     servos: tuple[ServoConfig, ...]
     period_s: float = PERIOD_S
     payload_kg: float | None = None
+    runtime: Runtime | None = None
     record: bool = True
     logs: str = "logs"
     motion: MotionConfig = MotionConfig()

@@ -88,7 +88,7 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
     InputError
         If the bundle cannot be used, or is for another number of joints or another period.
     """
-    bundle = ModelBundle.load(path.parent / config.bundle, config.trust.keys)
+    bundle = ModelBundle.load(path.parent / config.bundle, config.trust.keys, config.runtime)
     manifest = bundle.manifest
     if manifest.dof != config.dof:
         raise InputError(

@@ -13,9 +13,18 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import Manifest, write_manifest
+from firmware_py.inference.compiled_observer import CompiledObserver
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.inference.golden import GOLDEN, read_golden, record_golden, verify, write_golden
+from firmware_py.inference.golden import (
+    GOLDEN,
+    Golden,
+    read_golden,
+    record_golden,
+    verify,
+    verify_equal,
+    write_golden,
+)
 from firmware_py.inference.predictor import OnnxPredictor
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
@@ -111,15 +120,15 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
             "again with this plant for the best accuracy",
             file=sys.stderr,
         )
-    model = parts.model()
+    reference = parts._replace(predictor=None).model()
     motion = read_golden(bundle / GOLDEN, parts.dof)
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
     golden = record_golden(
-        ModelEstimator(model, predictor.wanted), predictor,
+        ModelEstimator(reference, predictor.wanted), predictor,
         motion.angle_rad, motion.current_a, motion.step_s,
     )  # fmt: skip
     scratch = build_fmu(
-        model,
+        parts.model(),
         bundle / f".{OBSERVER}",
         description=parts.description(),
         resources=parts.resources(),
@@ -127,9 +136,22 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
     with FmuInstance(scratch) as fmu:
         estimator = ObserverEstimator(fmu, parts.dof, predictor.wanted)
         verify(golden, estimator, predictor, bundle / OBSERVER)
+        if parts.predictor:
+            _verify_compiled(golden, scratch, (estimator, predictor))
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
     plant.write(bundle / PLANT)
     renewed = {"estimator": "observer", "plant_sha256": plant.sha256()}
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
     return bundle / OBSERVER
+
+
+def _verify_compiled(
+    golden: Golden, path: Path, reference: tuple[ObserverEstimator, OnnxPredictor]
+) -> None:
+    """Compare the predictor in an observer's library with onnxruntime on the golden ticks."""
+    dof = golden.angle_rad.shape[1]
+    with FmuInstance(path) as fmu:
+        compiled = CompiledObserver(fmu, dof)
+        verify(golden, compiled, compiled, path)
+        verify_equal(golden, reference, (compiled, compiled), path)

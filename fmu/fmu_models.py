@@ -4,7 +4,7 @@
 kind     inputs                          outputs
 ======== =============================== ====================================================
 twin     goals, payload                  the plant's, and the predictor's beside them
-observer angles, currents                DI, end effector and payload by the plant observer
+observer angles, currents, age           the plant observer's; the predictor's beside them
 predictor what its graph names           end effector, in_range, half width
 ======== =============================== ====================================================
 """
@@ -41,7 +41,8 @@ DESCRIPTIONS: Final[dict[Kind, str]] = {
     "predictor": "Predictor of the drop-stitch inflatable link's end effector, "
     "{dof} joint(s), from measured angles and currents and what the observer knows.",
     "observer": "Observer of the drop-stitch inflatable link with {dof} joint(s): Deformation "
-    "Index and payload from measured angles and currents; set the sample at the end of the step.",
+    "Index and payload from measured angles and currents, with the predictor beside them; set the "
+    "sample at the end of the step.",
 }
 
 
@@ -57,7 +58,7 @@ class FmuParts(NamedTuple):
     plant : Plant or None
         None in a predictor.
     predictor : Path or None
-        The ONNX file; None in an observer.
+        The ONNX file; an observer may be without.
 
     Examples
     --------
@@ -85,7 +86,7 @@ class FmuParts(NamedTuple):
             return _predictor(self.dof, self.required_predictor())
         model = self.required_plant().step_model(self.dof, self.kind)
         if self.kind == "observer":
-            return model
+            return _aged(model, self.dof, self.predictor) if self.predictor else model
         return _with_predictor(model, self.dof, self.required_predictor())
 
     def required_plant(self) -> Plant:
@@ -169,7 +170,7 @@ def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None)
         kind,
         dof,
         None if kind == "predictor" else read_plant(plant or directory / PLANT),
-        None if kind == "observer" else directory / PREDICTOR,
+        directory / PREDICTOR if kind != "observer" or (directory / PREDICTOR).is_file() else None,
     )
 
 
@@ -206,9 +207,19 @@ _OUTPUTS: Final = _variables(
 """Outputs of the predictor."""
 
 
+LARGEST_EXPANDED: Final = 2000
+"""Most scalar operations of a graph that is expanded to scalars: products with zeros and ones
+vanish, and the observer's tip with its interval takes 340 operations. Larger graphs keep their
+matrices."""
+
+
 def _predictions(path: Path, features: Sequence[ca.MX]) -> ca.MX:
     """Outputs of the ONNX graph, stacked in the order of `_OUTPUTS`."""
-    values = predictor_function(path)(features=ca.vertcat(*features))
+    function = predictor_function(path)
+    expanded = function.expand()
+    if expanded.n_instructions() <= LARGEST_EXPANDED:
+        function = expanded
+    values = function(features=ca.vertcat(*features))
     return ca.vertcat(values["tip_m"], values["in_range"], values["half_width_m"])
 
 
@@ -250,6 +261,35 @@ def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
     rows = ca.vertcat(y, *further.values(), _predictions(path, features))
     outputs = (*plant.outputs, *_variables(*further), *_OUTPUTS)
     return replace(plant, outputs=outputs, output=ca.Function("output", [x, u, p], [rows]))
+
+
+def _aged(observer: StepModel, dof: int, path: Path) -> StepModel:
+    """The observer with the predictor, which takes the age of the sample as a further input."""
+    if AGE.name not in predictor_inputs(path, dof):
+        return _with_predictor(observer, dof, path)
+    count = len(observer.inputs)
+    x, u, p, h = (
+        ca.MX.sym(name, size)
+        for name, size in (
+            ("x", len(observer.states)), ("u", count + 1), ("p", len(observer.parameters)),
+            ("h", 1),
+        )
+    )  # fmt: skip
+    own = u[:count]
+
+    def wrapped(name: str) -> ca.Function:
+        return ca.Function(name, [x, u, p, h], [getattr(observer, name)(x, own, p, h)])
+
+    aged = replace(
+        observer,
+        inputs=(*observer.inputs, *_variables(AGE.name)),
+        initial=ca.Function("initial", [u, p], [observer.initial(own, p)]),
+        begin=wrapped("begin"),
+        flow=wrapped("flow"),
+        finish=wrapped("finish"),
+        output=ca.Function("output", [x, u, p], [observer.output(x, own, p)]),
+    )
+    return _with_predictor(aged, dof, path)
 
 
 _ERRORS: Final = re.compile(r"innovation_\d_a|tip_[xyz]_deviation_m|age_s")

@@ -40,6 +40,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dof", type=int, choices=(1, 2), default=2, help="number of joints without a bundle"
     )
+    parser.add_argument(
+        "--runtime", choices=("onnx", "compiled"),
+        help="what evaluates the predictor (default: compiled, where the bundle has it)",
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=20.0)
 
 
@@ -82,5 +86,5 @@ def run(args: argparse.Namespace) -> int:
 def _models(args: argparse.Namespace) -> tuple[int, LoopModels]:
     if args.bundle is None:
         return args.dof, NoModels()
-    bundle = ModelBundle.load(args.bundle)
+    bundle = ModelBundle.load(args.bundle, runtime=args.runtime)
     return bundle.manifest.dof, bundle

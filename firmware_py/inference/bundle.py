@@ -27,8 +27,10 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.errors import InputError
+from firmware_py.inference.compiled_observer import CompiledObserver, Runtime
 from firmware_py.inference.estimator import DeformationEstimator, ObserverEstimator, load_estimator
-from firmware_py.inference.golden import GOLDEN, read_golden, verify
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.golden import GOLDEN, Golden, read_golden, verify, verify_equal
 from firmware_py.inference.manifest import (
     BundleFiles,
     Manifest,
@@ -42,6 +44,7 @@ __all__ = ["Manifest", "ModelBundle", "Quantity", "read_manifest", "write_manife
 
 PREDICTOR: Final = "predictor.onnx"
 POLYNOMIAL: Final = "polynomial.onnx"
+OBSERVER: Final = "observer.fmu"
 
 
 def read_manifest(directory: Path | str) -> Manifest:
@@ -99,9 +102,9 @@ class ModelBundle:
         Contents of `manifest.json`.
     estimator : DeformationEstimator
         Estimator that the manifest names, reset.
-    predictor : OnnxPredictor
+    predictor : OnnxPredictor or CompiledObserver
         Predictor from `predictor.onnx`; from `polynomial.onnx` where the estimator does not know
-        what that one wants.
+        what that one wants. The estimator itself where the runtime is "compiled".
     manifest_sha256 : str
         Hash of `manifest.json` as it was loaded.
     signed_by : str
@@ -111,9 +114,14 @@ class ModelBundle:
     directory: Path
     manifest: Manifest
     estimator: DeformationEstimator
-    predictor: OnnxPredictor
+    predictor: OnnxPredictor | CompiledObserver
     manifest_sha256: str = ""
     signed_by: str = ""
+
+    @property
+    def runtime(self) -> Runtime:
+        """What evaluates the predictor."""
+        return "compiled" if isinstance(self.predictor, CompiledObserver) else "onnx"
 
     def assume_payload(self, payload_kg: float | None) -> None:
         """Give the payload to an estimator that uses it; others are not changed.
@@ -132,7 +140,9 @@ class ModelBundle:
             self.estimator.assume_payload(payload_kg)
 
     @classmethod
-    def load(cls, directory: Path | str, trusted: Sequence[str] = ()) -> ModelBundle:
+    def load(
+        cls, directory: Path | str, trusted: Sequence[str] = (), runtime: Runtime | None = None
+    ) -> ModelBundle:
         """Read every file once, verify signature and hashes, load, and replay the golden ticks.
 
         Parameters
@@ -141,12 +151,17 @@ class ModelBundle:
             The bundle.
         trusted : sequence of str, optional
             Public keys of which one must have signed the bundle; without one none is checked.
+        runtime : {"onnx", "compiled"}, optional
+            What evaluates the predictor; by default the compiled one where the observer holds it:
+            it is the faster one, warm and cold (docs/predictor/choice.md). Before it is used, its
+            answers to the golden ticks are compared with those of onnxruntime.
 
         Raises
         ------
         InputError
-            If a file is missing or damaged, no trusted key has signed the bundle, or the results on
-            this machine differ from those on the machine that made it.
+            If a file is missing or damaged, no trusted key has signed the bundle, the results on
+            this machine differ from those on the machine that made it, or the bundle has no such
+            runtime.
         """
         files = read_bundle_files(directory, trusted)
         manifest = files.manifest
@@ -156,6 +171,35 @@ class ModelBundle:
             manifest.estimator, files.file, manifest.dof, manifest.lag_ticks, predictor.wanted
         )
         verify(golden, estimator, predictor, files.directory / GOLDEN)
+        compiled = None
+        if runtime != "onnx":
+            compiled = _compiled(files, golden, (estimator, predictor), required=bool(runtime))
         return cls(
-            files.directory, manifest, estimator, predictor, files.manifest_sha256, files.signed_by
-        )
+            files.directory, manifest, compiled or estimator, compiled or predictor,
+            files.manifest_sha256, files.signed_by,
+        )  # fmt: skip
+
+
+def _compiled(
+    files: BundleFiles,
+    golden: Golden,
+    reference: tuple[DeformationEstimator, OnnxPredictor],
+    required: bool,
+) -> CompiledObserver | None:
+    """Observer with the compiled predictor, proven equal; None where it is absent."""
+    dof, where = files.manifest.dof, files.directory / OBSERVER
+    if files.manifest.estimator != "observer":
+        if required:
+            raise InputError(
+                files.directory, "has no observer, so it has no compiled predictor",
+                "add it with 'python -m fmu build --unit observer'",
+            )  # fmt: skip
+        return None
+    fmu = FmuInstance(files.file(OBSERVER))
+    if not required and not CompiledObserver.offered_by(fmu):
+        fmu.close()
+        return None
+    compiled = CompiledObserver(fmu, dof)
+    verify(golden, compiled, compiled, where)
+    verify_equal(golden, reference, (compiled, compiled), where)
+    return compiled

@@ -35,6 +35,8 @@ _LONGEST_STEP_S: Final = 1.7
 """Largest step that the observer takes after a gap: it must not compute for long."""
 _FORGET_S: Final = 0.3
 """Time constant in which a gap of the data is forgotten; assumed, one swing of the link."""
+_FORGOTTEN_S: Final = 1e-6
+"""Gap below which nothing is left of it: 0.7 µm of the tip's way at 0.7 rad/s."""
 _LEFT_OF_A_GAP: Final = 0.05
 """Fraction of a gap that counts as age once samples arrive again: after 3 slots without data at
 0.7 rad/s the observer was off by up to 2.4 mm more, where the tip had moved by 36 mm."""
@@ -287,6 +289,8 @@ class SampleHold:
             self._without_s = 0.0
             gap_s = whole_s - self._usual_s
             self._gap_s = max(gap_s, self._gap_s * math.exp(-whole_s / _FORGET_S))
+            if self._gap_s < _FORGOTTEN_S:
+                self._gap_s = 0.0
             self.age_s = _LEFT_OF_A_GAP * self._gap_s
             self._latest = latest = self._estimator.update(angle_rad, current_a, whole_s)
         else:

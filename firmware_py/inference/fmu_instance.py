@@ -17,11 +17,13 @@ from firmware_py.errors import FmuRefusal, InputError
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.fmu_file import InstanceVariable, open_fmu
 
-__all__ = ["Channel", "FmuInstance"]
+__all__ = ["Channel", "FmuInstance", "TickChannel"]
 
 Array = NDArray[np.float64]
 
 _LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+_TICK: Final = "dropstitch_tick"
+"""Function beyond the standard, see fmu/c/fmi3.c."""
 _FMI_WARNING: Final = 1
 """A call has failed where its status is above this."""
 
@@ -59,6 +61,57 @@ class Channel:
     def receive(self) -> None:
         """Read the variables into `values`."""
         self._fmu.call("fmi3GetFloat64", *self._arguments)
+
+
+class TickChannel:
+    """Inputs, step and outputs of a tick in one call, which FMUs of this project offer.
+
+    Parameters
+    ----------
+    fmu : FmuInstance
+        The FMU; `FmuInstance.ticks` tells whether it offers the call.
+    inputs, outputs : sequence of str
+        Variables; a Boolean output is 1 or 0.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (inputs,)
+        Values to write before `run`; always the same memory.
+    outputs : ndarray, shape (outputs,)
+        Values after it; always the same memory.
+    """
+
+    def __init__(self, fmu: FmuInstance, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        self._fmu = fmu
+        self.inputs: Array = np.zeros(len(inputs))
+        self.outputs: Array = np.zeros(len(outputs))
+        self._step_s = ctypes.c_double()
+        self._references = [
+            (ctypes.c_uint32 * len(names))(*(fmu.variable(name).reference for name in names))
+            for names in (inputs, outputs)
+        ]
+        self._arguments = (
+            self._references[0], ctypes.c_size_t(len(inputs)),
+            ctypes.c_void_p(self.inputs.ctypes.data), self._step_s,
+            self._references[1], ctypes.c_size_t(len(outputs)),
+            ctypes.c_void_p(self.outputs.ctypes.data),
+        )  # fmt: skip
+
+    def run(self, step_s: float) -> None:
+        """Set the inputs, step, get the outputs.
+
+        Parameters
+        ----------
+        step_s : float
+            Communication step; 0 evaluates the outputs for other inputs.
+
+        Raises
+        ------
+        FmuRefusal
+            If the FMU refuses an input or the step.
+        """
+        self._step_s.value = step_s
+        self._fmu.tick(step_s, self._arguments)
 
 
 class FmuInstance:
@@ -167,6 +220,10 @@ class FmuInstance:
         """Return a channel for variables of type Float64 that are transferred together."""
         return Channel(self, names)
 
+    def tick_channel(self, inputs: Sequence[str], outputs: Sequence[str]) -> TickChannel:
+        """Return a channel for inputs and outputs of a tick in one call."""
+        return TickChannel(self, inputs, outputs)
+
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
         """Set variables by name.
 
@@ -236,6 +293,31 @@ class FmuInstance:
             ctypes.c_bool(True), *self._flags, ctypes.byref(self._reached_s),
         )  # fmt: skip
         self.time_s = self._reached_s.value
+
+    @property
+    def ticks(self) -> bool:
+        """Whether the binary offers a tick in one call."""
+        return hasattr(self._library, _TICK)
+
+    def tick(self, step_s: float, arguments: Sequence[Any]) -> None:
+        """Call a tick; see `TickChannel`.
+
+        Parameters
+        ----------
+        step_s : float
+            Communication step.
+        arguments : sequence
+            Arguments after the instance, as ctypes objects.
+
+        Raises
+        ------
+        FmuRefusal
+            If the call fails.
+        """
+        self.call(_TICK, *arguments)
+        if step_s > 0.0:
+            self._initializing = False
+            self.time_s += step_s
 
     def reset(self) -> None:
         """Restart: start values, time zero, initialization mode."""

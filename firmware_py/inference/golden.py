@@ -176,3 +176,52 @@ def verify(
                 "do not move the robot: build the bundle again on this software, or install the "
                 "libraries that its manifest names",
             )
+
+
+def verify_equal(
+    golden: Golden,
+    first: tuple[DeformationEstimator, Predictor],
+    second: tuple[DeformationEstimator, Predictor],
+    where: Path,
+) -> None:
+    """Compare whole answers, interval and range included, on the golden ticks and on old samples.
+
+    Parameters
+    ----------
+    golden : Golden
+        The ticks.
+    first, second : tuple of DeformationEstimator and Predictor
+        Two that must agree; reset before and after.
+    where : Path
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If an answer differs by more than `TOLERANCE`; it names the first.
+    """
+    names = ("tip_m", "in_range", "half_width_m")
+    for estimator, _ in (first, second):
+        estimator.reset()
+    for k, (angle_rad, current_a) in enumerate(
+        zip(golden.angle_rad, golden.current_a, strict=True)
+    ):
+        estimates = [
+            pair[0].update(angle_rad, current_a, golden.step_s) for pair in (first, second)
+        ]
+        for age_s in (0.0, golden.step_s) if k % 2 else (0.0,):
+            one, other = (
+                pair[1].predict(angle_rad, current_a, estimate.di, estimate.signals, age_s)
+                for pair, estimate in zip((first, second), estimates, strict=True)
+            )
+            for name in names:
+                expected, actual = getattr(one, name), getattr(other, name)
+                if not np.allclose(actual, expected, rtol=0.0, atol=TOLERANCE, equal_nan=True):
+                    raise InputError(
+                        where, f"tick {k}: {name} is {actual} compiled and {expected} by "
+                        "onnxruntime",
+                        "do not move the robot: build the observer again, or choose "
+                        'runtime = "onnx"',
+                    )  # fmt: skip
+    for estimator, _ in (first, second):
+        estimator.reset()

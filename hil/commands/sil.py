@@ -43,6 +43,10 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--bundle", type=Path, required=True, help="bundle of the robot")
+    parser.add_argument(
+        "--runtime", choices=("onnx", "compiled"),
+        help="what evaluates the predictor (default: compiled, where the bundle has it)",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, help="directory for the results")
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
@@ -92,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
     seconds = 10.0 if plan is None else args.runs * plan.duration_s
     options = SilOptions(
-        bundle=ModelBundle.load(args.bundle),
+        bundle=ModelBundle.load(args.bundle, runtime=args.runtime),
         model=model_named(args.model),
         out=args.out,
         fmu=args.fmu,

@@ -67,6 +67,7 @@ def test_variables_have_the_public_names_and_causalities(built):
                 "payload_kg",
                 *OBSERVED,
                 *(f"{kind}_{j}_{unit}" for j in joints for kind, unit in OF_A_JOINT),
+                *prediction,
             ],
         ),
         "predictor": ([*measured, "di"], prediction),

@@ -9,6 +9,8 @@ import pytest
 
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest, write_manifest
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.golden import read_golden, verify_equal
 from fmu.__main__ import main as fmu
 from models.__main__ import main as models
 from models.tip.predictors_document import read_predictors
@@ -42,12 +44,18 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
     assert document.reason in card and "left out in turn" in card
 
 
-def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(trained, tmp_path):
-    bundle = shutil.copytree(trained / "bundle", tmp_path / "bundle")
-    before = ModelBundle.load(bundle)
-    assert before.predictor.wanted == () and before.manifest.estimator == "lagged"
+@pytest.fixture(scope="module")
+def observed(trained, tmp_path_factory):
+    """That bundle with its observer."""
+    bundle = shutil.copytree(trained / "bundle", tmp_path_factory.mktemp("observed") / "bundle")
     assert fmu(["build", str(bundle), "--unit", "observer"]) == 0
-    after = ModelBundle.load(bundle)  # the golden ticks are replayed through both
+    return bundle
+
+
+def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(trained, observed):
+    before = ModelBundle.load(trained / "bundle")
+    assert before.predictor.wanted == () and before.manifest.estimator == "lagged"
+    after = ModelBundle.load(observed, runtime="onnx")  # the golden ticks are replayed through both
     assert {"tip_x_m", "innovation_1_a", "payload_kg"} <= set(after.predictor.wanted)
     sample = np.zeros(1), np.zeros(1)
     estimate = after.estimator.update(*sample, 0.017)
@@ -56,6 +64,64 @@ def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(tra
     old = answer.half_width_m.copy()
     late = after.predictor.predict(*sample, estimate.di, estimate.signals, 0.05)
     assert (late.half_width_m >= old).all()
+
+
+def answers(models, samples, ages_s):
+    """Tip, range and half width after each sample, and again for an older one."""
+    models.estimator.reset()
+    found = []
+    for (angle_rad, current_a), age_s in zip(samples, ages_s, strict=True):
+        sample = np.array([angle_rad]), np.array([current_a])
+        estimate = models.estimator.update(*sample, 0.017)
+        for age in (0.0, age_s):
+            answer = models.predictor.predict(*sample, estimate.di, estimate.signals, age)
+            found.append([*answer.tip_m, answer.in_range, *answer.half_width_m])
+    return np.array(found)
+
+
+def test_compiled_and_onnx_give_the_same_answers_also_to_what_is_old_or_no_number(observed):
+    onnx, compiled = (ModelBundle.load(observed, runtime=runtime) for runtime in ("onnx", None))
+    assert (onnx.runtime, compiled.runtime) == ("onnx", "compiled")
+    k = np.arange(40)
+    samples = np.column_stack([0.2 * np.sin(0.1 * k), 0.8 * np.cos(0.1 * k)])
+    samples[20, 1] = np.nan
+    ages_s = 0.017 * (k % 3)
+    one, other = answers(onnx, samples, ages_s), answers(compiled, samples, ages_s)
+    nan = np.isnan(samples).any(axis=1).repeat(2)
+    assert nan.sum() == 2 and not one[nan, 3].any() and np.isnan(one[nan, :3]).all()
+    assert np.allclose(one[~nan], other[~nan], rtol=0, atol=1e-9)
+    assert np.isnan(other[nan, :3]).all() and compiled.predictor.wanted == ()
+    assert (other[3::6, 4:] > other[2::6, 4:]).all()  # an old sample has a wider interval
+    early = [m.predictor for m in (onnx, compiled) if not m.estimator.reset()]
+    assert early[1].predict(np.zeros(1), np.zeros(1), 0.0).tip_m[2] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_payload_that_is_known_reaches_the_compiled_predictor(observed):
+    compiled = ModelBundle.load(observed, runtime="compiled")
+    compiled.assume_payload(1.5)
+    estimate = compiled.estimator.update(np.array([0.1]), np.array([0.5]), 0.017)
+    assert estimate.payload_kg == 1.5
+
+
+def test_answers_that_differ_are_refused_and_a_missing_runtime_too(observed, monkeypatch):
+    golden = read_golden(observed / "golden.npz", 1)
+    onnx, compiled = (
+        ModelBundle.load(observed, runtime=runtime) for runtime in ("onnx", "compiled")
+    )
+    compiled.assume_payload(2.5)
+    pair = (onnx.estimator, onnx.predictor), (compiled.estimator, compiled.predictor)
+    with pytest.raises(InputError, match=r"tick \d+: \w+ is .* compiled and .* by onnxruntime"):
+        verify_equal(golden, *pair, observed)
+    monkeypatch.setattr(FmuInstance, "ticks", False)  # as of an observer of an earlier release
+    assert ModelBundle.load(observed).runtime == "onnx"
+    with pytest.raises(InputError, match="holds no compiled predictor"):
+        ModelBundle.load(observed, runtime="compiled")
+
+
+def test_a_bundle_without_an_observer_has_no_compiled_predictor(trained):
+    assert ModelBundle.load(trained / "bundle").runtime == "onnx"
+    with pytest.raises(InputError, match="has no observer"):
+        ModelBundle.load(trained / "bundle", runtime="compiled")
 
 
 def test_a_predictor_without_its_observer_is_refused_in_one_sentence(trained, tmp_path):

@@ -1,0 +1,133 @@
+"""Observer and predictor compiled into one library, which answers a tick in one call."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference.estimator import Estimate, ObserverEstimator
+from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.predictor import NO_SIGNALS, Prediction
+from firmware_py.signals import AGE, IN_RANGE, tip_names
+
+__all__ = ["CompiledObserver", "Runtime"]
+
+Array = NDArray[np.float64]
+Runtime = Literal["onnx", "compiled"]
+"""What evaluates the predictor: onnxruntime beside the observer, or the observer's own library."""
+PREDICTED: Final = (
+    *tip_names("predicted_"), IN_RANGE.name, *(f"half_width_{axis}_m" for axis in "xyz")
+)  # fmt: skip
+"""Outputs of the predictor in the observer's library."""
+
+
+class CompiledObserver(ObserverEstimator):
+    """`DeformationEstimator` and `Predictor` at once: `update` computes both answers.
+
+    `predict` returns the answer to the sample of the latest `update`. It computes again only where
+    the sample has another age than a fresh one.
+
+    Parameters
+    ----------
+    fmu : FmuInstance
+        Observer with the predictor in it.
+    dof : int
+        Number of joints.
+
+    Attributes
+    ----------
+    wanted : tuple of str
+        Signals that `predict` takes from the estimate: none.
+
+    Raises
+    ------
+    InputError
+        If the FMU holds no predictor.
+    """
+
+    wanted: tuple[str, ...] = ()
+
+    def __init__(self, fmu: FmuInstance, dof: int) -> None:
+        if not self.offered_by(fmu):
+            raise InputError(
+                fmu.path, "holds no compiled predictor",
+                "build it again with 'python -m fmu build --unit observer', or choose "
+                'runtime = "onnx"',
+            )  # fmt: skip
+        joints = range(1, dof + 1)
+        inputs = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
+        aged = [AGE.name] if AGE.name in fmu.variables else []
+        self._tick = fmu.tick_channel([*inputs, *aged], ["di", "payload_kg", *PREDICTED])
+        self._age = self._tick.inputs[2 * dof :]
+        answer = self._tick.outputs[2:]
+        self._prediction = Prediction(answer[:3], answer[3:4], answer[4:])
+        self._updated = False
+        super().__init__(fmu, dof)
+
+    @staticmethod
+    def offered_by(fmu: FmuInstance) -> bool:
+        """Whether an observer holds a compiled predictor.
+
+        Parameters
+        ----------
+        fmu : FmuInstance
+            Any observer.
+        """
+        return fmu.ticks and all(name in fmu.variables for name in PREDICTED)
+
+    def reset(self) -> None:
+        """Discard the past; an assumed payload is kept."""
+        super().reset()
+        self._updated = False
+
+    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+        """Take one sample; see `DeformationEstimator.update`.
+
+        A sample that the FMU refuses (NaN) leaves its state unchanged; estimate and prediction are
+        NaN and out of range.
+        """
+        self._updated = True
+        self._sample(angle_rad, current_a)
+        if not self._run(step_s, 0.0):
+            return Estimate(math.nan, math.nan)
+        return Estimate(float(self._tick.outputs[0]), float(self._tick.outputs[1]))
+
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
+        """Return the answer to the latest sample; see `Predictor.predict`.
+
+        Before the first `update` it is that of a link that rests at the sample given here.
+        """
+        if not self._updated:
+            self._sample(angle_rad, current_a)
+            self._run(0.0, age_s)
+        elif age_s != self._known_age_s and not self._refused:
+            self._run(0.0, age_s)
+        return self._prediction
+
+    def _sample(self, angle_rad: Array, current_a: Array) -> None:
+        inputs, dof = self._tick.inputs, self._dof
+        inputs[:dof] = angle_rad
+        inputs[dof : 2 * dof] = current_a
+
+    def _run(self, step_s: float, age_s: float) -> bool:
+        self._known_age_s = age_s
+        self._age[:] = age_s
+        try:
+            self._tick.run(step_s)
+        except FmuRefusal:
+            self._tick.outputs[:] = math.nan
+            self._refused = True
+            return False
+        self._refused = False
+        return True
