@@ -34,8 +34,9 @@ import msgspec
 from firmware_py import __version__
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.bus.servo_settings import GAINS, ServoGains
 from firmware_py.bus.transport import Transport, open_transport
-from firmware_py.config import RobotConfig
+from firmware_py.config import RobotConfig, check_config
 from firmware_py.errors import InputError
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.inference.bundle import ModelBundle
@@ -48,7 +49,10 @@ from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.realtime.service import Service
 from firmware_py.safety.supervisor import SafetySupervisor
 
-__all__ = ["LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus"]
+__all__ = [
+    "LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus",
+    "with_bundle_gains",
+]  # fmt: skip
 
 
 class LoopModels(Protocol):
@@ -102,6 +106,42 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
         )  # fmt: skip
     bundle.assume_payload(config.payload_kg)
     return bundle
+
+
+def with_bundle_gains(config: RobotConfig, bundle: ModelBundle, path: Path) -> RobotConfig:
+    """Return a configuration that asks the servos for the gains of the bundle's plant.
+
+    Parameters
+    ----------
+    config : RobotConfig
+        The configuration; gains that it does not give are those of the bundle.
+    bundle : ModelBundle
+        Bundle of the robot; without gains in its manifest nothing is changed.
+    path : Path
+        Subject of the message.
+
+    Raises
+    ------
+    InputError
+        If the configuration gives another gain than the bundle.
+    """
+    servos = list(config.servos)
+    for j, identified in enumerate(bundle.manifest.servo_gains):
+        given = servos[j].gains or ServoGains()
+        merged = {}
+        for name in GAINS:
+            own, other = getattr(given, name), getattr(identified, name)
+            if None not in (own, other) and own != other:
+                raise InputError(
+                    path, f"servo {servos[j].id} has gains with {name} = {own}, the bundle's plant "
+                    f"was identified with {other}",
+                    "set the servo to the bundle's, or identify with the servo's",
+                )  # fmt: skip
+            merged[name] = other if own is None else own
+        servos[j] = msgspec.structs.replace(servos[j], gains=ServoGains(**merged))
+    config = msgspec.structs.replace(config, servos=tuple(servos))
+    check_config(config, path)
+    return config
 
 
 def build_bus(

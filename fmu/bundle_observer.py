@@ -141,7 +141,10 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
     plant.write(bundle / PLANT)
-    renewed = {"estimator": "observer", "plant_sha256": plant.sha256()}
+    renewed = {
+        "estimator": "observer", "plant_sha256": plant.sha256(),
+        "servo_gains": plant.provenance.servo_gains[: parts.dof],
+    }  # fmt: skip
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
     return bundle / OBSERVER
 

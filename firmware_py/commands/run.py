@@ -41,7 +41,7 @@ from firmware_py.motion import KINDS
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.realtime.service import SystemdService
-from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus
+from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
 
 Settings = tuple[dict[str, int], ...]
@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     config = _overridden(read_config(args.config), args)
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     bundle = load_bundle(config, args.config)
+    config = with_bundle_gains(config, bundle, args.config)
     goals: GoalSource
     if plan is not None:
         goals = goals_of_plan(plan, config, bundle)

@@ -10,6 +10,7 @@ from typing import Final
 
 import msgspec
 
+from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle_signature import SIGNATURE, check_signature
 from firmware_py.inference.file_content import FileContent, content_of
@@ -31,6 +32,8 @@ _PERIOD_S: Final = (1e-3, 1.0)
 _MOST_LAG_TICKS: Final = 1000
 _MOST_LAGS: Final = 100
 _MOST_DEGREE: Final = 20
+_LARGEST_GAIN: Final = 0xFFFF
+"""Largest value of a register of two bytes."""
 _LARGEST: Final = 1e6
 """Largest magnitude of a range, a metric or a coefficient, in SI units. [assumed]"""
 _LARGEST_COEFFICIENT: Final = 1e15
@@ -85,6 +88,9 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only.
     files : dict
         SHA-256 by file name.
+    servo_gains : tuple of ServoGains
+        Gains of the servos with which the plant was identified, by joint; empty where nobody said.
+        A robot whose servos have others is refused.
     """
 
     schema: int = SCHEMA
@@ -102,6 +108,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     coefficients: dict[str, tuple[float, ...]]
     files: dict[str, str]
     predictor: str = ""
+    servo_gains: tuple[ServoGains, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,6 +212,11 @@ def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
         yield f"lag_ticks are not up to {_MOST_LAGS} ages of 0 to {_MOST_LAG_TICKS} ticks"
     if manifest.estimator == "lagged" and not lags:
         yield "lag_ticks is empty, which the lagged estimator needs"
+    if len(manifest.servo_gains) not in (0, manifest.dof):
+        yield f"servo_gains are of {len(manifest.servo_gains)} joints, dof is {manifest.dof}"
+    for gains in manifest.servo_gains:
+        if not all(0 <= raw <= _LARGEST_GAIN for raw in gains.registers().values()):
+            yield f"a gain of servo_gains is outside 0 to {_LARGEST_GAIN}"
     for quantity in (*manifest.features, *manifest.outputs):
         if not -_LARGEST <= quantity.minimum <= quantity.maximum <= _LARGEST:
             low, high = quantity.minimum, quantity.maximum

@@ -7,6 +7,7 @@ held out. A figure that compares the plant with the measurement is written besid
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -16,6 +17,7 @@ from models.commands.evaluate import evaluation_text
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
+from models.plant.identified_gains import read_servo_gains
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
 from models.trials.trial_files import read_trials
@@ -28,10 +30,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
     parser.add_argument("--plant", type=Path, required=True, help="plant to start from")
     parser.add_argument("--out", type=Path, required=True, help="plant to write (JSON or TOML)")
+    parser.add_argument(
+        "--gains", type=Path, metavar="LOG.mcap|ROBOT.toml",
+        help="log of a run, or configuration, with the gains that the servos had in the trials; a "
+        "bundle of this plant then runs with these gains only",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, draw and print."""
+    gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
     trials = read_trials(args.trials, plant.signals)
     progress = Progress("identify", 110)
@@ -39,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     plant = with_noise_floor(found.plant, trials)
     progress.total = progress.done + 1
     progress.step("done")
+    plant = replace(plant, provenance=msgspec.structs.replace(plant.provenance, servo_gains=gains))
     plant.write(args.out)
     fit, held_out = trials.split()
     picture = draw_fit(

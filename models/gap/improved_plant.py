@@ -48,7 +48,8 @@ def improved_plant(
     """
     origin = plant.provenance
     if result.named:
-        origin = Provenance(noise_floor=plant.provenance.noise_floor)
+        given = plant.provenance
+        origin = Provenance(noise_floor=given.noise_floor, servo_gains=given.servo_gains)
     origin = msgspec.structs.replace(
         origin,
         parent_sha256=plant.sha256(),

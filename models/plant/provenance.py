@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert
 from models.trials.trial import Trial
@@ -160,6 +161,8 @@ class Provenance(
         Effects that `gap` added or changed.
     noise_floor : dict of str to FloorRecord
         By number of joints.
+    servo_gains : tuple of ServoGains
+        Gains that the servos had in the fitted trials, by joint; empty where nobody said.
     """
 
     parent_sha256: str = ""
@@ -171,6 +174,7 @@ class Provenance(
     held_out: Evaluation | None = None
     named: tuple[str, ...] = ()
     noise_floor: dict[str, FloorRecord] = {}
+    servo_gains: tuple[ServoGains, ...] = ()
 
     def fitted_with(self, trials: Iterable[Trial]) -> tuple[FittedTrial, ...]:
         """Fitted trials of this plant and, after them, those of `trials` that are not among them.

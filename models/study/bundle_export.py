@@ -239,6 +239,7 @@ def _manifest(study: Study, plant: Plant) -> Manifest:
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=_metrics(document),
         coefficients=_coefficients(Polynomial.of(predictor.pipeline), names),
+        servo_gains=plant.provenance.servo_gains[: document.dof],
         files={},
     )
 

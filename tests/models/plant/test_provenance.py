@@ -6,6 +6,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
+from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.provenance import Evaluation, FittedTrial, Provenance, SignalError
@@ -36,7 +37,7 @@ def test_a_provenance_comes_back_the_same(tmp_path, suffix):
     provenance = Provenance(
         parent_sha256="ab", fitted_trials=(FittedTrial("a", "12"),), residual_rms={"di": 1e-3},
         held_out=Evaluation(signals={"di": SignalError(1e-3, 2e-3, "1")}, trials=1),
-        named=("backlash",),
+        named=("backlash",), servo_gains=(ServoGains(position_p=800, velocity_i=0),),
     )  # fmt: skip
     path = tmp_path / f"plant{suffix}"
     replace(read_plant(), provenance=provenance).write(path)
