@@ -132,6 +132,7 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
         bundle / f".{OBSERVER}",
         description=parts.description(),
         resources=parts.resources(),
+        derivatives=False,  # the robot needs none
     )
     with FmuInstance(scratch) as fmu:
         estimator = ObserverEstimator(fmu, parts.dof, predictor.wanted)

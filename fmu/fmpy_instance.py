@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
+from typing import Any, Literal
 
 import fmpy
 import numpy as np
@@ -14,6 +14,8 @@ from fmpy.simulation import instantiate_fmu
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+
+InterfaceType = Literal["CoSimulation", "ModelExchange"]
 
 __all__ = ["FmpyInstance", "FmuArchive"]
 
@@ -64,9 +66,15 @@ class FmuArchive:
         name = self.description.coSimulation.modelIdentifier
         return self.directory / "binaries" / folder / f"{name}.so"
 
-    def instance(self) -> FmpyInstance:
-        """Instantiate; several instances may exist at once."""
-        return FmpyInstance(self)
+    def instance(self, interface_type: InterfaceType = "CoSimulation") -> FmpyInstance:
+        """Instantiate; several instances may exist at once.
+
+        Parameters
+        ----------
+        interface_type : {"CoSimulation", "ModelExchange"}
+            What the instance is for; only the former can `step` and `run`.
+        """
+        return FmpyInstance(self, interface_type)
 
     def close(self) -> None:
         """Remove the unpacked files."""
@@ -82,9 +90,16 @@ class FmuArchive:
 class FmpyInstance:
     """An instance of an FMU; variables by name, Booleans as 1 and 0.
 
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    interface_type : {"CoSimulation", "ModelExchange"}
+        What the instance is for.
+
     Attributes
     ----------
-    fmu : FMU2Slave or FMU3Slave
+    fmu : FMU2Slave, FMU3Slave, FMU2Model or FMU3Model
         FMPy's object, for calls that this class does not wrap.
     messages : list of str
         Messages that the FMU has logged.
@@ -92,12 +107,13 @@ class FmpyInstance:
         Current time of the instance.
     """
 
-    def __init__(self, archive: FmuArchive) -> None:
+    def __init__(self, archive: FmuArchive, interface_type: InterfaceType = "CoSimulation") -> None:
         self.fmi = archive.fmi
         self.messages: list[str] = []
         self.variables = {v.name: v for v in archive.description.modelVariables}
+        # Never without a logger: FMPy does not keep its own alive.
         self.fmu: Any = instantiate_fmu(
-            str(archive.directory), archive.description, "CoSimulation",
+            str(archive.directory), archive.description, interface_type,
             debug_logging=True, logger=self._log,
         )  # fmt: skip
         self.time_s = 0.0
@@ -107,18 +123,24 @@ class FmpyInstance:
         message = arguments[-1]
         self.messages.append(message.decode() if isinstance(message, bytes) else str(message))
 
-    def initialize(self, start: Mapping[str, float] | None = None) -> None:
+    def initialize(
+        self, start: Mapping[str, float] | None = None, stop_s: float | None = None
+    ) -> None:
         """Set values and go through initialization mode.
 
         Parameters
         ----------
         start : mapping of str to float, optional
             Inputs and parameters by name.
+        stop_s : float, optional
+            Stop time; by default the experiment has none.
         """
         self.set(start or {})
         if self.fmi == 2:
-            self.fmu.setupExperiment(startTime=0.0)
-        self.fmu.enterInitializationMode()
+            self.fmu.setupExperiment(startTime=0.0, stopTime=stop_s)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=0.0, stopTime=stop_s)
         self.fmu.exitInitializationMode()
         self.time_s = 0.0
 

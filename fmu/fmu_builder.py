@@ -22,6 +22,7 @@ from fmu.interface import Interface, interface_of
 from fmu.model_description import FmiVersion, documentation_page, model_description_xml
 from fmu.variables_c import write_variables
 from models.plant.simulation.model_c import write_model_c
+from models.plant.simulation.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
 
@@ -59,6 +60,7 @@ def build_fmu(
     description: str = "",
     resources: Mapping[str, bytes] | None = None,
     platforms: Sequence[str] = tuple(PLATFORMS),
+    derivatives: bool = True,
 ) -> Path:
     """Build an FMU from a step model.
 
@@ -76,6 +78,8 @@ def build_fmu(
         Files to embed under resources/.
     platforms : sequence of str
         Keys of `PLATFORMS`.
+    derivatives : bool
+        Whether the FMU offers derivatives: directional ones, in FMI 3.0 adjoint ones too.
 
     Returns
     -------
@@ -83,10 +87,10 @@ def build_fmu(
         `output`.
     """
     resources = dict(resources or {})
-    interface = interface_of(model)
+    interface = interface_of(model, _offered(derivatives, fmi))
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
-        model_c = write_model_c(model, directory)
+        model_c = write_model_c(model, directory, interface.relations.functions)
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [*core_sources(fmi), model_c, variables_c]
@@ -106,6 +110,12 @@ def build_fmu(
             content[f"binaries/{folder}/{library.name}"] = library.read_bytes()
     _pack(content, output)
     return output
+
+
+def _offered(derivatives: bool, fmi: FmiVersion) -> Derivatives:
+    if not derivatives:
+        return "none"
+    return "both" if fmi == 3 else "forward"
 
 
 def core_sources(fmi: FmiVersion) -> list[Path]:

@@ -201,10 +201,13 @@ def _variables(*names: str) -> tuple[Variable, ...]:
     return tuple(Variable(name, table[name].unit, 0.0, table[name].description) for name in names)
 
 
-_OUTPUTS: Final = _variables(
-    *tip_names("predicted_"), IN_RANGE.name, *(f"half_width_{axis}_m" for axis in "xyz")
+_OUTPUTS: Final = tuple(
+    replace(variable, sampled=True)
+    for variable in _variables(
+        *tip_names("predicted_"), IN_RANGE.name, *(f"half_width_{axis}_m" for axis in "xyz")
+    )
 )
-"""Outputs of the predictor."""
+"""Outputs of the predictor; the robot calculates them once a tick."""
 
 
 LARGEST_EXPANDED: Final = 2000

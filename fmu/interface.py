@@ -1,25 +1,30 @@
 """Variable table of an FMU: the one source of its C, its XML, its documentation and its tests.
 
-Value references number the variables in this order: time, inputs, parameters, outputs. A parameter
-of the model is named `parameters.NAME`.
+Value references number the variables in this order: time, inputs, parameters, outputs, states,
+derivatives of the continuous states, event indicators. A parameter of the model is named
+`parameters.NAME`, a state `states.NAME`, its derivative `der(states.NAME)`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
 
 from firmware_py import signals
+from models.plant.simulation.relations import Derivatives, Relations, relations_of
 from models.plant.step_model import StepModel, Variable
 
-Causality = Literal["independent", "input", "parameter", "output"]
+Causality = Literal["independent", "input", "parameter", "output", "local"]
 
 _BOOLEANS = {signals.IN_RANGE.name}
-_VARIABILITY = {"parameter": "tunable"}
+_INITIAL = {"parameter": "exact", "output": "calculated", "local": "calculated"}
+
+Dependencies = dict[int, tuple[int, ...]]
+"""For each unknown the references of the knowns on which it depends."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,15 @@ class FmiVariable:
     reference : int
         Value reference, the row of the table.
     causality : str
-        "independent", "input", "parameter" or "output".
+        "independent", "input", "parameter", "output" or "local".
     type : str
         "Float64" or "Boolean" (FMI 3.0 names).
     name, unit, start, minimum, maximum, nominal, description
         As in `models.plant.step_model.Variable`, from which it is made.
+    sampled : bool
+        Whether the value changes at events of Model Exchange only, not in continuous time.
+    derivative_of : int or None
+        Reference of the continuous state whose derivative the variable is.
     """
 
     reference: int
@@ -48,17 +57,20 @@ class FmiVariable:
     maximum: float
     nominal: float
     description: str
+    sampled: bool = False
+    derivative_of: int | None = None
 
     @property
     def variability(self) -> str:
         """How the value may change over time."""
-        default = "discrete" if self.type == "Boolean" else "continuous"
-        return _VARIABILITY.get(self.causality, default)
+        if self.causality == "parameter":
+            return "tunable"
+        return "discrete" if self.sampled else "continuous"
 
     @property
     def initial(self) -> str | None:
         """How the variable gets its first value; inputs and time have no such attribute."""
-        return {"parameter": "exact", "output": "calculated"}.get(self.causality)
+        return _INITIAL.get(self.causality)
 
 
 @dataclass(frozen=True)
@@ -71,15 +83,21 @@ class Interface:
         Model identifier, a C identifier.
     variables : tuple of FmiVariable
         The index is the value reference.
-    dependencies, initial_dependencies : dict of int to tuple of int
-        For each output the references of the inputs and parameters on which it depends directly,
-        at a communication point and in initialization mode.
+    relations : Relations
+        Continuous states, event indicators and derivatives of the model.
+    dependencies : dict of int to tuple of int
+        For each output, derivative and event indicator the references of the inputs, parameters and
+        continuous states on which it depends directly.
+    initial_dependencies : dict of int to tuple of int
+        For each output, state and derivative the references of the inputs and parameters on which
+        it depends in initialization mode.
     """
 
     name: str
     variables: tuple[FmiVariable, ...]
-    dependencies: dict[int, tuple[int, ...]]
-    initial_dependencies: dict[int, tuple[int, ...]]
+    relations: Relations
+    dependencies: Dependencies
+    initial_dependencies: Dependencies
 
     def of(self, causality: Causality) -> tuple[FmiVariable, ...]:
         """Variables of one causality, in order."""
@@ -90,69 +108,130 @@ class Interface:
         """Every SI unit in use, sorted."""
         return tuple(sorted({v.unit for v in self.variables if v.type == "Float64"}))
 
+    @property
+    def continuous_states(self) -> tuple[FmiVariable, ...]:
+        """Continuous states, in the order of their vector."""
+        return tuple(self.variables[v.derivative_of] for v in self.derivatives)  # type: ignore[index]
 
-def interface_of(model: StepModel) -> Interface:
+    @property
+    def derivatives(self) -> tuple[FmiVariable, ...]:
+        """Derivatives of the continuous states."""
+        return tuple(v for v in self.variables if v.derivative_of is not None)
+
+    @property
+    def indicators(self) -> tuple[FmiVariable, ...]:
+        """Event indicators."""
+        return self.variables[len(self.variables) - self.relations.indicators :]
+
+
+def interface_of(model: StepModel, derivatives: Derivatives = "both") -> Interface:
     """Derive the variable table and the dependencies of a model.
 
     Parameters
     ----------
     model : StepModel
         Its name becomes the model identifier.
+    derivatives : str
+        Derivatives that the FMU offers, see `models.plant.simulation.relations`.
     """
+    relations = relations_of(model, derivatives)
+    variables = tuple(_number(model, relations))
+    first_parameter = 1 + len(model.inputs)
+    first_output = first_parameter + len(model.parameters)
+    first_state = first_output + len(model.outputs)
+    known = [
+        {k: first_state + k for k in relations.continuous},
+        {k: 1 + k for k in range(len(model.inputs))},
+        {k: first_parameter + k for k in range(len(model.parameters))},
+    ]
+    first_derivative = first_state + len(model.states)
+    rate, indicators = relations.functions["rate"], relations.functions["indicators"]
+    now = {
+        **_dependencies(model.output, first_output, known),
+        **_dependencies(rate, first_derivative, known),
+        **_dependencies(indicators, first_derivative + len(relations.continuous), known),
+    }
+    _, u, p = (ca.MX.sym(label, rate.size1_in(k)) for k, label in enumerate("xup"))
+    start = model.initial(u, p)
+    initial: Dependencies = {}
+    for function, row in ((model.output, first_output), (rate, first_derivative)):
+        composed = ca.Function("composed", [u, p], [function(start, u, p)])
+        initial |= _dependencies(composed, row, known[1:])
+    state = _dependencies(model.initial, first_state, known[1:])
+    initial |= {first_state + k: state[first_state + k] for k in relations.continuous}
+    return Interface(model.name, variables, relations, now, dict(sorted(initial.items())))
+
+
+def _number(model: StepModel, relations: Relations) -> Iterator[FmiVariable]:
+    """Variables in the order of their references."""
     time = Variable(signals.TIME.name.removesuffix("_s"), "s", description="simulation time")
-    parameters = [Variable(**{**vars(v), "name": f"parameters.{v.name}"}) for v in model.parameters]
+    states = [
+        replace(v, name=f"states.{v.name}", sampled=k not in relations.continuous,
+                description=v.description or "state of the plant")
+        for k, v in enumerate(model.states)
+    ]  # fmt: skip
+    discrete = _discrete_rows(model, relations)
+    outputs = [
+        replace(v, sampled=v.sampled or relations.sampled or v.name in _BOOLEANS or k in discrete)
+        for k, v in enumerate(model.outputs)
+    ]
+    rates = [states[k] for k in relations.continuous]
     groups: tuple[tuple[Causality, Sequence[Variable]], ...] = (
         ("independent", [time]),
         ("input", model.inputs),
-        ("parameter", parameters),
-        ("output", model.outputs),
+        ("parameter", [replace(v, name=f"parameters.{v.name}") for v in model.parameters]),
+        ("output", outputs),
+        ("local", states),
+        ("local", [Variable(f"der({v.name})", _per_second(v.unit)) for v in rates]),
+        ("local", [_indicator(k + 1) for k in range(relations.indicators)]),
     )
-    variables = tuple(_number(groups))
-    first = {causality: _first(variables, causality) for causality, _ in groups}
-    known = (first["input"], first["parameter"], first["output"])
-    return Interface(
-        model.name,
-        variables,
-        _dependencies(model.output, (1, 2), known),
-        _dependencies(_initial_output(model), (0, 1), known),
-    )
-
-
-def _number(groups: Sequence[tuple[Causality, Sequence[Variable]]]) -> Iterator[FmiVariable]:
     reference = 0
+    first_state = sum(len(group) for _, group in groups[:4])
+    first_derivative = first_state + len(states)
     for causality, variables in groups:
         for v in variables:
             kind: Literal["Float64", "Boolean"] = "Boolean" if v.name in _BOOLEANS else "Float64"
+            place = reference - first_derivative
+            is_rate = 0 <= place < len(rates)
             yield FmiVariable(
                 reference, causality, kind, v.name, v.unit, v.start, v.minimum, v.maximum,
-                abs(v.nominal) or 1.0, v.description,
+                abs(v.nominal) or 1.0, v.description, v.sampled,
+                first_state + relations.continuous[place] if is_rate else None,
             )  # fmt: skip
             reference += 1
 
 
-def _first(variables: Sequence[FmiVariable], causality: Causality) -> int:
-    """First reference of a causality; if it has no variables, the reference of the next one."""
-    order = ("independent", "input", "parameter", "output")
-    return sum(order.index(v.causality) < order.index(causality) for v in variables)
+def _discrete_rows(model: StepModel, relations: Relations) -> set[int]:
+    """Outputs that follow from discrete states alone: they change at events only."""
+    moving = set(relations.continuous)
+    changing = set()
+    for argument in (0, 1):
+        rows, columns = model.output.jac_sparsity(0, argument).get_triplet()
+        pairs = zip(rows, columns, strict=True)
+        changing |= {row for row, column in pairs if argument or column in moving}
+    return set(range(len(model.outputs))) - changing
 
 
-def _initial_output(model: StepModel) -> ca.Function:
-    """Outputs in initialization mode: (u, p) -> y."""
-    u, p = ca.MX.sym("u", len(model.inputs)), ca.MX.sym("p", len(model.parameters))
-    return ca.Function("initial_output", [u, p], [model.output(model.initial(u, p), u, p)])
+def _per_second(unit: str) -> str:
+    return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
+
+
+def _indicator(number: int) -> Variable:
+    description = "changes its sign where a limit (saturation, end stop) is reached or left"
+    return Variable(f"indicators.limit_{number}", "1", description=description)
 
 
 def _dependencies(
-    function: ca.Function, arguments: tuple[int, int], first: tuple[int, int, int]
-) -> dict[int, tuple[int, ...]]:
-    """Structural dependencies of the outputs on inputs and parameters, by value reference."""
-    first_input, first_parameter, first_output = first
-    found: dict[int, list[int]] = {first_output + row: [] for row in range(function.size1_out(0))}
-    for argument, offset in zip(arguments, (first_input, first_parameter), strict=True):
+    function: ca.Function, first: int, known: Sequence[Mapping[int, int]]
+) -> Dependencies:
+    """Structural dependencies of a function's rows on the known entries of its arguments."""
+    found: dict[int, list[int]] = {first + row: [] for row in range(function.size1_out(0))}
+    for argument, references in enumerate(known):
         rows, columns = function.jac_sparsity(0, argument).get_triplet()
         for row, column in zip(rows, columns, strict=True):
-            found[first_output + row].append(offset + column)
-    return {output: tuple(sorted(known)) for output, known in found.items()}
+            if column in references:
+                found[first + row].append(references[column])
+    return {unknown: tuple(sorted(knowns)) for unknown, knowns in found.items()}
 
 
 def finite_bounds(variable: FmiVariable) -> dict[str, float]:

@@ -59,7 +59,8 @@ def model_description_xml(
         },
     )
     if fmi == 2:
-        root.set("numberOfEventIndicators", "0")
+        root.set("numberOfEventIndicators", str(interface.relations.indicators))
+    root.append(_model_exchange(interface, fmi))
     root.append(_co_simulation(interface, fmi))
     root.append(_unit_definitions(interface))
     categories = ET.SubElement(root, "LogCategories")
@@ -77,20 +78,36 @@ def model_description_xml(
     return text + b"\n"
 
 
-def _co_simulation(interface: Interface, fmi: FmiVersion) -> ET.Element:
-    spelling = "FMUstate" if fmi == 2 else "FMUState"
-    element = ET.Element(
-        "CoSimulation",
-        {
-            "modelIdentifier": interface.name,
-            "canHandleVariableCommunicationStepSize": "true",
-            f"canGetAndSet{spelling}": "true",
-            f"canSerialize{spelling}": "true",
-        },
-    )
-    if fmi == 2:
-        element.set("canNotUseMemoryManagementFunctions", "true")
+def _model_exchange(interface: Interface, fmi: FmiVersion) -> ET.Element:
+    element = ET.Element("ModelExchange", _capabilities(interface, fmi))
+    needed = {2: ("completedIntegratorStepNotNeeded", "true"), 3: ("needsCompletedIntegratorStep",
+              "false")}  # fmt: skip
+    element.set(*needed[fmi])
     return element
+
+
+def _co_simulation(interface: Interface, fmi: FmiVersion) -> ET.Element:
+    element = ET.Element("CoSimulation", _capabilities(interface, fmi))
+    element.set("canHandleVariableCommunicationStepSize", "true")
+    return element
+
+
+def _capabilities(interface: Interface, fmi: FmiVersion) -> dict[str, str]:
+    """Attributes that both interface types have."""
+    spelling = "FMUstate" if fmi == 2 else "FMUState"
+    offered = interface.relations.derivatives
+    capabilities = {
+        "modelIdentifier": interface.name,
+        f"canGetAndSet{spelling}": "true",
+        f"canSerialize{spelling}": "true",
+    }
+    if fmi == 2:
+        capabilities["canNotUseMemoryManagementFunctions"] = "true"
+    if offered != "none":
+        capabilities[f"providesDirectionalDerivative{'s' if fmi == 3 else ''}"] = "true"
+    if offered == "both" and fmi == 3:
+        capabilities["providesAdjointDerivatives"] = "true"
+    return capabilities
 
 
 def _unit_definitions(interface: Interface) -> ET.Element:
@@ -127,7 +144,7 @@ def _values(variable: FmiVariable) -> dict[str, str]:
         if variable.unit in VALUE_UNITS:
             attributes["displayUnit"] = VALUE_UNITS[variable.unit].name
         attributes.update({name: repr(value) for name, value in finite_bounds(variable).items()})
-        if variable.causality != "independent":
+        if variable.causality != "independent" and variable.derivative_of is None:
             attributes["nominal"] = repr(variable.nominal)
     if variable.causality in ("input", "parameter"):
         attributes["start"] = repr(float(variable.start))
@@ -137,38 +154,56 @@ def _values(variable: FmiVariable) -> dict[str, str]:
 def _variable_2(variable: FmiVariable) -> ET.Element:
     element = ET.Element("ScalarVariable", _common(variable))
     kind = {"Float64": "Real", "Boolean": "Boolean"}[variable.type]
-    ET.SubElement(element, kind, _values(variable))
+    value = ET.SubElement(element, kind, _values(variable))
+    if variable.derivative_of is not None:
+        value.set("derivative", str(variable.derivative_of + 1))
     return element
 
 
 def _variable_3(variable: FmiVariable) -> ET.Element:
-    return ET.Element(variable.type, {**_common(variable), **_values(variable)})
+    tag: str = variable.type
+    element = ET.Element(tag, {**_common(variable), **_values(variable)})
+    if variable.derivative_of is not None:
+        element.set("derivative", str(variable.derivative_of))
+    return element
 
 
 def _structure_2(interface: Interface) -> ET.Element:
     """FMI 2.0 counts variables from 1; parameters are knowns in initialization only."""
     structure = ET.Element("ModelStructure")
-    inputs = {v.reference for v in interface.of("input")}
-    outputs = ET.SubElement(structure, "Outputs")
-    unknowns = ET.SubElement(structure, "InitialUnknowns")
-    for output, known in interface.dependencies.items():
-        indices = [k + 1 for k in known if k in inputs]
-        ET.SubElement(outputs, "Unknown", index=str(output + 1), dependencies=_list(indices))
-    for output, known in interface.initial_dependencies.items():
-        indices = [k + 1 for k in known]
-        ET.SubElement(unknowns, "Unknown", index=str(output + 1), dependencies=_list(indices))
+    parameters = {v.reference for v in interface.of("parameter")}
+    groups = {
+        "Outputs": [v.reference for v in interface.of("output")],
+        "Derivatives": [v.reference for v in interface.derivatives],
+        "InitialUnknowns": list(interface.initial_dependencies),
+    }
+    for tag, unknowns in groups.items():
+        if not unknowns:
+            continue
+        group = ET.SubElement(structure, tag)
+        initial = tag == "InitialUnknowns"
+        of = interface.initial_dependencies if initial else interface.dependencies
+        for unknown in unknowns:
+            knowns = [k + 1 for k in of[unknown] if initial or k not in parameters]
+            ET.SubElement(
+                group, "Unknown", index=str(unknown + 1), dependencies=_list(sorted(knowns))
+            )
     return structure
 
 
 def _structure_3(interface: Interface) -> ET.Element:
     structure = ET.Element("ModelStructure")
-    for tag, dependencies in (
-        ("Output", interface.dependencies),
-        ("InitialUnknown", interface.initial_dependencies),
-    ):
-        for output, known in dependencies.items():
+    now, initial = interface.dependencies, interface.initial_dependencies
+    groups = (
+        ("Output", [v.reference for v in interface.of("output")], now),
+        ("ContinuousStateDerivative", [v.reference for v in interface.derivatives], now),
+        ("InitialUnknown", list(initial), initial),
+        ("EventIndicator", [v.reference for v in interface.indicators], now),
+    )
+    for tag, unknowns, of in groups:
+        for unknown in unknowns:
             ET.SubElement(
-                structure, tag, valueReference=str(output), dependencies=_list(list(known))
+                structure, tag, valueReference=str(unknown), dependencies=_list(list(of[unknown]))
             )
     return structure
 

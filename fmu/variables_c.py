@@ -1,11 +1,14 @@
-"""Variable table as C source; `models.plant.simulation.model_c` writes the equations."""
+"""Sizes and variable table as C source; `models.plant.simulation.model_c` writes the equations."""
 
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from pathlib import Path
 
-from fmu.interface import FmiVariable, Interface
+from fmu.interface import Interface
+from models.plant.simulation.model_c import FUNCTIONS
+from models.plant.simulation.relations import SAMPLE_S, Relations
 from models.plant.step_model import StepModel
 
 
@@ -34,24 +37,32 @@ def write_variables(model: StepModel, interface: Interface, token: str, director
 
 
 def _header(model: StepModel, interface: Interface, token: str) -> str:
-    inputs, parameters = interface.of("input"), interface.of("parameter")
-    sizes = {
+    relations = interface.relations
+    first = list(
+        accumulate(
+            [1, len(model.inputs), len(model.parameters), len(model.outputs), len(model.states),
+             len(relations.continuous)]
+        )
+    )  # fmt: skip
+    groups = ("INPUT", "PARAMETER", "OUTPUT", "STATE", "DERIVATIVE", "INDICATOR")
+    sizes: dict[str, int | str] = {
         "N_VARIABLES": len(interface.variables),
         "N_STATES": len(model.states),
-        "FIRST_INPUT": 1,
-        "FIRST_PARAMETER": 1 + len(inputs),
-        "FIRST_OUTPUT": 1 + len(inputs) + len(parameters),
+        **{f"FIRST_{group}": place for group, place in zip(groups, first, strict=True)},
+        "SAMPLED": int(relations.sampled),
+        "WITH_FORWARD": int(relations.derivatives != "none"),
+        "WITH_REVERSE": int(relations.derivatives == "both"),
+        **_work(relations),
     }
     lines = [
-        f"/* Generated for {interface.name}: sizes and value references. */",
+        f"/* Generated for {interface.name}: sizes. */",
         "#ifndef VARIABLES_H",
         "#define VARIABLES_H",
         "",
         f'#define FMU_TOKEN "{token}"',
         f"#define MAX_SUBSTEP_S {_number(model.max_substep_s)}",
+        f"#define SAMPLE_S {_number(SAMPLE_S)}",
         *(f"#define {name} {value}" for name, value in sizes.items()),
-        "",
-        *(f"#define {_reference(v)} {v.reference}" for v in interface.variables),
         "",
         "#endif",
         "",
@@ -59,29 +70,45 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
     return "\n".join(lines)
 
 
+def _work(relations: Relations) -> dict[str, str]:
+    """Work memory that suffices for every function in C, as constant expressions of C.
+
+    The size of a union is that of its largest member.
+    """
+    functions = [*FUNCTIONS, *relations.functions]
+    kinds = {"ARGUMENTS": "ARG", "RESULTS": "RES", "INTEGERS": "IW", "REALS": "W"}
+    sizes = {}
+    for name, kind in kinds.items():
+        members = " \\\n    ".join(f"char {f}[1 + model_{f}_SZ_{kind}];" for f in functions)
+        sizes[f"WORK_{name}"] = f"(sizeof(union {{ \\\n    {members} \\\n}}))"
+    return sizes
+
+
 def _table(interface: Interface) -> str:
     rows = [
-        f'    [{_reference(v)}] = {{"{v.name}", {v.type.upper()}, {v.causality.upper()}, '
+        f'    {{"{v.name}", {v.type.upper()}, {v.causality.upper()}, {int(v.sampled)}, '
         f"{_number(v.start)}, {_number(v.minimum)}, {_number(v.maximum)}}},"
         for v in interface.variables
     ]
+    places = interface.relations.continuous or (0,)
+    nominals = [v.nominal for v in interface.continuous_states] or [1.0]
     return "\n".join(
         [
-            f"/* Generated for {interface.name}: name, type, causality, start, min, max. */",
+            f"/* Generated for {interface.name}. */",
             "#include <math.h>",
             "",
             '#include "fmu_core.h"',
             "",
+            "/* Name, type, causality, whether it is sampled, start, min, max. */",
             "const Variable VARIABLES[N_VARIABLES] = {",
             *rows,
             "};",
             "",
+            f"const int CONTINUOUS_STATES[{len(places)}] = {{{', '.join(map(str, places))}}};",
+            f"const double NOMINALS[{len(nominals)}] = {{{', '.join(map(_number, nominals))}}};",
+            "",
         ]
     )
-
-
-def _reference(variable: FmiVariable) -> str:
-    return "VR_" + variable.name.replace(".", "_")
 
 
 def _number(value: float) -> str:

@@ -1,4 +1,4 @@
-/* FMI 2.0 for Co-Simulation: signatures and types of the standard on top of fmu_core.c.
+/* FMI 2.0 for Model Exchange and Co-Simulation: signatures and types of the standard on top of fmu_core.c.
  *
  * Functions that this FMU does not offer are exported too, because importers look up every
  * function: see the end.
@@ -60,10 +60,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         self->callbacks = *functions;
     if (instanceName)
         strncpy(self->name, instanceName, sizeof self->name - 1);
+    self->fmu.exchange = fmuType == fmi2ModelExchange;
     fmu_reset(&self->fmu);
-    int ok = fmuType == fmi2CoSimulation
+    int ok = fmuType == fmi2CoSimulation || fmuType == fmi2ModelExchange
                  ? fmu_check_token(&self->fmu, fmuGUID, "GUID")
-                 : fmu_refuse(&self->fmu, "The FMU is for Co-Simulation only.");
+                 : fmu_refuse(&self->fmu, "There is no such type of FMU.");
     if (ok)
         return self;
     done(self, 0);
@@ -204,6 +205,90 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte serial
     return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUstate));
 }
 
+/* ---- Derivatives --------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueReference unknown[],
+                                        size_t nUnknown, const fmi2ValueReference known[],
+                                        size_t nKnown, const fmi2Real dvKnown[],
+                                        fmi2Real dvUnknown[])
+{
+    ENTER(LEGAL_TO_GET);
+    return done(self, fmu_forward(fmu, unknown, nUnknown, known, nKnown, dvKnown, dvUnknown));
+}
+
+/* ---- Model Exchange ------------------------------------------------------------------------ */
+
+fmi2Status fmi2EnterEventMode(fmi2Component instance)
+{
+    ENTER(LEGAL_TO_SET_TIME);
+    return done(self, fmu_enter_event_mode(fmu));
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInfo *info)
+{
+    ENTER(LEGAL_TO_UPDATE);
+    Update update;
+    int ok = fmu_update(fmu, &update);
+    if (ok) {
+        info->newDiscreteStatesNeeded = info->terminateSimulation = fmi2False;
+        info->nominalsOfContinuousStatesChanged = fmi2False;
+        info->valuesOfContinuousStatesChanged = update.states_changed;
+        info->nextEventTimeDefined = fmi2True;
+        info->nextEventTime = update.next_s;
+    }
+    return done(self, ok);
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component instance)
+{
+    ENTER(LEGAL_TO_UPDATE);
+    return done(self, fmu_enter_continuous_time(fmu));
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component instance, fmi2Boolean noSetFMUStatePrior,
+                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return done(self, fmu_complete_step(fmu));
+}
+
+fmi2Status fmi2SetTime(fmi2Component instance, fmi2Real time)
+{
+    ENTER(LEGAL_TO_SET_TIME);
+    return done(self, fmu_set_time(fmu, time));
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component instance, const fmi2Real x[], size_t nx)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    return done(self, fmu_set_states(fmu, x, nx));
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real x[], size_t nx)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_states(fmu, x, nx));
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component instance, fmi2Real derivatives[], size_t nx)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_rates(fmu, derivatives, nx));
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component instance, fmi2Real eventIndicators[], size_t ni)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_indicators(fmu, eventIndicators, ni));
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real nominals[], size_t nx)
+{
+    ENTER(LEGAL_TO_EVALUATE | INSTANTIATED);
+    return done(self, fmu_get_nominals(fmu, nominals, nx));
+}
+
 /* ---- Not offered --------------------------------------------------------------------------- */
 
 TYPED(fmi2GetInteger, fmi2Integer value[])
@@ -212,23 +297,9 @@ TYPED(fmi2GetString, fmi2String value[])
 TYPED(fmi2SetString, const fmi2String value[])
 TYPED(fmi2SetBoolean, const fmi2Boolean value[])
 
-CALL(fmi2GetDirectionalDerivative, REFERENCES, const fmi2ValueReference known[], size_t nKnown,
-     const fmi2Real dvKnown[], fmi2Real dvUnknown[])
 CALL(fmi2SetRealInputDerivatives, REFERENCES, const fmi2Integer order[], const fmi2Real value[])
 CALL(fmi2GetRealOutputDerivatives, REFERENCES, const fmi2Integer order[], fmi2Real value[])
 BARE_CALL(fmi2CancelStep)
 CALL(fmi2GetStatus, const fmi2StatusKind s, fmi2Status *value)
 CALL(fmi2GetIntegerStatus, const fmi2StatusKind s, fmi2Integer *value)
 CALL(fmi2GetStringStatus, const fmi2StatusKind s, fmi2String *value)
-
-BARE_CALL(fmi2EnterEventMode)
-CALL(fmi2NewDiscreteStates, fmi2EventInfo *info)
-BARE_CALL(fmi2EnterContinuousTimeMode)
-CALL(fmi2CompletedIntegratorStep, fmi2Boolean noSetState, fmi2Boolean *enterEventMode,
-     fmi2Boolean *terminate)
-CALL(fmi2SetTime, fmi2Real time)
-CALL(fmi2SetContinuousStates, const fmi2Real x[], size_t nx)
-CALL(fmi2GetDerivatives, fmi2Real derivatives[], size_t nx)
-CALL(fmi2GetEventIndicators, fmi2Real indicators[], size_t ni)
-CALL(fmi2GetContinuousStates, fmi2Real x[], size_t nx)
-CALL(fmi2GetNominalsOfContinuousStates, fmi2Real nominals[], size_t nx)

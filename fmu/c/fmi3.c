@@ -1,7 +1,6 @@
-/* FMI 3.0 for Co-Simulation: signatures and types of the standard on top of fmu_core.c.
+/* FMI 3.0 for Model Exchange and Co-Simulation: signatures and types of the standard on top of fmu_core.c.
  *
- * Functions that this FMU does not offer are exported too, because importers look up every
- * function: see the end.
+ * Functions that this FMU does not offer are exported too, see fmi3_absent.h.
  */
 #include "fmi3Functions.h"
 
@@ -47,23 +46,21 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, siz
     return done(self, ok);
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
-    fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
-    fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
-    size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
-    fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate)
+static fmi3Instance instantiate(int exchange, fmi3String token, fmi3Boolean loggingOn,
+                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                fmi3Boolean eventModeUsed)
 {
     Instance *self = calloc(1, sizeof *self);
     if (!self)
         return NULL;
-    self->log = logMessage;
-    self->environment = instanceEnvironment;
+    self->log = log;
+    self->environment = environment;
     self->logging = loggingOn;
+    self->fmu.exchange = exchange;
     fmu_reset(&self->fmu);
     int ok = eventModeUsed
-                 ? fmu_refuse(&self->fmu, "The FMU has no event mode.")
-                 : fmu_check_token(&self->fmu, instantiationToken, "instantiation token");
+                 ? fmu_refuse(&self->fmu, "The FMU has no event mode in Co-Simulation.")
+                 : fmu_check_token(&self->fmu, token, "instantiation token");
     if (ok)
         return self;
     done(self, 0);
@@ -71,12 +68,24 @@ fmi3Instance fmi3InstantiateCoSimulation(
     return NULL;
 }
 
+fmi3Instance fmi3InstantiateCoSimulation(
+    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
+    fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
+    fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
+    size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
+    fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate)
+{
+    return instantiate(0, instantiationToken, loggingOn, instanceEnvironment, logMessage,
+                       eventModeUsed);
+}
+
 fmi3Instance fmi3InstantiateModelExchange(
     fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
     fmi3Boolean visible, fmi3Boolean loggingOn, fmi3InstanceEnvironment instanceEnvironment,
     fmi3LogMessageCallback logMessage)
 {
-    return NULL;
+    return instantiate(1, instantiationToken, loggingOn, instanceEnvironment, logMessage,
+                       fmi3False);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(
@@ -169,8 +178,9 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues)
 {
     ENTER(ANY_STATE);
-    return done(self, all_scalars(fmu, nValueReferences, nValues) &&
-                          fmu_get_float64(fmu, valueReferences, nValues, values));
+    return done(self, all_scalars(fmu, nValueReferences, nValues)
+                          ? fmu_get_float64(fmu, valueReferences, nValues, values)
+                          : 0);
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
@@ -237,61 +247,126 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte seriali
     return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUState));
 }
 
+/* ---- Derivatives --------------------------------------------------------------------------- */
+
+fmi3Status fmi3GetDirectionalDerivative(
+    fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+    const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
+    fmi3Float64 slope[], size_t nSlope)
+{
+    ENTER(LEGAL_TO_GET);
+    return done(self, all_scalars(fmu, nKnowns, nSeed) && all_scalars(fmu, nUnknowns, nSlope) &&
+                          fmu_forward(fmu, unknowns, nUnknowns, knowns, nKnowns, seed, slope));
+}
+
+fmi3Status fmi3GetAdjointDerivative(
+    fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns,
+    const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
+    fmi3Float64 slope[], size_t nSlope)
+{
+    ENTER(LEGAL_TO_GET);
+    return done(self, all_scalars(fmu, nUnknowns, nSeed) && all_scalars(fmu, nKnowns, nSlope) &&
+                          fmu_reverse(fmu, unknowns, nUnknowns, knowns, nKnowns, seed, slope));
+}
+
+/* ---- Model Exchange ------------------------------------------------------------------------ */
+
+fmi3Status fmi3EnterEventMode(fmi3Instance instance)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    return done(self, fmu_enter_event_mode(fmu));
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
+                                    fmi3Boolean *terminateSimulation,
+                                    fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged,
+                                    fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime)
+{
+    ENTER(LEGAL_TO_UPDATE);
+    Update update;
+    int ok = fmu_update(fmu, &update);
+    if (ok) {
+        *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
+        *nominalsOfContinuousStatesChanged = fmi3False;
+        *valuesOfContinuousStatesChanged = update.states_changed;
+        *nextEventTimeDefined = fmi3True;
+        *nextEventTime = update.next_s;
+    }
+    return done(self, ok);
+}
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance)
+{
+    ENTER(LEGAL_TO_UPDATE);
+    return done(self, fmu_enter_continuous_time(fmu));
+}
+
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
+                                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi3Boolean *enterEventMode,
+                                       fmi3Boolean *terminateSimulation)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return done(self, fmu_complete_step(fmu));
+}
+
+fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time)
+{
+    ENTER(LEGAL_TO_SET_TIME);
+    return done(self, fmu_set_time(fmu, time));
+}
+
+fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    return done(self, fmu_set_states(fmu, continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_states(fmu, continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
+                                             size_t nContinuousStates)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_rates(fmu, derivatives, nContinuousStates));
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
+                                  size_t nEventIndicators)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_indicators(fmu, eventIndicators, nEventIndicators));
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
+                                             size_t nContinuousStates)
+{
+    ENTER(LEGAL_TO_EVALUATE);
+    return done(self, fmu_get_nominals(fmu, nominals, nContinuousStates));
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators)
+{
+    ENTER(ANY_STATE);
+    *nEventIndicators = N_INDICATORS;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates)
+{
+    ENTER(ANY_STATE);
+    *nContinuousStates = N_CONTINUOUS;
+    return fmi3OK;
+}
+
 /* ---- Not offered --------------------------------------------------------------------------- */
 
-#define TYPE(T)                                                                           \
-    TYPED(fmi3Get##T, fmi3##T values[], size_t nValues)                                   \
-    TYPED(fmi3Set##T, const fmi3##T values[], size_t nValues)
-
-TYPE(Float32) TYPE(Int8) TYPE(UInt8) TYPE(Int16) TYPE(UInt16) TYPE(Int32) TYPE(UInt32)
-TYPE(Int64) TYPE(UInt64) TYPE(String)
-TYPED(fmi3SetBoolean, const fmi3Boolean values[], size_t nValues)
-TYPED(fmi3GetBinary, size_t sizes[], fmi3Binary values[], size_t nValues)
-TYPED(fmi3SetBinary, const size_t sizes[], const fmi3Binary values[], size_t nValues)
-TYPED(fmi3GetClock, fmi3Clock values[])
-TYPED(fmi3SetClock, const fmi3Clock values[])
-
-CALL(fmi3GetNumberOfVariableDependencies, fmi3ValueReference r, size_t *n)
-CALL(fmi3GetVariableDependencies, fmi3ValueReference dependent, size_t elements[],
-     fmi3ValueReference independents[], size_t elementsOfIndependents[],
-     fmi3DependencyKind kinds[], size_t n)
-CALL(fmi3GetDirectionalDerivative, REFERENCES, const fmi3ValueReference knowns[], size_t nKnowns,
-     const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
-CALL(fmi3GetAdjointDerivative, REFERENCES, const fmi3ValueReference knowns[], size_t nKnowns,
-     const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
-CALL(fmi3GetOutputDerivatives, REFERENCES, const fmi3Int32 orders[], fmi3Float64 values[],
-     size_t nValues)
-
-BARE_CALL(fmi3EnterEventMode)
-BARE_CALL(fmi3EnterStepMode)
-BARE_CALL(fmi3EnterConfigurationMode)
-BARE_CALL(fmi3ExitConfigurationMode)
-BARE_CALL(fmi3EvaluateDiscreteStates)
-CALL(fmi3UpdateDiscreteStates, fmi3Boolean *needUpdate, fmi3Boolean *terminate,
-     fmi3Boolean *nominalsChanged, fmi3Boolean *valuesChanged, fmi3Boolean *timeDefined,
-     fmi3Float64 *time)
-
-CALL(fmi3GetIntervalDecimal, REFERENCES, fmi3Float64 intervals[], fmi3IntervalQualifier kinds[])
-CALL(fmi3GetIntervalFraction, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
-     fmi3IntervalQualifier kinds[])
-CALL(fmi3GetShiftDecimal, REFERENCES, fmi3Float64 shifts[])
-CALL(fmi3GetShiftFraction, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
-CALL(fmi3SetIntervalDecimal, REFERENCES, const fmi3Float64 intervals[])
-CALL(fmi3SetIntervalFraction, REFERENCES, const fmi3UInt64 counters[],
-     const fmi3UInt64 resolutions[])
-CALL(fmi3SetShiftDecimal, REFERENCES, const fmi3Float64 shifts[])
-CALL(fmi3SetShiftFraction, REFERENCES, const fmi3UInt64 counters[],
-     const fmi3UInt64 resolutions[])
-CALL(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
-
-BARE_CALL(fmi3EnterContinuousTimeMode)
-CALL(fmi3CompletedIntegratorStep, fmi3Boolean noSetState, fmi3Boolean *enterEventMode,
-     fmi3Boolean *terminate)
-CALL(fmi3SetTime, fmi3Float64 time)
-CALL(fmi3SetContinuousStates, const fmi3Float64 states[], size_t n)
-CALL(fmi3GetContinuousStateDerivatives, fmi3Float64 derivatives[], size_t n)
-CALL(fmi3GetEventIndicators, fmi3Float64 indicators[], size_t n)
-CALL(fmi3GetContinuousStates, fmi3Float64 states[], size_t n)
-CALL(fmi3GetNominalsOfContinuousStates, fmi3Float64 nominals[], size_t n)
-CALL(fmi3GetNumberOfEventIndicators, size_t *n)
-CALL(fmi3GetNumberOfContinuousStates, size_t *n)
+#include "fmi3_absent.h"

@@ -8,10 +8,6 @@
 #include <string.h>
 
 #define LONGEST_STEP_S (1e6 * MAX_SUBSTEP_S)
-/* A host that adds its steps up passes the stop time by rounding; FMPy compares times to 1e-9. */
-#define STOP_TOLERANCE 1e-9
-
-typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
 /* ---- Messages ------------------------------------------------------------------------------ */
 
@@ -45,6 +41,8 @@ static const char *mode_name(int mode)
     case INSTANTIATED: return "instantiated";
     case INITIALIZING: return "initialization mode";
     case STEPPING: return "step mode";
+    case EVENT: return "event mode";
+    case CONTINUOUS: return "continuous-time mode";
     default: return "terminated";
     }
 }
@@ -59,7 +57,7 @@ int fmu_allow(Fmu *fmu, const char *call, int legal)
 
 /* ---- Functions of the model ---------------------------------------------------------------- */
 
-static void evaluate(Fmu *fmu, Model *model, const double *x, double h, double *out)
+void fmu_evaluate(Fmu *fmu, Model *model, const double *x, double h, double *out)
 {
     const double *first[] = {x, fmu->memory.value + FIRST_INPUT,
                              fmu->memory.value + FIRST_PARAMETER, &h};
@@ -69,13 +67,23 @@ static void evaluate(Fmu *fmu, Model *model, const double *x, double h, double *
     model(fmu->argument, fmu->result, fmu->integers, fmu->reals, 0);
 }
 
-static void advance(Fmu *fmu, Model *model, double h)
+void fmu_advance(Fmu *fmu, Model *model, double h)
 {
-    evaluate(fmu, model, fmu->memory.state, h, fmu->next);
+    fmu_evaluate(fmu, model, fmu->memory.state, h, fmu->next);
     memcpy(fmu->memory.state, fmu->next, sizeof fmu->next);
 }
 
-static int all_finite(const double *value, size_t count)
+/* One step as the model defines it: samples at its begin, integration, samples at its end. */
+void fmu_advance_step(Fmu *fmu, double step_s)
+{
+    double count = MAX(1.0, ceil(step_s / MAX_SUBSTEP_S - 1e-9));
+    fmu_advance(fmu, model_begin, step_s);
+    for (double i = 0.0; i < count; i++)
+        fmu_advance(fmu, model_flow, step_s / count);
+    fmu_advance(fmu, model_finish, step_s);
+}
+
+int fmu_all_finite(const double *value, size_t count)
 {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(value[i]))
@@ -84,28 +92,58 @@ static int all_finite(const double *value, size_t count)
 }
 
 /* Compute the outputs, and before the first step the state, from inputs and parameters. They are
- * taken only where all are finite numbers, so that the memory never holds others. */
-static int refresh(Fmu *fmu)
+ * taken only where all are finite numbers, so that the memory never holds others. In Model
+ * Exchange the sampled outputs keep their values between two samples. */
+int fmu_refresh(Fmu *fmu)
 {
     Memory *memory = &fmu->memory;
     const double *state = memory->state;
-    double *outputs = fmu->outputs;
-    if (!memory->stale)
+    int starting = memory->mode & (INSTANTIATED | INITIALIZING);
+    if (!(memory->stale & STALE_OUTPUTS))
         return 1;
-    if (memory->mode & (INSTANTIATED | INITIALIZING)) {
-        evaluate(fmu, model_initial, NULL, 0.0, fmu->next);
+    if (starting) {
+        fmu_evaluate(fmu, model_initial, NULL, 0.0, fmu->next);
         state = fmu->next;
     }
-    evaluate(fmu, model_output, state, 0.0, outputs);
-    if (!all_finite(state, N_STATES) || !all_finite(memory->value, FIRST_OUTPUT) ||
-        !all_finite(outputs, N_OUTPUTS))
+    fmu_evaluate(fmu, model_output, state, 0.0, fmu->outputs);
+    if (!fmu_all_finite(state, N_STATES) || !fmu_all_finite(memory->value, FIRST_OUTPUT) ||
+        !fmu_all_finite(fmu->outputs, N_OUTPUTS))
         return fmu_refuse(fmu, "The outputs are not finite numbers with these inputs and "
                                "parameters.");
-    memcpy(memory->value + FIRST_OUTPUT, outputs, N_OUTPUTS * sizeof *outputs);
-    if (state == fmu->next)
+    for (size_t i = 0; i < N_OUTPUTS; i++)
+        if (starting || !fmu->exchange || !VARIABLES[FIRST_OUTPUT + i].sampled)
+            memory->value[FIRST_OUTPUT + i] = fmu->outputs[i];
+    if (starting)
         memcpy(memory->state, fmu->next, sizeof fmu->next);
-    memory->stale = 0;
+    memory->stale &= ~STALE_OUTPUTS;
     return 1;
+}
+
+static int refresh_by(Fmu *fmu, Model *model, int stale, double *result, size_t count)
+{
+    if ((fmu->memory.mode & (INSTANTIATED | INITIALIZING)) && !fmu_refresh(fmu))
+        return 0;
+    if (!(fmu->memory.stale & stale))
+        return 1;
+    fmu_evaluate(fmu, model, fmu->memory.state, 0.0, result);
+    if (!fmu_all_finite(result, count)) {
+        fmu_refuse(fmu, "The derivatives are not finite numbers at this time: take a smaller "
+                        "step.");
+        return DISCARDED;
+    }
+    fmu->memory.stale &= ~stale;
+    return 1;
+}
+
+/* The derivatives of the continuous states; DISCARDED where they are not finite numbers. */
+int fmu_refresh_rates(Fmu *fmu)
+{
+    return refresh_by(fmu, model_rate, STALE_RATES, fmu->rates, N_CONTINUOUS);
+}
+
+int fmu_refresh_indicators(Fmu *fmu)
+{
+    return refresh_by(fmu, model_indicators, STALE_INDICATORS, fmu->indicators, N_INDICATORS);
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
@@ -128,7 +166,7 @@ static int is_settable(const Variable *variable)
     return variable->causality == INPUT || variable->causality == PARAMETER;
 }
 
-static int check_value(Fmu *fmu, const Variable *variable, double value)
+int fmu_check_value(Fmu *fmu, const Variable *variable, double value)
 {
     if (!isfinite(value))
         return fmu_refuse(fmu, "%s cannot have a value that is not a finite number.",
@@ -143,7 +181,10 @@ static int check_set(Fmu *fmu, const Variable *variable, double value)
 {
     if (!is_settable(variable))
         return fmu_refuse(fmu, "%s cannot be set: it is calculated.", variable->name);
-    return check_value(fmu, variable, value);
+    if (fmu->memory.mode == CONTINUOUS && variable->causality == PARAMETER)
+        return fmu_refuse(fmu, "%s can change at events only: enter the event mode.",
+                          variable->name);
+    return fmu_check_value(fmu, variable, value);
 }
 
 int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const double value[])
@@ -155,19 +196,44 @@ int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const do
             return 0;
     for (size_t i = 0; i < count; i++)
         fmu->memory.value[reference[i]] = value[i];
-    fmu->memory.stale = 1;
+    fmu->memory.stale = STALE;
     return 1;
+}
+
+/* Calculate what the value of a variable follows from; 1, 0 or DISCARDED. */
+static int refresh_variable(Fmu *fmu, uint32_t reference)
+{
+    if (reference >= FIRST_INDICATOR)
+        return fmu_refresh_indicators(fmu);
+    if (reference >= FIRST_DERIVATIVE)
+        return fmu_refresh_rates(fmu);
+    if (reference >= FIRST_STATE && !(fmu->memory.mode & (INSTANTIATED | INITIALIZING)))
+        return 1;
+    return reference < FIRST_OUTPUT ? 1 : fmu_refresh(fmu);
+}
+
+static double value_of(const Fmu *fmu, uint32_t reference)
+{
+    if (reference >= FIRST_INDICATOR)
+        return fmu->indicators[reference - FIRST_INDICATOR];
+    if (reference >= FIRST_DERIVATIVE)
+        return fmu->rates[reference - FIRST_DERIVATIVE];
+    if (reference >= FIRST_STATE)
+        return fmu->memory.state[reference - FIRST_STATE];
+    return fmu->memory.value[reference];
 }
 
 int fmu_get_float64(Fmu *fmu, const uint32_t reference[], size_t count, double value[])
 {
     if (!check_type(fmu, reference, count, FLOAT64))
         return 0;
+    for (size_t i = 0; i < count; i++) {
+        int ok = refresh_variable(fmu, reference[i]);
+        if (ok != 1)
+            return ok;
+    }
     for (size_t i = 0; i < count; i++)
-        if (reference[i] >= FIRST_OUTPUT && !refresh(fmu))
-            return 0;
-    for (size_t i = 0; i < count; i++)
-        value[i] = fmu->memory.value[reference[i]];
+        value[i] = value_of(fmu, reference[i]);
     return 1;
 }
 
@@ -178,7 +244,7 @@ int fmu_check_booleans(Fmu *fmu, const uint32_t reference[], size_t count)
 
 int fmu_get_boolean(Fmu *fmu, uint32_t reference, int *truth)
 {
-    if (reference >= FIRST_OUTPUT && !refresh(fmu))
+    if (reference >= FIRST_OUTPUT && !fmu_refresh(fmu))
         return 0;
     *truth = fmu->memory.value[reference] > 0.5;
     return 1;
@@ -189,11 +255,11 @@ int fmu_get_boolean(Fmu *fmu, uint32_t reference, int *truth)
 void fmu_reset(Fmu *fmu)
 {
     memset(&fmu->memory, 0, sizeof fmu->memory);
-    for (size_t i = 0; i < N_VARIABLES; i++)
+    for (size_t i = 0; i < FIRST_STATE; i++)
         fmu->memory.value[i] = VARIABLES[i].start;
     fmu->memory.stop_s = INFINITY;
     fmu->memory.mode = INSTANTIATED;
-    fmu->memory.stale = 1;
+    fmu->memory.stale = STALE;
 }
 
 int fmu_check_token(Fmu *fmu, const char *token, const char *what)
@@ -210,7 +276,7 @@ int fmu_start_at(Fmu *fmu, double start_s, int stop_defined, double stop_s)
     if (stop_defined && !(stop_s >= start_s))
         return fmu_refuse(fmu, "The stop time of %.9g s is before the start time of %.9g s.",
                           stop_s, start_s);
-    fmu->memory.value[0] = start_s;
+    fmu->memory.value[0] = fmu->memory.start_s = start_s;
     fmu->memory.stop_s = stop_defined ? stop_s : INFINITY;
     return 1;
 }
@@ -223,9 +289,9 @@ int fmu_enter_initialization(Fmu *fmu)
 
 int fmu_exit_initialization(Fmu *fmu)
 {
-    if (!refresh(fmu))
+    if (!fmu_refresh(fmu))
         return 0;
-    fmu->memory.mode = STEPPING;
+    fmu->memory.mode = fmu->exchange ? EVENT : STEPPING;
     return 1;
 }
 
@@ -239,17 +305,13 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (!(fabs(time_s - now_s) <= 1e-6 * step_s + 1e-12 * fabs(now_s)))
         return fmu_refuse(fmu, "The step starts at %.9g s but the FMU stands at %.9g s.", time_s,
                           now_s);
-    if (time_s + step_s > memory->stop_s + 1e-6 * step_s + STOP_TOLERANCE * fabs(memory->stop_s))
+    if (time_s + step_s > memory->stop_s + 1e-6 * step_s + TIME_TOLERANCE * fabs(memory->stop_s))
         return fmu_refuse(fmu, "The step to %.9g s leads beyond the stop time of %.9g s.",
                           time_s + step_s, memory->stop_s);
-    double count = MAX(1.0, ceil(step_s / MAX_SUBSTEP_S - 1e-9));
-    advance(fmu, model_begin, step_s);
-    for (double i = 0.0; i < count; i++)
-        advance(fmu, model_flow, step_s / count);
-    advance(fmu, model_finish, step_s);
+    fmu_advance_step(fmu, step_s);
     memory->value[0] = time_s + step_s;
-    memory->stale = 1;
-    if (refresh(fmu))
+    memory->stale = STALE;
+    if (fmu_refresh(fmu))
         return 1;
     *memory = before;
     fmu_refuse(fmu, "The step from %.9g s gave values that are not finite numbers: take a smaller "
@@ -260,85 +322,5 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
 int fmu_terminate(Fmu *fmu)
 {
     fmu->memory.mode = TERMINATED;
-    return 1;
-}
-
-/* ---- Saved states -------------------------------------------------------------------------- */
-
-/* FNV-1a in 64 bits (Fowler, Noll and Vo): any single changed byte changes it. */
-static uint64_t hash_of(const Saved *saved)
-{
-    const unsigned char *byte = (const unsigned char *)saved;
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
-    for (size_t i = sizeof saved->hash; i < sizeof *saved; i++)
-        hash = (hash ^ byte[i]) * UINT64_C(0x100000001b3);
-    return hash;
-}
-
-static int check_saved(Fmu *fmu, const void *bytes, size_t size)
-{
-    Saved saved;
-    const Memory *memory = &saved.memory;
-    if (!bytes)
-        return fmu_refuse(fmu, "There is no saved state.");
-    if (size != sizeof saved)
-        return fmu_refuse(fmu, "A saved state of this FMU has %u bytes, not %u.",
-                          (unsigned)sizeof saved, (unsigned)size);
-    memcpy(&saved, bytes, sizeof saved); /* the importer's bytes may lie unaligned */
-    int mode = memory->mode;
-    if (memcmp(saved.token, FMU_TOKEN, sizeof FMU_TOKEN) != 0)
-        return fmu_refuse(fmu, "The saved state comes from another FMU.");
-    if (saved.hash != hash_of(&saved) || isnan(memory->stop_s) ||
-        !(mode == INSTANTIATED || mode == INITIALIZING || mode == STEPPING || mode == TERMINATED))
-        return fmu_refuse(fmu, "The saved state is damaged.");
-    if (!all_finite(memory->state, N_STATES))
-        return fmu_refuse(fmu, "The saved state holds values that are not finite numbers.");
-    for (size_t i = 0; i < N_VARIABLES; i++)
-        if (!check_value(fmu, &VARIABLES[i], memory->value[i]))
-            return 0;
-    return 1;
-}
-
-int fmu_save(Fmu *fmu, Saved **saved)
-{
-    if (!*saved)
-        *saved = calloc(1, sizeof **saved);
-    if (!*saved)
-        return fmu_refuse(fmu, "There is no memory left for a saved state.");
-    memcpy((*saved)->token, FMU_TOKEN, sizeof FMU_TOKEN);
-    (*saved)->memory = fmu->memory;
-    (*saved)->hash = hash_of(*saved);
-    return 1;
-}
-
-int fmu_restore(Fmu *fmu, const Saved *saved)
-{
-    if (!check_saved(fmu, saved, sizeof *saved))
-        return 0;
-    fmu->memory = saved->memory;
-    return 1;
-}
-
-void fmu_free_saved(void **saved)
-{
-    if (!saved)
-        return;
-    free(*saved);
-    *saved = NULL;
-}
-
-int fmu_serialize(Fmu *fmu, const Saved *saved, void *bytes, size_t size)
-{
-    if (!check_saved(fmu, saved, size))
-        return 0;
-    memcpy(bytes, saved, size);
-    return 1;
-}
-
-int fmu_deserialize(Fmu *fmu, const void *bytes, size_t size, Saved **saved)
-{
-    if (!check_saved(fmu, bytes, size) || !fmu_save(fmu, saved))
-        return 0;
-    memcpy(*saved, bytes, size);
     return 1;
 }

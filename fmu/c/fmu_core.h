@@ -15,47 +15,70 @@
 
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 #define ROOM(n) MAX(n, 1) /* C has no empty arrays */
-#define WORK(SIZE)                                                                        \
-    ROOM(MAX(MAX(MAX(model_initial_##SIZE, model_begin_##SIZE),                           \
-                 MAX(model_flow_##SIZE, model_finish_##SIZE)), model_output_##SIZE))
 
-/* States of an instance; a set of them is a mask. */
-typedef enum { INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED = 8 } Mode;
+/* States of an instance; a set of them is a mask. An instance for Co-Simulation is never in the
+ * event mode or in continuous time, one for Model Exchange never steps. */
+typedef enum {
+    INSTANTIATED = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED = 8, EVENT = 16, CONTINUOUS = 32
+} Mode;
 
-/* Masks of the states in which a call is legal for Co-Simulation without event mode
- * (FMI 2.0, section 4.2.4; FMI 3.0, section 4.2). FMI 3.0 also allows a get before
- * initialization, see fmi3.c. */
+/* Masks of the states in which a call is legal, for Model Exchange and for Co-Simulation without
+ * event mode (FMI 2.0, sections 3.2.3 and 4.2.4; FMI 3.0, sections 3.2 and 4.2). FMI 3.0 also
+ * allows a get before initialization, see fmi3.c. */
 enum {
-    ANY_STATE = INSTANTIATED | INITIALIZING | STEPPING | TERMINATED,
-    LEGAL_TO_SET = INSTANTIATED | INITIALIZING | STEPPING,
-    LEGAL_TO_GET = INITIALIZING | STEPPING | TERMINATED,
+    RUNNING = STEPPING | EVENT | CONTINUOUS,
+    ANY_STATE = INSTANTIATED | INITIALIZING | RUNNING | TERMINATED,
+    LEGAL_TO_SET = INSTANTIATED | INITIALIZING | RUNNING,
+    LEGAL_TO_GET = INITIALIZING | RUNNING | TERMINATED,
     LEGAL_TO_ENTER = INSTANTIATED,
     LEGAL_TO_EXIT = INITIALIZING,
     LEGAL_TO_STEP = STEPPING,
-    LEGAL_TO_TERMINATE = STEPPING
+    LEGAL_TO_TERMINATE = RUNNING,
+    LEGAL_TO_UPDATE = EVENT,
+    LEGAL_TO_INTEGRATE = CONTINUOUS,
+    LEGAL_TO_SET_TIME = EVENT | CONTINUOUS,
+    LEGAL_TO_EVALUATE = INITIALIZING | EVENT | CONTINUOUS | TERMINATED
 };
 
+/* Hosts add their steps up and come to times with rounding; FMPy compares them to 1e-9. */
+#define TIME_TOLERANCE 1e-9
+
+/* What is older than the values that it follows from. */
+enum { STALE_OUTPUTS = 1, STALE_RATES = 2, STALE_INDICATORS = 4, STALE = 7 };
+
 typedef enum { FLOAT64, BOOLEAN } Type;
-typedef enum { INDEPENDENT, INPUT, PARAMETER, OUTPUT } Causality;
+typedef enum { INDEPENDENT, INPUT, PARAMETER, OUTPUT, LOCAL } Causality;
 
 typedef struct {
     const char *name;
     Type type;
     Causality causality;
+    int sampled; /* takes new values at events of Model Exchange only */
     double start, minimum, maximum;
 } Variable;
 
-enum { N_OUTPUTS = N_VARIABLES - FIRST_OUTPUT };
+enum {
+    N_INPUTS = FIRST_PARAMETER - FIRST_INPUT,
+    N_PARAMETERS = FIRST_OUTPUT - FIRST_PARAMETER,
+    N_OUTPUTS = FIRST_STATE - FIRST_OUTPUT,
+    N_CONTINUOUS = FIRST_INDICATOR - FIRST_DERIVATIVE,
+    N_INDICATORS = N_VARIABLES - FIRST_INDICATOR,
+    N_ALL = N_STATES + N_INPUTS + N_PARAMETERS
+};
 
 extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value reference */
+extern const int CONTINUOUS_STATES[ROOM(N_CONTINUOUS)]; /* their places among the states */
+extern const double NOMINALS[ROOM(N_CONTINUOUS)];
 
 /* Content of a saved state. */
 typedef struct {
-    double value[N_VARIABLES]; /* time, inputs, parameters, outputs */
+    double value[FIRST_STATE]; /* time, inputs, parameters, outputs */
     double state[ROOM(N_STATES)];
+    double start_s;
     double stop_s; /* end of the experiment; infinite where the host defines none */
+    double samples; /* taken in Model Exchange; the next one is due at start + samples * SAMPLE_S */
     int32_t mode;
-    int32_t stale; /* the outputs are older than the other values */
+    int32_t stale;
 } Memory;
 
 typedef struct {
@@ -66,14 +89,28 @@ typedef struct {
 
 typedef struct {
     Memory memory;
+    int exchange; /* whether the instance is for Model Exchange */
     char message[256];
-    const casadi_real *argument[WORK(SZ_ARG)]; /* work memory of CasADi's functions */
-    casadi_real *result[WORK(SZ_RES)];
-    casadi_int integers[WORK(SZ_IW)];
-    casadi_real reals[WORK(SZ_W)];
+    const casadi_real *argument[WORK_ARGUMENTS]; /* work memory of CasADi's functions */
+    casadi_real *result[WORK_RESULTS];
+    casadi_int integers[WORK_INTEGERS];
+    casadi_real reals[WORK_REALS];
     double next[ROOM(N_STATES)];
     double outputs[ROOM(N_OUTPUTS)];
+    double rates[ROOM(N_CONTINUOUS)];
+    double indicators[ROOM(N_INDICATORS)];
+    double direction[ROOM(N_ALL)]; /* of states, inputs and parameters; or the whole gradient */
+    double gradient[ROOM(N_ALL)]; /* that of one relation */
+    double slope[N_VARIABLES]; /* of the unknowns by value reference: derivatives, or weights */
 } Fmu;
+
+typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
+
+/* What an update of the discrete states changed, and when the next one is due. */
+typedef struct {
+    int states_changed;
+    double next_s;
+} Update;
 
 /* Functions that return int return 1 on success, else 0 with a message; fmu_step also DISCARDED,
  * where a smaller step may succeed. */
@@ -82,6 +119,16 @@ enum { DISCARDED = 2 };
 int fmu_refuse(Fmu *fmu, const char *format, ...);
 int fmu_not_offered(Fmu *fmu, const char *call);
 int fmu_allow(Fmu *fmu, const char *call, int legal);
+
+/* Inner functions of the core. */
+void fmu_evaluate(Fmu *fmu, Model *model, const double *x, double h, double *out);
+void fmu_advance(Fmu *fmu, Model *model, double h);
+void fmu_advance_step(Fmu *fmu, double step_s);
+int fmu_all_finite(const double *value, size_t count);
+int fmu_refresh(Fmu *fmu);
+int fmu_refresh_rates(Fmu *fmu);
+int fmu_refresh_indicators(Fmu *fmu);
+int fmu_check_value(Fmu *fmu, const Variable *variable, double value);
 
 void fmu_reset(Fmu *fmu);
 int fmu_check_token(Fmu *fmu, const char *token, const char *what);
@@ -96,6 +143,25 @@ int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const do
 int fmu_get_float64(Fmu *fmu, const uint32_t reference[], size_t count, double value[]);
 int fmu_check_booleans(Fmu *fmu, const uint32_t reference[], size_t count);
 int fmu_get_boolean(Fmu *fmu, uint32_t reference, int *truth); /* after fmu_check_booleans */
+
+/* Model Exchange. */
+int fmu_enter_event_mode(Fmu *fmu);
+int fmu_update(Fmu *fmu, Update *update);
+int fmu_enter_continuous_time(Fmu *fmu);
+int fmu_complete_step(Fmu *fmu);
+int fmu_set_time(Fmu *fmu, double time_s);
+int fmu_set_states(Fmu *fmu, const double state[], size_t count);
+int fmu_get_states(Fmu *fmu, double state[], size_t count);
+int fmu_get_rates(Fmu *fmu, double rate[], size_t count);
+int fmu_get_indicators(Fmu *fmu, double indicator[], size_t count);
+int fmu_get_nominals(Fmu *fmu, double nominal[], size_t count);
+
+/* Derivatives of the unknowns along a direction of the knowns, and of a weighted sum of the
+ * unknowns by each known. */
+int fmu_forward(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
+                size_t knowns, const double seed[], double sensitivity[]);
+int fmu_reverse(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
+                size_t knowns, const double seed[], double sensitivity[]);
 
 int fmu_save(Fmu *fmu, Saved **saved);
 int fmu_restore(Fmu *fmu, const Saved *saved);

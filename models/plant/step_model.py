@@ -47,6 +47,8 @@ class Variable:
         Bounds; infinite where there are none.
     nominal : float
         Typical magnitude.
+    sampled : bool
+        Whether an output has a meaning at the end of a step only, like a measured sample.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Variable:
     minimum: float = -math.inf
     maximum: float = math.inf
     nominal: float = 1.0
+    sampled: bool = False
 
 
 ARGUMENTS: Final = {

@@ -53,9 +53,10 @@ def test_dependencies_are_counted_as_the_version_counts(toy, fmi):
     """FMI 2.0 counts from 1 and leaves parameters out of the outputs' knowns."""
     xml = model_description_xml(interface_of(toy), fmi, "{t}", "", "2026-01-01T00:00:00Z").decode()
     tip = next(v.reference for v in interface_of(toy).variables if v.name == "tip_x_m")
+    angle = next(v.reference for v in interface_of(toy).variables if v.name == "states.angle_rad")
     length = next(v.reference for v in interface_of(toy).variables if "length" in v.name)
     expected = {
-        2: f'<Unknown index="{tip + 1}" dependencies="" />',
-        3: f'<Output valueReference="{tip}" dependencies="{length}" />',
+        2: f'<Unknown index="{tip + 1}" dependencies="{angle + 1}" />',
+        3: f'<Output valueReference="{tip}" dependencies="{length} {angle}" />',
     }
     assert expected[fmi] in xml

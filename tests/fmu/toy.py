@@ -1,6 +1,7 @@
 """Small model with every feature that an FMU must support, independent of the link.
 
-A damped pendulum driven by a torque; a counter of steps and the previous torque are discrete.
+A damped pendulum driven by a torque that saturates; a counter of steps and the previous torque are
+discrete.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import casadi as ca
 
 from models.plant.step_model import StepModel, Variable
+
+LIMIT_NM = 4.0
 
 
 def pendulum(name: str = "pendulum") -> StepModel:
@@ -19,12 +22,14 @@ def pendulum(name: str = "pendulum") -> StepModel:
 
     def rates(angle, rate):
         inertia = (0.5 + mass) * length**2
-        load = torque - damping * rate - 9.81 * (0.5 + mass) * length * ca.sin(angle)
+        driven = ca.fmin(ca.fmax(torque, -LIMIT_NM), LIMIT_NM)
+        load = driven - damping * rate - 9.81 * (0.5 + mass) * length * ca.sin(angle)
         return rate, load / inertia
 
     a1, r1 = rates(angle, rate)
     a2, r2 = rates(angle + 0.5 * h * a1, rate + 0.5 * h * r1)
     flow = ca.vertcat(angle + h * a2, rate + h * r2, count, previous)
+    rate_now = ca.vertcat(*rates(angle, rate), 0, 0)
     begin = ca.vertcat(angle, rate, count, 0.5 * (previous + torque))
     finish = ca.vertcat(angle, rate, count + 1, previous)
     output = ca.vertcat(
@@ -61,4 +66,5 @@ def pendulum(name: str = "pendulum") -> StepModel:
         finish=ca.Function("finish", [x, u, p, h], [finish]),
         output=ca.Function("output", [x, u, p], [output]),
         max_substep_s=2e-3,
+        rate=ca.Function("rate", [x, u, p], [rate_now]),
     )

@@ -31,7 +31,8 @@ def payload_variable(start: float = 0.0) -> Variable:
 
 def current_variable(joint: int) -> Variable:
     """Motor current as an input or output."""
-    return Variable(f"current_{joint}_a", "A", 0.0, f"measured motor current of joint {joint}")
+    description = f"measured motor current of joint {joint}"
+    return Variable(f"current_{joint}_a", "A", 0.0, description, sampled=True)
 
 
 def measured_current(scope: Scope, joint: int, current: Expr) -> Expr:

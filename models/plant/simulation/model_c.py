@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,9 @@ from models.plant.step_model import StepModel
 FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 
 
-def write_model_c(model: StepModel, directory: Path) -> Path:
+def write_model_c(
+    model: StepModel, directory: Path, further: Mapping[str, ca.Function] | None = None
+) -> Path:
     """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
 
     Arguments and results are dense vectors, also where CasADi finds them sparse.
@@ -23,10 +26,13 @@ def write_model_c(model: StepModel, directory: Path) -> Path:
         To write.
     directory : Path
         Of both files.
+    further : mapping of str to casadi.Function, optional
+        More functions to write, as model_NAME.
     """
     generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
-    for name in FUNCTIONS:
-        generator.add(_dense(getattr(model, name), f"model_{name}"))
+    functions = {name: getattr(model, name) for name in FUNCTIONS} | dict(further or {})
+    for name, function in functions.items():
+        generator.add(_dense(function, f"model_{name}"))
     generator.generate(f"{directory}/")
     return directory / "model.c"
 

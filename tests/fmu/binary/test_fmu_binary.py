@@ -244,7 +244,7 @@ def test_what_is_not_offered_says_so(instance):
         _refuses(instance, lambda: instance.fmu.getInteger([1]), "not offered")
         assert list(instance.fmu.getInteger([])) == []
     else:
-        _refuses(instance, instance.fmu.enterEventMode, "not offered")
+        _refuses(instance, instance.fmu.enterStepMode, "not offered")
         _refuses(instance, lambda: instance.fmu.getInt32([1]), "not offered")
         assert list(instance.fmu.getInt32([])) == []
 

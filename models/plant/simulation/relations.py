@@ -1,0 +1,161 @@
+"""Continuous part of a step model for Model Exchange, and the derivatives of its relations.
+
+The relations are functions of state, inputs and parameters (x, u, p)::
+
+    rate        derivatives of the continuous states
+    indicators  event indicators: they change their sign where the rate has a kink
+    output      outputs
+    sample      states after the discrete updates at the begin of a step of SAMPLE_S
+    initial     states at the start, of (u, p) only
+
+Each has a derivative along a direction, NAME_forward, with the argument (dx, du, dp) behind, and an
+adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp). CasADi
+derives them from the expression graph, by the forward and the reverse mode [Andersson et al. 2019].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import casadi as ca
+
+from firmware_py.signals import PERIOD_S
+from models.plant.step_model import StepModel
+
+__all__ = ["Derivatives", "Relations", "relations_of"]
+
+Derivatives = Literal["none", "forward", "both"]
+"""Derivatives that are written: none, along a direction, and adjoint ones too."""
+
+SAMPLE_S: Final = PERIOD_S
+"""Time between two samples in Model Exchange, the control period of the robot."""
+
+KINKS: Final = (ca.OP_FMIN, ca.OP_FMAX)
+"""Operations at which a rate has a kink: saturation and end stops. |x| is left out: it has its kink
+where things rest, so that an indicator would change its sign without end."""
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Relations of a model, see the module's text.
+
+    Attributes
+    ----------
+    continuous : tuple of int
+        Places of the continuous states among the states. None where all of the model is sampled:
+        a model without a rate, or one whose inputs are measured at the end of a step.
+    functions : dict of str to casadi.Function
+        By name, without those of the model itself.
+    indicators : int
+        Number of event indicators.
+    derivatives : str
+        See `Derivatives`.
+    """
+
+    continuous: tuple[int, ...]
+    functions: dict[str, ca.Function]
+    indicators: int
+    derivatives: Derivatives
+
+    @property
+    def sampled(self) -> bool:
+        """Whether all of the model is sampled."""
+        return not self.continuous
+
+
+def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relations:
+    """Derive the relations of a model.
+
+    Parameters
+    ----------
+    model : StepModel
+        With or without a rate.
+    derivatives : str
+        See `Derivatives`.
+    """
+    symbols = _symbols(model)
+    rate, kinks = ca.SX(0, 1), ca.SX(0, 1)
+    continuous: tuple[int, ...] = ()
+    if model.rate is not None and not model.inputs_at_end:
+        full = model.rate(*symbols)
+        continuous = tuple(k for k in range(full.numel()) if not full[k].is_zero())
+        rate, kinks = full[list(continuous)], ca.vertcat(*_kinks(model.rate, symbols))
+    functions = {
+        "rate": ca.Function("rate", symbols, [ca.densify(rate)]),
+        "indicators": ca.Function("indicators", symbols, [ca.cse(ca.densify(kinks))]),
+    }
+    if derivatives != "none":
+        x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
+        sample = ca.Function("sample", [x, u, p], [model.begin(x, u, p, SAMPLE_S)])
+        derived = {**functions, "output": model.output, "initial": model.initial, "sample": sample}
+        for name, function in derived.items():
+            functions[f"{name}_forward"] = _forward(function)
+            if derivatives == "both":
+                functions[f"{name}_reverse"] = _reverse(function)
+    if model.rate is not None and continuous:  # in C the function that the flow calls
+        x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
+        rows = model.rate(x, u, p)[list(continuous)]
+        functions["rate"] = ca.Function("rate", [x, u, p], [rows])
+    return Relations(continuous, functions, kinks.numel(), derivatives)
+
+
+def _symbols(model: StepModel) -> list[Any]:
+    sizes = len(model.states), len(model.inputs), len(model.parameters)
+    return [ca.SX.sym(label, size) for label, size in zip("xup", sizes, strict=True)]
+
+
+def _kinks(function: ca.Function, arguments: list[Any]) -> Iterable[Any]:
+    """Difference of both arguments of each operation of `KINKS`, by running the instructions."""
+    work: dict[int, Any] = {}
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        given, out = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_INPUT:
+            work[out[0]] = arguments[given[0]][given[1]]
+        elif operation == ca.OP_CONST:
+            work[out[0]] = ca.SX(function.instruction_constant(k))
+        elif operation != ca.OP_OUTPUT:
+            values = [work[i] for i in given]
+            if operation in KINKS:
+                yield values[0] - values[1]
+            apply = ca.SX.unary if len(values) == 1 else ca.SX.binary
+            work[out[0]] = apply(operation, *values)
+
+
+def _forward(function: ca.Function) -> ca.Function:
+    """(…, direction) -> derivative along the direction."""
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    direction = kind.sym("direction", sum(a.numel() for a in arguments))
+    if kind is ca.SX:
+        value = function(*arguments)
+        slope = ca.cse(ca.jtimes(value, ca.vertcat(*arguments), direction))
+    else:
+        parts = ca.vertsplit(direction, _places(arguments))
+        unused: Any = ca.MX(*function.size_out(0))  # only functions that are solved need the result
+        slope = function.forward(1)(*arguments, unused, *parts)
+    return ca.Function("forward", [*arguments, direction], [ca.densify(slope)])
+
+
+def _reverse(function: ca.Function) -> ca.Function:
+    """(…, weights) -> gradient of the weighted sum by all arguments."""
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    weight = kind.sym("weight", function.size1_out(0))
+    if kind is ca.SX:
+        value = function(*arguments)
+        gradient = ca.cse(ca.jtimes(value, ca.vertcat(*arguments), weight, True))
+    else:
+        unused: Any = ca.MX(*function.size_out(0))
+        parts = function.reverse(1)(*arguments, unused, weight)
+        gradient = ca.vertcat(*(parts if isinstance(parts, (tuple, list)) else [parts]))
+    return ca.Function("reverse", [*arguments, weight], [ca.densify(gradient)])
+
+
+def _places(arguments: list[Any]) -> list[int]:
+    places = [0]
+    for argument in arguments:
+        places.append(places[-1] + argument.numel())
+    return places
