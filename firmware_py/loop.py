@@ -305,6 +305,7 @@ class ControlLoop:
             ticks=log.ticks,
             bus_faults=log.bus_faults(),
             out_of_range=log.out_of_range,
+            held_up_ticks=log.held_up,
             timing=log.timing,
             records=log.records(),
             telemetry_drops=log.drops,

@@ -56,6 +56,8 @@ class RunSummary:
         Whether every servo confirmed torque off at the end.
     faults : frozenset of Fault
         Kinds of fault that stopped the robot or were seen while it stopped.
+    held_up_ticks : int
+        Ticks without fresh data in which the host held up the loop's thread.
     """
 
     ended: Ended
@@ -69,6 +71,7 @@ class RunSummary:
     replugs: int = 0
     released: bool = True
     faults: frozenset[Fault] = frozenset()
+    held_up_ticks: int = 0
 
     def document(self, log: Path | None, bus_plan: str) -> RunDocument:
         """Return everything but the records as a document.
@@ -85,6 +88,7 @@ class RunSummary:
             ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
             telemetry_drops=self.telemetry_drops, replugs=self.replugs, released=self.released,
             timing=self.timing.summary(), log=str(log) if log else None, bus_plan=bus_plan,
+            held_up_ticks=self.held_up_ticks,
         )  # fmt: skip
 
 
@@ -95,7 +99,7 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ----------
     ended : {"finished", "signalled", "tripped"}
         Kind of end.
-    reason, ticks, bus_faults, out_of_range, telemetry_drops, replugs, released
+    reason, ticks, bus_faults, out_of_range, telemetry_drops, replugs, released, held_up_ticks
         See `RunSummary`.
     timing : TimingSummary
         Durations and misses.
@@ -118,6 +122,7 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     timing: TimingSummary
     log: str | None
     bus_plan: str
+    held_up_ticks: int = 0
 
 
 def read_run_summary(path: Path) -> RunDocument:

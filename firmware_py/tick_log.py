@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from itertools import chain
 from operator import sub
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from firmware_py.realtime.timing import Timing, cause_of_miss
 from firmware_py.safety.states import SafetyState
 
 Array = NDArray[np.float64]
+_HELD_UP_NS: Final = 1_000_000
+"""Delay by the host that can cost an answer: half of what a read leaves for the host. [assumed]"""
 
 
 class Tick(NamedTuple):
@@ -88,13 +90,15 @@ class TickLog:
         Histograms, misses and their causes.
     out_of_range : int
         Ticks in which the predictor's inputs lay outside its training range.
+    held_up : int
+        Ticks without fresh data in which the host held up the loop's thread.
     """
 
     def __init__(
         self, dof: int, period_ns: int, telemetry: Telemetry, counters: Counters, keep: int
     ) -> None:
         self.timing = Timing()
-        self.out_of_range = 0
+        self.out_of_range = self.held_up = 0
         self._period_ns, self._period_s = period_ns, period_ns * 1e-9
         self._telemetry, self._counters = telemetry, counters
         self._statuses: Counter[BusStatus] = Counter()
@@ -154,6 +158,7 @@ class TickLog:
             *self._delays_ns, tick.missed,
         ))  # fmt: skip
         self._statuses[tick.status] += 1
+        self.held_up += not tick.status.fresh and sum(self._delays_ns) > _HELD_UP_NS
         self.out_of_range += not in_range
         self._stages_ns, self._tick = stages_ns, tick
 

@@ -1,9 +1,9 @@
 """Verdict on a case of the campaign: its observation against its row of the table.
 
 A case passes where no complaint is left. In real time the host may preempt the loop, or hold up the
-process of the servos. Where the kernel's counters show that the first lost slots, or the servos
-sent a reply late, and the case is safe, a complaint about its course proves nothing and the case is
-inconclusive.
+process of the servos. Where the kernel's counters show that the first lost slots or data by
+it, or that the servos were held up before a reply or sent it late, and the case is safe, a
+complaint about its course proves nothing and the case is inconclusive.
 """
 
 from __future__ import annotations
@@ -81,8 +81,9 @@ class CaseVerdict:
             return Verdict.FAIL
         if not self.deviations:
             return Verdict.PASS
-        preempted = self.observation.misses.get(Cause.PREEMPTED.value, 0)
-        held_up = preempted or self.observation.late_replies
+        seen = self.observation
+        preempted = seen.misses.get(Cause.PREEMPTED.value, 0)
+        held_up = preempted or seen.late_replies or seen.held_up_replies or seen.held_up_ticks
         excused = held_up and self.case.line != "virtual"
         return Verdict.INCONCLUSIVE if excused else Verdict.FAIL
 

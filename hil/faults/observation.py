@@ -34,6 +34,8 @@ class CaseOutcome:
         Slots missed by cause.
     unlogged_stale : int
         Ticks without fresh data in a run with an incomplete log.
+    held_up_ticks : int
+        As in `RunSummary`.
     """
 
     ended: str
@@ -42,6 +44,7 @@ class CaseOutcome:
     telemetry_drops: int = 0
     misses: dict[str, int] = field(default_factory=dict)
     unlogged_stale: int = 0
+    held_up_ticks: int = 0
 
 
 class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,6 +86,10 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Ticks that took data as fresh which the servos had not sent in them.
     late_replies : int
         Replies that the host let the servos' process send late.
+    held_up_replies : int
+        Replies before which the host had held the servos' process up.
+    held_up_ticks : int
+        Ticks without fresh data in which the host held up the loop's thread.
     """
 
     ended: str
@@ -103,6 +110,8 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     goal_jump_rad: float = 0.0
     stale_as_fresh: int = 0
     late_replies: int = 0
+    held_up_replies: int = 0
+    held_up_ticks: int = 0
 
 
 def observe_case(
@@ -149,6 +158,7 @@ def observe_case(
         misses=outcome.misses, told=_told(outcome, servo_log),
         unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,
         drift_rad=servo_log.drift_rad, late_replies=servo_log.late_replies,
+        held_up_replies=servo_log.held_up_replies, held_up_ticks=outcome.held_up_ticks,
         goal_jump_rad=_goal_jump_rad(servo_log, period_s, rate_rad_s),
         **facts,
     )  # fmt: skip

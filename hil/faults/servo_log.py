@@ -153,6 +153,9 @@ class ServoLog:
     late_replies : int
         Replies that left more than `LATE_NS` after they were due, because the host held their
         process up; 0 in simulated time.
+    held_up_replies : int
+        Replies before which the host had held their process up for more than `LATE_NS` since the
+        last one, maybe before it read the instruction; 0 in simulated time.
     """
 
     began_ns: int | None
@@ -167,6 +170,7 @@ class ServoLog:
     stopped_by_watchdog: bool
     drift_rad: float
     late_replies: int
+    held_up_replies: int = 0
 
 
 class LoggedBus(EmulatedBus):
@@ -191,7 +195,7 @@ class LoggedBus(EmulatedBus):
         self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
         self._last_heard_rad = self.physics.angle_rad.copy()
         self._stopped_by_watchdog = False
-        self._late_replies = 0
+        self._late_replies = self._held_up_replies = self._delay_ns = 0
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
         """See `EmulatedBus.execute`."""
@@ -226,14 +230,18 @@ class LoggedBus(EmulatedBus):
         super().advance(now_ns)
         self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
 
-    def note_release(self, due_ns: int, written_ns: int) -> None:
+    def note_release(self, due_ns: int, written_ns: int, delay_ns: int = 0) -> None:
         """Account for a reply, in real time.
 
         Parameters
         ----------
         due_ns, written_ns : int
             When it was due, and when it left.
+        delay_ns : int
+            Time for which the host has held the process up since its start.
         """
+        self._held_up_replies += self.driven and delay_ns - self._delay_ns > LATE_NS
+        self._delay_ns = delay_ns
         self._late_replies += written_ns - due_ns > LATE_NS
 
     def log(self, now_ns: int) -> ServoLog:
@@ -255,4 +263,5 @@ class LoggedBus(EmulatedBus):
             stopped_by_watchdog=self._stopped_by_watchdog,
             drift_rad=float(np.abs(self.physics.angle_rad - self._last_heard_rad).max()),
             late_replies=self._late_replies,
+            held_up_replies=self._held_up_replies,
         )

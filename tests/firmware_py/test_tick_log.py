@@ -16,6 +16,7 @@ from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.motion import Motion
 from firmware_py.realtime.clock import SimClock
+from firmware_py.realtime.kernel_counters import NoCounters
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import STAGES
@@ -102,3 +103,22 @@ def test_a_tick_leaves_no_memory_behind():
     assert len(sizes) == 6
     # The interpreter's pools grow now and then; what leaks grows every time.
     assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
+
+
+def test_lost_data_is_the_hosts_where_it_held_the_thread_up():
+    class Delays(NoCounters):
+        """2 ms of delay in the ticks 19 and 40."""
+
+        calls = 0
+
+        def run_delay_ns(self):
+            self.calls += 1
+            return 2_000_000 * ((self.calls > 20) + (self.calls > 41))
+
+    loop, bus, *_ = make(counters=Delays())
+    bus.script = dict.fromkeys((19, 60), BusStatus.TIMEOUT)
+    summary = loop.run()
+    stale = summary.records["bus_status"] == BusStatus.TIMEOUT
+    delayed = summary.records["preempted_ns"] > 1_000_000
+    assert (stale.sum(), delayed.sum(), (stale & delayed).sum()) == (2, 2, 1)
+    assert summary.held_up_ticks == 1

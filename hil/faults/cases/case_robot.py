@@ -259,4 +259,5 @@ def case_outcome(summary: RunSummary) -> CaseOutcome:
     return CaseOutcome(
         summary.ended.value, summary.reason, summary.replugs, summary.telemetry_drops,
         {cause.value: count for cause, count in causes.items() if count},
+        held_up_ticks=summary.held_up_ticks,
     )  # fmt: skip

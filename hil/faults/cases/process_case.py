@@ -203,4 +203,5 @@ def _outcome(process: subprocess.Popen[str], output: str, columns: Columns) -> C
         telemetry_drops=summary["ticks"] - logged,
         misses={cause: count for cause, count in timing["causes"].items() if count},
         unlogged_stale=stale if logged < summary["ticks"] else 0,
+        held_up_ticks=summary["held_up_ticks"],
     )  # fmt: skip

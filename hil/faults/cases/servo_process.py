@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from firmware_py.realtime.clock import RealTimeOptions, real_time
+from firmware_py.realtime.kernel_counters import KernelCounters
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
@@ -99,12 +100,17 @@ def _run(pipe: Connection, counter: Any, task: ServoProcessTask) -> None:
     bus.resume(time.monotonic_ns())
     port: Path | None = task.port
     gc.freeze()
+    counters = KernelCounters()
+
+    def note(due_ns: int, written_ns: int) -> None:
+        bus.note_release(due_ns, written_ns, counters.run_delay_ns())
+
     with real_time(RealTimeOptions(priority=PRIORITY, cpu=task.cpu)):
         pipe.send(os.getpid())
         while port is not None:
             with _plugged(task, port, pipe.fileno()) as connect:
                 while (fd := connect()) is not None:
-                    if not serve_line(line, fd, pipe.fileno(), bus.note_release):
+                    if not serve_line(line, fd, pipe.fileno(), note):
                         break
             command = pipe.recv()
             while command == "unplug":

@@ -159,7 +159,15 @@ def test_each_thing_that_must_hold_is_looked_at(change, words):
     assert any(words in complaint for complaint in judged.safety_violations + judged.deviations)
 
 
-@pytest.mark.parametrize("witness", [{"misses": {"preempted by the host": 1}}, {"late_replies": 1}])
+@pytest.mark.parametrize(
+    "witness",
+    [
+        {"misses": {"preempted by the host": 1}},
+        {"late_replies": 1},
+        {"held_up_replies": 1},
+        {"held_up_ticks": 1},
+    ],
+)
 def test_the_host_is_an_excuse_for_the_course_but_not_for_safety(witness):
     case = FaultCase(FaultRow("x", "y", Expectation("finished", lost=0)), "socket", PRO_A, 0)
     without = CaseObservation("finished", "", lost_ticks=1)
@@ -177,6 +185,21 @@ def test_a_reply_that_leaves_late_is_counted(bus_of):
     for late_ns in (0, LATE_NS, LATE_NS + 1):
         bus.note_release(5, 5 + late_ns)
     assert bus.log(10).late_replies == 1
+
+
+class DrivenBus(LoggedBus):
+    driven = True
+
+
+def test_a_reply_before_which_the_host_held_the_servos_up_is_counted(bus_of):
+    """Such a reply is late for the loop, though it leaves on time after a late instruction."""
+    plant = type(bus_of().physics)
+    for kind, count in ((DrivenBus, 1), (LoggedBus, 0)):  # what the set-up waits for is none
+        bus = kind([LoggedServo(MODELS[PRO_A])], plant(1), FaultSchedule((), 1))
+        for delay_ns in (0, LATE_NS, 2 * LATE_NS + 1, 2 * LATE_NS + 1):
+            bus.note_release(5, 5, delay_ns)
+        log = bus.log(10)
+        assert (log.held_up_replies, log.late_replies) == (count, 0)
 
 
 def test_verdicts_are_counted_and_written(tmp_path):
