@@ -82,6 +82,11 @@ def dispatch(
         sys.stdout.flush()
         return code
     except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
+        try:
+            sys.stdout.flush()
+        except OSError:
+            silence_stdout()
+            return BAD_INPUT
         return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
     except InputError as error:
         print(f"{prog}: {error}", file=sys.stderr)

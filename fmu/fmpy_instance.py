@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
@@ -14,6 +15,8 @@ from fmpy.simulation import instantiate_fmu
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.files.archive_limits import ARCHIVE_DAMAGE, check_archive
+from firmware_py.files.input_files import open_bounded
 
 InterfaceType = Literal["CoSimulation", "ModelExchange"]
 
@@ -41,8 +44,14 @@ class FmuArchive:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         remedy = "build one with 'python -m fmu build'"
-        if not self.path.is_file():
-            raise InputError(path, "is missing", remedy)
+        try:
+            with (
+                open_bounded(self.path, remedy) as file,
+                zipfile.ZipFile(file) as archive,
+            ):
+                check_archive(archive, self.path, remedy)
+        except ARCHIVE_DAMAGE as error:
+            raise InputError(path, f"is not an FMU ({error})", remedy) from None
         self.directory = Path(mkdtemp(prefix="dropstitch-fmu-"))
         try:
             fmpy.extract(str(self.path), str(self.directory))

@@ -77,14 +77,14 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
     found = os.fstat(descriptor)
     wrong = ""
     if stat.S_ISDIR(found.st_mode):
-        wrong = "is a directory"
+        wrong = "is no file but a directory"
     elif not stat.S_ISREG(found.st_mode):
-        wrong = "is no regular file"
+        wrong = "is no file but a device or a pipe"
     if wrong or found.st_size > most:
         os.close(descriptor)
         if wrong:
             raise InputError(path, wrong, remedy)
-        what = f"has {found.st_size / 1e6:.0f} MB, more than {most / 1e6:g} MB"
+        what = f"is larger than {most / 1e6:g} MB"
         raise InputError(path, what, "shorten it or divide it")
     return os.fdopen(descriptor, "rb")
 
@@ -108,7 +108,7 @@ def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
     if len(data) > most:
-        raise InputError(path, f"has more than {most / 1e6:g} MB", "shorten it or divide it")
+        raise InputError(path, f"is larger than {most / 1e6:g} MB", "shorten it or divide it")
     return data
 
 

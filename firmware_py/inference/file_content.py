@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import stat
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_bytes
 
 __all__ = ["FileContent", "Source", "content_of"]
 
-LARGEST_BYTES: Final = 64 * 2**20
+LARGEST_BYTES: Final = 64_000_000
 """Largest file of a bundle; those of the demo have 360 kB at most. [assumed]"""
 
 
@@ -58,17 +56,4 @@ def content_of(source: Source, remedy: str = "copy the whole bundle directory") 
     if isinstance(source, FileContent):
         return source
     path = Path(source)
-    try:
-        # Without O_NONBLOCK a named pipe in place of the file would wait for its writer.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise InputError(path, "is no file", remedy)
-            data = file.read(LARGEST_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError(path, "is missing", remedy) from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError(path, f"cannot be read ({error})", remedy) from None
-    if len(data) > LARGEST_BYTES:
-        raise InputError(path, f"is larger than {LARGEST_BYTES >> 20} MB", remedy)
-    return FileContent(path, data)
+    return FileContent(path, read_bytes(path, remedy, LARGEST_BYTES))

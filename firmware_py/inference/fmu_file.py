@@ -6,7 +6,6 @@ import ctypes
 import io
 import platform
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -14,6 +13,7 @@ from typing import Final, NamedTuple
 from xml.etree import ElementTree as ET
 
 from firmware_py.errors import InputError
+from firmware_py.files.archive_limits import ARCHIVE_DAMAGE, check_archive
 from firmware_py.inference.file_content import Source, content_of
 
 __all__ = ["InstanceVariable", "open_fmu"]
@@ -82,18 +82,12 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
     path, data = content_of(source, remedy)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            names = archive.namelist()
-            astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
-            if astray:
-                raise InputError(
-                    path, f"holds a file with a path outside the archive ({astray[0]})", remedy
-                )
+            check_archive(archive, path, remedy)
             root = ET.fromstring(archive.read("modelDescription.xml"))
             variables = {v.name: v for v in _variables(root)}
-            name = _binary(path, root, names)
+            name = _binary(path, root, archive.namelist())
             binary = archive.read(name)
-    except (zipfile.BadZipFile, zlib.error, ET.ParseError, OSError, EOFError, KeyError,
-            ValueError, RuntimeError) as error:  # fmt: skip
+    except (*ARCHIVE_DAMAGE, ET.ParseError) as error:
         raise InputError(path, f"is no FMU ({error})", remedy) from None
     with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
         library = Path(private) / PurePosixPath(name).name

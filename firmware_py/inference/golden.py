@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.files.archive_limits import check_archive
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.predictor import Predictor
@@ -115,9 +116,13 @@ def read_golden(source: Source, dof: int) -> Golden:
     """
     path, data = content_of(source)
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            check_archive(archive, path, "copy the bundle again")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = [np.asarray(file[name], dtype=np.float64) for name in Golden._fields]
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except InputError:
+        raise
+    except Exception as error:  # the parser of NumPy's headers raises what it trips over
         raise InputError(path, f"cannot be read ({error})", "copy the bundle again") from None
     count = len(np.atleast_1d(arrays[0]))
     shapes = [(count, dof), (count, dof), (), (count,), (count, 3), (count,)]

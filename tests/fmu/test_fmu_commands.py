@@ -166,7 +166,7 @@ def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
         "--out: is missing": ["build", bundle],
         "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "any.zip")],
         "manifest.json: is missing": ["build", str(tmp_path), "--out", out],
-        "cannot be read": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
+        "toml: is missing": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
         "cannot run on the robot (FMI 3.0)": ["build", bundle, "--unit", "observer", "--fmi", "2"],
     }
     for sentence, arguments in cases.items():

@@ -108,9 +108,9 @@ def test_what_is_no_document_is_refused(tmp_path, text):
     for suffix in ("json", "toml"):
         path = tmp_path / f"plant.{suffix}"
         path.write_text(text)
-        with pytest.raises(InputError, match="is no plant document"):
+        with pytest.raises(InputError, match=r"is (no plant document|not JSON|not TOML)"):
             read_plant(path)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is missing"):
         read_plant(tmp_path / "missing.toml")
 
 

@@ -161,4 +161,4 @@ def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys):
     assert evaluated["tip_rms_m"] < evaluated["rigid_tip_rms_m"]
     assert set(evaluated["dof"]["1"]["payloads"]) == {"0", "2"}
     assert main(["evaluate", str(tmp_path / "trials"), "--plant", "nowhere.toml"]) == 2
-    assert "nowhere.toml: cannot be read" in capsys.readouterr().err
+    assert "nowhere.toml: is missing" in capsys.readouterr().err

@@ -1,0 +1,64 @@
+"""Limits of zip archives (FMUs, npz), checked before anything is unpacked."""
+
+from __future__ import annotations
+
+import lzma
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from firmware_py.errors import InputError
+
+__all__ = ["ARCHIVE_DAMAGE", "check_archive"]
+
+MOST_MEMBERS: Final = 1000
+"""Most members of an archive; an FMU for four platforms with its sources has 60."""
+MOST_UNPACKED_BYTES: Final = 100_000_000
+"""Most bytes of all members, unpacked; an FMU of ours has 0.3 MB."""
+MOST_TEXT_BYTES: Final = 4_000_000
+"""Size of the largest XML member, unpacked: as a tree it takes thirty times as much."""
+ARCHIVE_DAMAGE: Final = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, KeyError, RuntimeError,
+    ValueError,
+)  # fmt: skip
+"""Errors that a damaged archive raises."""
+
+
+def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
+    """Refuse an archive that unpacks to too much, or beside its directory.
+
+    A member is unpacked to the size that the archive declares at most, so the declared sizes bound
+    what is allocated.
+
+    Parameters
+    ----------
+    archive : ZipFile
+        Opened for reading.
+    path : Path
+        Its file, for the message.
+    remedy : str
+        What the user can do.
+
+    Raises
+    ------
+    InputError
+        If it has too many members, is too large unpacked, holds a name twice, or one that leads
+        out of the archive.
+    """
+    members = archive.infolist()
+    names = [member.filename for member in members]
+    wrong = ""
+    if len(members) > MOST_MEMBERS:
+        wrong = f"has {len(members)} members, more than {MOST_MEMBERS}"
+    elif len(set(names)) < len(names):
+        wrong = "holds two files of one name"
+    elif sum(member.file_size for member in members) > MOST_UNPACKED_BYTES:
+        wrong = f"unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB"
+    elif any(m.filename.endswith(".xml") and m.file_size > MOST_TEXT_BYTES for m in members):
+        wrong = f"holds an XML file of more than {MOST_TEXT_BYTES / 1e6:.0f} MB"
+    else:
+        astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
+        wrong = f"holds a file with a path outside the archive ({astray[0]})" if astray else ""
+    if wrong:
+        raise InputError(path, wrong, remedy)

@@ -1,0 +1,66 @@
+"""Work in a child process: whatever becomes of the child, the parent says one sentence."""
+
+import os
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.files.guarded_call import guarded_call
+
+
+def call(work, **limits):
+    return guarded_call(work, "a.mat", "export it again", **limits)
+
+
+def test_the_result_arrives_whole():
+    content = os.urandom(300_000)
+    assert call(lambda: content) == content
+
+
+def test_a_refusal_arrives_as_it_was():
+    def work():
+        raise InputError("a.mat", "is no table", "export it")
+
+    with pytest.raises(InputError, match=r"^a\.mat: is no table; export it\.$"):
+        call(work)
+
+
+def test_a_crash_is_one_sentence():
+    with pytest.raises(InputError, match=r"a\.mat: is damaged: .* crashed; export it again"):
+        call(lambda: os.kill(os.getpid(), signal.SIGSEGV))
+
+
+def test_an_error_of_ours_is_no_crash_of_the_parent():
+    with pytest.raises(InputError, match="crashed"):
+        call(lambda: 1 / 0)
+
+
+def test_memory_is_limited():
+    with pytest.raises(InputError, match="takes more than 50 MB to read"):
+        call(lambda: bytes(bytearray(80_000_000)), memory_bytes=50_000_000)
+
+
+def test_time_is_limited():
+    start_s = time.monotonic()
+    with pytest.raises(InputError, match=r"takes more than 0\.2 s to read"):
+        call(lambda: time.sleep(60), seconds=0.2)
+    assert time.monotonic() - start_s < 20
+
+
+def test_temporary_files_go_with_the_child_and_files_are_limited(monkeypatch):
+    monkeypatch.setattr("firmware_py.files.guarded_call.MOST_WRITTEN_BYTES", 1000)
+
+    def work():
+        folder = tempfile.mkdtemp()
+        Path(folder, "small").write_bytes(bytes(500))
+        try:
+            Path(folder, "large").write_bytes(bytes(5000))
+        except OSError as error:
+            return f"{folder}\n{error.errno}".encode()
+
+    folder, number = call(work).decode().split("\n")
+    assert os.strerror(int(number)) == "File too large" and not Path(folder).exists()

@@ -1,0 +1,79 @@
+"""Fuzzer of every reader of files: mutates valid files and judges what each reader makes of them.
+
+An input succeeds if the reader uses it or refuses it in one sentence. Exit 1 if one does not.
+"""
+
+import argparse
+import contextlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.fuzz.campaign_of_inputs import fuzz, keep, kept, verdicts_on
+from tests.fuzz.fuzz_readers import every_reader
+
+COLUMNS = ("inputs", "used", "refused", "guarded", "failed")
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="for all readers together")
+    parser.add_argument("--inputs", type=int, default=10**9, help="most inputs of each reader")
+    parser.add_argument("--seed", type=int, default=0, help="number of the first input")
+    parser.add_argument("--only", nargs="+", metavar="READER", help="names as in the table")
+    parser.add_argument("--bundle", type=Path, help="of one joint: reads manifest, npz, ONNX, FMU")
+    parser.add_argument(
+        "--keep", action="store_true", help="keep failing inputs in tests/fuzz/found"
+    )
+    args = parser.parse_args()
+    readers = [r for r in every_reader(args.bundle) if not args.only or r.name in args.only]
+    with tempfile.TemporaryDirectory(prefix="dropstitch-fuzz-") as scratch:
+        return campaign(readers, Path(scratch), args)
+
+
+def campaign(readers, scratch, args):
+    print(
+        f"{'reader':12}" + "".join(f"{c:>9}" for c in COLUMNS) + "  peak MB  slowest s", flush=True
+    )
+    total, failed = 0, 0
+    for reader, name, changed in kept(readers):
+        verdict = verdicts_on(reader, [lambda changed=changed: changed], scratch)[0]
+        if verdict.failed:
+            failed += 1
+            print(f"{reader.name}, kept {name}: {verdict.kind}\n{verdict.text}", flush=True)
+    for reader in readers:
+        with silence():
+            tally = fuzz(reader, scratch, args.seconds / len(readers), args.inputs, args.seed)
+        count, bad = tally.counts.total(), len(tally.failures)
+        row = (count, *(tally.counts[c] for c in COLUMNS[1:-1]), bad)
+        print(
+            f"{reader.name:12}" + "".join(f"{n:9}" for n in row)
+            + f"{tally.peak_bytes / 1e6:9.0f}{tally.slowest_s:11.2f}", flush=True,
+        )  # fmt: skip
+        for seed, verdict in tally.failures:
+            print(f"--- {reader.name}, input {seed}: {verdict.kind}\n{verdict.text}", flush=True)
+            if args.keep:
+                print(f"kept in {keep(reader, seed)}")
+        total, failed = total + count, failed + bad
+    print(f"{total} inputs, {failed} failures")
+    return 1 if failed else 0
+
+
+@contextlib.contextmanager
+def silence():
+    """Nothing of the readers on the terminal; the valid files are read in this process."""
+    sys.stdout.flush()
+    terminal, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(terminal, 1)
+        os.close(terminal)
+        os.close(nowhere)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,250 @@
+"""Readers that the fuzzer feeds: valid files, their mutation, and the call that reads them."""
+
+import io
+import random
+import sqlite3
+import tomllib
+import zipfile
+import zlib
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.fuzz import valid_files
+from tests.fuzz.mutations_of_files import LONGEST, of_bytes, of_json, of_text, of_toml
+
+Files = dict[str, bytes]
+
+
+class FuzzReader(NamedTuple):
+    """Reader by name: its valid files, what changes one or more of them, and what reads them."""
+
+    name: str
+    files: Files
+    mutate: Callable[[random.Random, Files], Files]
+    read: Callable[[Path], object]
+
+
+def toml_file(rng, data):
+    return of_toml(rng, data, tomllib.loads)
+
+
+def one(name, mutation):
+    """Mutation of one file."""
+    return lambda rng, files: {name: mutation(rng, files[name])}
+
+
+def one_of(*mutations):
+    return lambda rng, data: rng.choice(mutations)(rng, data)
+
+
+def importing(kind, name, servo=None):
+    """Import of a file by the command, without its console."""
+
+    def read(folder):
+        from models.commands import import_
+
+        import_.run(Namespace(
+            file=folder / name, kind=kind, servo=servo and folder / servo,
+            offset=0.0 if servo else None, map=folder / "map.toml", name="trial",
+            out=folder / "out", json=True,
+        ))  # fmt: skip
+
+    return read
+
+
+def of_zip(rng, data):
+    """Archive with one member changed, and its checksum right; sometimes its bytes."""
+    if rng.random() < 0.3:
+        return of_bytes(rng, data)
+    result = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(result, "w", 8) as changed:
+        names = [n for n in archive.namelist() if not n.endswith((".so", ".dylib", ".c", ".h"))]
+        chosen = rng.choice([n for n in names if n.endswith((".xml", ".npy"))] or names)
+        for name in archive.namelist():
+            content = archive.read(name)
+            if name == chosen:
+                text = name.endswith(".xml") and rng.random() < 0.8
+                content = (of_text if text else of_bytes)(rng, content)
+            if rng.random() < 0.97:
+                changed.writestr(rng.choice((name,) * 60 + (f"../{name}", "/a")), content)
+    return result.getvalue()
+
+
+def of_matlab(rng, data):
+    """MAT-file with changed bytes, also inside of a compressed variable."""
+    if int.from_bytes(data[128:132], "little") != 15 or rng.random() < 0.3:
+        return of_bytes(rng, data)
+    size = int.from_bytes(data[132:136], "little")
+    packed = zlib.compress(of_bytes(rng, zlib.decompress(data[136 : 136 + size])))
+    head = data[:132] + len(packed).to_bytes(4, "little")
+    return (head + packed + data[136 + size :])[:LONGEST]
+
+
+def of_log(rng, data, metadata, messages):
+    """Log with changed bytes, or written anew with changed metadata or ticks."""
+    if rng.random() < 0.4:
+        return of_bytes(rng, data)
+    from mcap.writer import CompressionType, Writer
+
+    from firmware_py.log.recording import METADATA, TOPIC
+
+    metadata, messages = dict(metadata), list(messages)
+    if rng.random() < 0.5:
+        key = rng.choice(list(metadata))
+        changed = rng.choice((of_text, of_json))(rng, metadata[key].encode())
+        metadata[rng.choice((key, key, key, "motion"))] = changed.decode("utf-8", "replace")
+    else:
+        at = rng.randrange(len(messages))
+        messages[at] = (messages[at][0], rng.choice((of_text, of_json))(rng, messages[at][1]))
+    stream = io.BytesIO()
+    writer = Writer(stream, compression=rng.choice(list(CompressionType)))
+    writer.start()
+    writer.add_metadata(METADATA, metadata)
+    channel = writer.register_channel(TOPIC, "json", writer.register_schema("s", "jsonschema", b""))
+    for k, (time_ns, message) in enumerate(messages):
+        writer.add_message(channel, time_ns, message, time_ns, k)
+    writer.finish()
+    return stream.getvalue()
+
+
+def of_bag(rng, files):
+    """Bag with a changed file, or with a changed message in a sound database."""
+    base = next(name for name in files if name.endswith(".db3"))
+    kind = rng.randrange(4)
+    if kind == 0:
+        name = "bag/metadata.yaml"
+        return {name: one_of(of_text, of_bytes)(rng, files[name])}
+    if kind == 1:
+        return {base: of_bytes(rng, files[base])}
+    file = sqlite3.connect(":memory:")
+    file.deserialize(files[base])
+    rows = file.execute("SELECT id, data FROM messages").fetchall()
+    for row, content in rng.sample(rows, rng.choice((1, 2, 5))):
+        changed = (of_bytes(rng, content), row)
+        file.execute("UPDATE messages SET data = ? WHERE id = ?", changed)
+    if kind == 3:
+        column = rng.choice(("name", "type", "serialization_format", "offered_qos_profiles"))
+        value = of_text(rng, b"sensor_msgs/msg/JointState").decode("utf-8", "replace")
+        file.execute(f"UPDATE topics SET {column} = ? WHERE id = 1", (value,))
+    file.commit()
+    return {base: file.serialize()}
+
+
+def every_reader(bundle=None):
+    """Every reader; those of a bundle only where a directory of one is given.
+
+    Parameters
+    ----------
+    bundle : Path, optional
+        Bundle of one joint with its observer.
+    """
+    return [*_recordings(), *_documents(), *(_bundle_files(bundle) if bundle else [])]
+
+
+def _recordings():
+    from models.trials.trial_files import read_trial
+
+    trial, (columns, map_) = valid_files.trial(), valid_files.table()
+    csv = valid_files.csv_of(columns).encode()
+    more = {"map.toml": map_, "servo.csv": csv}
+    bare = b"step_s = 0.017\n" + map_[map_.index(b"[trial]") :]
+
+    def imported(name, kind, file, content, mutation, servo=None):
+        files = {file: content} | more
+        return FuzzReader(name, files, one(file, mutation), importing(kind, file, servo))
+
+    for file, mutation in (("run.csv", of_text), ("run.toml", toml_file)):
+        yield FuzzReader(
+            f"trial {file[4:]}", trial, one(file, mutation), lambda f: read_trial(f / "run.csv")
+        )
+    yield imported("table csv", "table", "a.csv", csv, one_of(of_text, of_text, of_bytes))
+    entry = map_.replace(b'"stamp"', b'"entries[].stamp"')
+    json = FuzzReader(
+        "table json", {"a.json": valid_files.json_of(columns), "map.toml": entry},
+        one("a.json", of_json), importing("table", "a.json"),
+    )  # fmt: skip
+    yield json
+    for form in ("5", "5c", "4"):
+        content = valid_files.matlab_of(columns, form)
+        yield imported(f"mat {form}", "table", "a.mat", content, of_matlab)
+    yield imported(
+        "motive", "motive", "a.csv", valid_files.motive(), one_of(of_text, of_text, of_bytes),
+        "servo.csv",
+    )  # fmt: skip
+    yield imported("c3d", "c3d", "a.c3d", valid_files.c3d(), of_bytes, "servo.csv")
+    yield FuzzReader(
+        "bag", valid_files.bag() | {"map.toml": map_}, of_bag, importing("rosbag", "bag")
+    )
+    data, metadata, messages = valid_files.log()
+    yield FuzzReader(
+        "mcap", {"a.mcap": data, "map.toml": bare},
+        one("a.mcap", lambda rng, own: of_log(rng, own, metadata, messages)),
+        importing("recording", "a.mcap"),
+    )  # fmt: skip
+    yield FuzzReader(
+        "map", {"a.csv": csv, "map.toml": map_}, one("map.toml", toml_file),
+        importing("table", "a.csv"),
+    )  # fmt: skip
+
+
+def _documents():
+    from firmware_py.config import read_config
+    from firmware_py.goals.tip_plan import read_tip_plan
+    from firmware_py.motion_document import read_motion_document
+    from firmware_py.summary import RunDocument, read_run_summary
+    from models.gap.report.gap_json import GapDocument, read_gap_document
+    from models.plan.path_file import read_path
+    from models.plant.plant import read_plant
+    from models.rig.rig_parameters import RIG_TOML, read_parameters
+
+    def document(name, file, content, mutation, read):
+        return FuzzReader(name, {file: content}, one(file, mutation), lambda f: read(f / file))
+
+    root = valid_files.ROOT
+    nominal = root / "models" / "plant" / "nominal.toml"
+    pendulum = root / "models" / "plant" / "examples" / "xl330_pendulum_identified.json"
+    motion = (
+        b"schema = 1\nduration_s = 10.0\nharmonics = [1, 2, 5]\n[[joints]]\n"
+        b"sine_rad = [0.2, -0.1, 0.02]\ncosine_rad = [0.1, 0.0, 0.01]\n"
+    )
+    path = b"time_s,x_m,y_m\n0,0,0\n0.5,0.1,0\n1.0,0.1,0.1\n1.5,0,0\n"
+
+    def robot(file):
+        config = read_config(file)
+        config.goals_rad()
+        config.goals_rad(repeated=True)
+
+    yield document("robot.toml", "robot.toml", (root / "robot.toml").read_bytes(), toml_file, robot)
+    yield document("plant toml", "a.toml", nominal.read_bytes(), toml_file, read_plant)
+    yield document("plant json", "a.json", pendulum.read_bytes(), of_json, read_plant)
+    yield document("rig", "a.toml", RIG_TOML.read_bytes(), toml_file, read_parameters)
+    yield document("motion", "a.toml", motion, toml_file, read_motion_document)
+    yield document("plan", "a.json", valid_files.plan(), of_json, read_tip_plan)
+    yield document("path", "a.csv", path, of_text, lambda file: read_path(file, 2, 0.017))
+    for name, kind, read in (
+        ("gap.json", GapDocument, read_gap_document), ("summary", RunDocument, read_run_summary),
+    ):  # fmt: skip
+        yield document(name, "a.json", valid_files.example_of(kind), of_json, read)
+
+
+def _bundle_files(bundle):
+    from firmware_py.inference.bundle import ModelBundle, read_manifest
+    from firmware_py.inference.fmu_file import open_fmu
+    from firmware_py.inference.golden import read_golden
+    from firmware_py.inference.predictor import OnnxPredictor
+
+    files = {p.name: p.read_bytes() for p in sorted(Path(bundle).iterdir()) if p.is_file()}
+
+    def document(name, file, mutation, read):
+        return FuzzReader(name, {file: files[file]}, one(file, mutation), lambda f: read(f / file))
+
+    def manifest(folder):
+        read_manifest(folder)
+        ModelBundle.load(folder)
+
+    yield FuzzReader("manifest", files, one("manifest.json", of_json), manifest)
+    yield document("npz", "golden.npz", of_zip, lambda file: read_golden(file, 1))
+    yield document("onnx", "predictor.onnx", of_bytes, lambda file: OnnxPredictor(file, 1))
+    yield document("fmu", "observer.fmu", of_zip, open_fmu)

@@ -1,0 +1,189 @@
+"""Valid files of every reader, as bytes by name."""
+
+import io
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+import numpy as np
+import scipy.io
+import tomli_w
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS, STEP_S = 24, 0.017
+CONDITIONS = {
+    "dof": 1, "payload_kg": 1.0, "pressure_pa": 41300.0, "trial": 1, "motion": "sinusoid",
+    "period_s": 4.352, "amplitude_rad": 0.5236, "base_offset_m": 0.06, "link_length_m": 0.95,
+    "link_width_m": 0.15,
+}  # fmt: skip
+TIME_S = STEP_S * np.arange(ROWS)
+WAVE = 0.3 * np.sin(TIME_S)
+MARKERS = {f"m{i:02d}": np.column_stack([0.01 * i + WAVE, WAVE, 1 + WAVE]) for i in range(1, 17)}
+
+
+def trial():
+    """Trial of the link, one joint, markers partly occluded."""
+    columns = {"time_s": TIME_S, "goal_1_rad": WAVE, "angle_1_rad": WAVE, "current_1_a": 3 * WAVE}
+    columns |= {f"tip_{axis}_m": WAVE for axis in "xyz"}
+    columns |= {f"{m}_{a}_m": p[:, k] for m, p in MARKERS.items() for k, a in enumerate("xyz")}
+    lines = [",".join(columns)]
+    lines += [",".join(f"{v:.6g}" for v in row) for row in np.column_stack([*columns.values()])]
+    lines[4] = lines[4].rsplit(",", 3)[0] + ",,,"
+    conditions = {"schema": 1, "source": "measured", "rest_samples": 3, **CONDITIONS}
+    return {"run.csv": "\n".join(lines).encode(), "run.toml": tomli_w.dumps(conditions).encode()}
+
+
+def table():
+    """Columns of a servo's log in other units, and the map of them."""
+    columns = {"stamp": 1e3 * TIME_S, "pos": np.degrees(WAVE), "cur": 900 * WAVE, "temp": WAVE + 30}
+    sources = {
+        "time_s": {"from": "stamp", "unit": "ms"}, "goal_1_rad": {"from": "pos", "unit": "deg"},
+        "angle_1_rad": {"from": "pos", "unit": "deg"},
+        "current_1_a": {"from": "cur", "unit": "mA", "scale": -1.0, "offset": 0.01},
+    }  # fmt: skip
+    document = {
+        "step_s": STEP_S, "trial": CONDITIONS, "columns": sources,
+        "frame": {"up": "z", "align": "none", "origin_m": [0.0, 0.0, 0.1], "yaw_deg": 5.0},
+        "topics": {"/joints": "joints", "/goals": "goals"}, "joints": ["base"], "effort_unit": "mA",
+    }  # fmt: skip
+    return columns, tomli_w.dumps(document).encode()
+
+
+def csv_of(columns):
+    rows = np.column_stack([*columns.values()])
+    return "\n".join([",".join(columns), *(",".join(map(repr, row.tolist())) for row in rows)])
+
+
+def json_of(columns):
+    rows = [
+        dict(zip(columns, map(float, row), strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
+    return json.dumps({"name": "log", "mass": 0.5, "entries": rows, "rig": {"kp": 3}}).encode()
+
+
+def matlab_of(columns, form):
+    stream = io.BytesIO()
+    more = {"kp": 3.0, "name": "log"} | ({} if form == "4" else {"part": {"a": np.ones((2, 2))}})
+    scipy.io.savemat(
+        stream, columns | more, format=form[0], do_compression=form == "5c", oned_as="column"
+    )
+    return stream.getvalue()
+
+
+def motive():
+    """Export of Motive with measured markers."""
+    head = [
+        ["Format Version", "1.23", "Take Name", "T", "Length Units", "Meters", "Coordinate Space",
+         "Global"],
+        [], ["", "Type", *["Marker"] * 48], ["", "Name", *[m for m in MARKERS for _ in "xyz"]],
+        ["", "ID", *['"1"'] * 48], ["", "", *["Position"] * 48],
+        ["Frame", "Time (Seconds)", *["X", "Y", "Z"] * 16],
+    ]  # fmt: skip
+    lines = [",".join(row) for row in head]
+    for k, time_s in enumerate(TIME_S):
+        cells = [f"{v:.4f}" for p in MARKERS.values() for v in p[k]]
+        lines.append(",".join([str(k), f"{time_s:.6f}", *cells]))
+    return "\n".join(lines).encode()
+
+
+def c3d():
+    """Points and one analog channel."""
+    import ezc3d
+
+    file = ezc3d.c3d()
+    points = np.ones((4, 16, ROWS))
+    points[:3] = 1000 * np.moveaxis(np.array([*MARKERS.values()]), -1, 0)
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [1 / STEP_S]
+    file["parameters"]["POINT"]["LABELS"]["value"] = list(MARKERS)
+    file["data"]["points"] = points
+    file["parameters"]["ANALOG"]["RATE"]["value"] = [2 / STEP_S]
+    file["parameters"]["ANALOG"]["LABELS"]["value"] = ["pos"]
+    file["parameters"]["ANALOG"]["UNITS"]["value"] = ["deg"]
+    file["data"]["analogs"] = np.repeat(np.degrees(WAVE), 2)[None, None]
+    with TemporaryDirectory() as folder:
+        file.write(f"{folder}/a.c3d")
+        return Path(folder, "a.c3d").read_bytes()
+
+
+def bag():
+    """ROS 2 bag with joint states and goals."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    with TemporaryDirectory() as folder:
+        with Writer(Path(folder, "bag"), version=9) as file:
+            kind = "sensor_msgs/msg/JointState"
+            topics = [file.add_connection(t, kind, typestore=store) for t in ("/joints", "/goals")]
+            for k, time_s in enumerate(TIME_S):
+                at = 1_700_000_000 * 10**9 + round(time_s * 1e9)
+                stamp = kinds["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
+                header = kinds["std_msgs/msg/Header"](stamp, "base")
+                value = WAVE[k : k + 1].copy()
+                message = kinds[kind](header, ["base"], value, np.zeros(0), 1e3 * value)
+                for topic in topics:
+                    file.write(topic, at, store.serialize_cdr(message, kind))
+        return {f"bag/{p.name}": p.read_bytes() for p in Path(folder, "bag").iterdir()}
+
+
+def log():
+    """Log of `dropstitch run`: bytes, metadata, ticks."""
+    from firmware_py.config import RobotConfig
+    from firmware_py.log.sinks import McapSink, TickEncoder
+    from firmware_py.signals import PERIOD_S, tick_dtype
+
+    robot = {"bundle": "b", "bus": {"port": "p"}, "servos": [{"id": 1, "model": "XM430-W350"}]}
+    config = msgspec.json.encode(msgspec.convert(robot, RobotConfig)).decode()
+    metadata = {"dof": "1", "period_s": repr(PERIOD_S), "config": config, "payload_kg": "0.5"}
+    records = np.zeros(ROWS, tick_dtype(1))
+    records["tick"], records["time_s"] = np.arange(ROWS), PERIOD_S * np.arange(ROWS)
+    records["angle_1_rad"] = records["goal_1_rad"] = WAVE
+    encode = TickEncoder(1, 10**18)
+    messages = [encode(record.tobytes()) for record in records]
+    with TemporaryDirectory() as folder:
+        sink = McapSink(f"{folder}/a.mcap", 1, metadata)
+        for time_ns, message in messages:
+            sink.write(time_ns, message)
+        sink.finish()
+        return Path(folder, "a.mcap").read_bytes(), metadata, messages
+
+
+def plan():
+    """Plan of the tip for two payloads."""
+    from firmware_py.inference.manifest import MANIFEST
+    from tests.firmware_py.goals.small_plan import small_plan
+
+    with TemporaryDirectory() as folder:
+        Path(folder, MANIFEST).write_bytes(b"{}")
+        return msgspec.json.encode(small_plan(Path(folder)))
+
+
+def example_of(kind):
+    """Smallest document that fits the schema of a struct."""
+    schema = msgspec.json.schema(kind)
+    tree = _example(schema, schema.get("$defs", {}))
+    return json.dumps(tree | {"schema": kind.VERSION}).encode()
+
+
+def _example(schema, defs):
+    if "$ref" in schema:
+        return _example(defs[schema["$ref"].rsplit("/", 1)[-1]], defs)
+    for key in ("anyOf", "enum"):
+        if key in schema:
+            first = schema[key][0]
+            return first if key == "enum" else _example(first, defs)
+    kind = schema.get("type")
+    if kind == "object":
+        known = schema.get("properties", {})
+        tree = {name: _example(part, defs) for name, part in known.items()}
+        more = schema.get("additionalProperties")
+        return tree or ({"a": _example(more, defs)} if isinstance(more, dict) else {})
+    if kind == "array":
+        items = schema.get("items")
+        parts = schema.get("prefixItems") or ([items] if isinstance(items, dict) and items else [])
+        return [_example(part, defs) for part in parts]
+    return {"integer": 1, "number": 1.0, "boolean": True, "string": "a"}.get(kind)
