@@ -66,6 +66,7 @@ help:
 	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
 	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
+	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
 	@echo "make lock       renews requirements/ from pyproject.toml"
@@ -315,6 +316,10 @@ mutate: $(READY)
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
 	$(BIN)/python -m bench.sdk_loop --bundle build/bundle_2dof --fmu $<
+
+# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
+bench-live: build/twin_2dof.fmu
+	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $<
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)

@@ -93,6 +93,8 @@ class LiveGate:
                 await self._decide(reader, writer)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass
+        except asyncio.CancelledError:
+            pass  # by `close`: asyncio would print a traceback for a viewer that is still there
         finally:
             self._connections -= 1
             writer.close()

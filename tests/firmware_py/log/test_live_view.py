@@ -241,3 +241,10 @@ def test_connections_that_say_nothing_are_bounded(capfd):
         ]
         ends[-1].settimeout(PATIENCE_S)
         assert ends[-1].recv(100) == b"", "it is closed before it has asked for anything"
+
+
+def test_a_viewer_that_is_there_at_the_end_leaves_no_traceback(capfd):
+    with contextlib.ExitStack() as later, recording(None, 2, 0, {}, live=ANYWHERE):
+        viewer = later.enter_context(connect(url_of(capfd), subprotocols=["foxglove.sdk.v1"]))
+        viewer.recv(PATIENCE_S)
+    assert "Traceback" not in capfd.readouterr().err
