@@ -25,10 +25,12 @@ from firmware_py.inference.golden import (
     verify_equal,
     write_golden,
 )
-from firmware_py.inference.predictor import OnnxPredictor
+from firmware_py.inference.predictor import OnnxPredictor, Predictor
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
 from models.plant.step_model import StepModel, names
+from models.tip.latency import measure_latency
+from models.tip.predictors_document import Latency, read_predictors, write_predictors
 
 Array = NDArray[np.float64]
 OBSERVER = "observer.fmu"
@@ -134,14 +136,11 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
         resources=parts.resources(),
         derivatives=False,  # the robot needs none
     )
-    with FmuInstance(scratch) as fmu:
-        estimator = ObserverEstimator(fmu, parts.dof, predictor.wanted)
-        verify(golden, estimator, predictor, bundle / OBSERVER)
-        if parts.predictor:
-            _verify_compiled(golden, scratch, (estimator, predictor))
+    runtimes = _proven(golden, scratch, predictor, compiled=parts.predictor is not None)
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
     plant.write(bundle / PLANT)
+    _tell_runtimes(bundle, manifest, runtimes)
     renewed = {
         "estimator": "observer", "plant_sha256": plant.sha256(),
         "servo_gains": plant.provenance.servo_gains[: parts.dof],
@@ -150,12 +149,46 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
     return bundle / OBSERVER
 
 
-def _verify_compiled(
-    golden: Golden, path: Path, reference: tuple[ObserverEstimator, OnnxPredictor]
-) -> None:
-    """Compare the predictor in an observer's library with onnxruntime on the golden ticks."""
+def _proven(
+    golden: Golden, path: Path, predictor: OnnxPredictor, *, compiled: bool
+) -> dict[str, Latency]:
+    """Latency of each runtime of a new observer; refuses one that misses the golden ticks."""
     dof = golden.angle_rad.shape[1]
     with FmuInstance(path) as fmu:
-        compiled = CompiledObserver(fmu, dof)
-        verify(golden, compiled, compiled, path)
-        verify_equal(golden, reference, (compiled, compiled), path)
+        estimator = ObserverEstimator(fmu, dof, predictor.wanted)
+        verify(golden, estimator, predictor, path)
+        found = {"onnx": _latency(golden, estimator, predictor)}
+        if compiled:
+            with FmuInstance(path) as other:
+                both = CompiledObserver(other, dof)
+                verify(golden, both, both, path)
+                verify_equal(golden, (estimator, predictor), (both, both), path)
+                found["compiled"] = _latency(golden, both, both)
+    return found
+
+
+def _latency(golden: Golden, estimator: ObserverEstimator, predictor: Predictor) -> Latency:
+    """Time of a whole answer, from the sample to the interval."""
+    angle_rad, current_a = golden.angle_rad[-1], golden.current_a[-1]
+
+    def answer() -> None:
+        estimate = estimator.update(angle_rad, current_a, golden.step_s)
+        predictor.predict(angle_rad, current_a, estimate.di, estimate.signals)
+
+    found = measure_latency(answer)
+    estimator.reset()
+    return found
+
+
+def _tell_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency]) -> None:
+    """Add the cost of a whole answer to the comparison and the model card, where there are any."""
+    path = bundle / "predictors.json"
+    if not path.is_file():
+        return
+    from models.study.model_card import model_card  # loads scikit-learn
+    from models.study.study_document import read_study
+
+    document = msgspec.structs.replace(read_predictors(path), runtimes=runtimes)
+    write_predictors(path, document)
+    card = model_card(manifest, read_study(bundle / "study.json"), document)
+    (bundle / "MODEL_CARD.md").write_text(card, encoding="utf-8")

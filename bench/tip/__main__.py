@@ -2,7 +2,8 @@
 
 Motions that nothing was trained on (triangle, steps), another payload and link on a trained one
 (multisine), a multisine that is stopped on its way, a free decay; then the same runs with an
-observer whose stiffness or damping is 20 % off, and runs with an effect hidden in the rig. Writes
+observer whose stiffness or damping is 20 % off, and runs with an effect hidden in the rig. With
+--rig another structure stands behind the servos; its bundle must be trained on trials of it. Writes
 OUT/tip_DOFdof.json.
 
     python -m bench.tip build/bundle_1dof --out build/bench
@@ -48,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("bundle", type=Path, help="complete bundle with a chosen predictor")
     parser.add_argument("--out", type=Path, default=Path("build/bench"), help="build/bench")
+    parser.add_argument("--rig", default="default", help="structure behind the servos (default)")
     parser.add_argument("--nominal-only", action="store_true", help="no wrong plants, no effects")
     args = parser.parse_args(argv)
     bundle = ModelBundle.load(args.bundle)
@@ -57,15 +59,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     progress = Progress(f"bench.tip {dof}DOF", len(SECONDS) + 2 + len(further))
     runs = []
     for motion, seconds in SECONDS.items():
-        runs.append(run_behind_servos(bundle, motion, seconds))
+        runs.append(run_behind_servos(bundle, motion, seconds, rig=args.rig))
         progress.step(motion)
-    stopped = run_behind_servos(bundle, "multisine", STOPPED_S)
+    stopped = run_behind_servos(bundle, "multisine", STOPPED_S, rig=args.rig)
     runs.append(TipRun("stopped", *list(vars(stopped).values())[1:]))
     progress.step("stopped")
-    runs.append(run_free_decay(dof))
+    runs.append(run_free_decay(dof, args.rig))
     progress.step("decay")
     document: dict[str, Any] = {
         "dof": dof,
+        "rig": args.rig,
         "predictor": bundle.manifest.predictor,
         "bundle_bytes": sum(f.stat().st_size for f in args.bundle.iterdir()),
         "nominal": {run.name: figures(run, contenders.answers(run)) for run in runs},
@@ -77,7 +80,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             run.name: figures(run, contenders.answers(run, changes)) for run in runs
         }
     for effect, strength in further.items():
-        run = run_behind_servos(bundle, "multisine", SECONDS["multisine"], {effect: strength})
+        run = run_behind_servos(
+            bundle, "multisine", SECONDS["multisine"], {effect: strength}, args.rig
+        )
         document["wrong"][f"{effect}={strength}"] = {
             run.name: figures(run, contenders.answers(run))
         }
@@ -138,6 +143,7 @@ def claimed_figures(document: Mapping[str, Any]) -> dict[str, float]:
         "mean_m": max(m["mean_m"] for m in motions),
         "max_m": max(m["max_m"] for m in motions),
         "swinging_max_in_range_m": max(m["max_in_range_m"] for m in swinging),
+        "decay_in_range": nominal["decay"]["free decay"]["in_range"],
         "coverage_smallest": min(p["coverage"] for p in parts),
         "coverage_largest": max(p["coverage"] for p in parts),
         "coverage_mean": float(np.mean([m["coverage"] for m in motions])),

@@ -61,7 +61,11 @@ class TipRun:
 
 
 def run_behind_servos(
-    bundle: ModelBundle, motion: str, seconds: float, hidden: Mapping[str, float] | None = None
+    bundle: ModelBundle,
+    motion: str,
+    seconds: float,
+    hidden: Mapping[str, float] | None = None,
+    rig: str = "default",
 ) -> TipRun:
     """Run the robot's loop with the rig behind the servos on the virtual line.
 
@@ -75,11 +79,13 @@ def run_behind_servos(
         Time of the controlled stop.
     hidden : mapping of str to float, optional
         Effects that the plant does not know.
+    rig : str
+        Name of a structure.
     """
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
         options = SilOptions(
             bundle=bundle, model=model_named(SERVO), out=Path(scratch),
-            rig=RigSource(dict(hidden or {}), SEED), line="virtual", seconds=seconds,
+            rig=RigSource(dict(hidden or {}), SEED, rig), line="virtual", seconds=seconds,
             payload_kg=PAYLOAD_KG, motion=MotionConfig().with_motion(motion), seed=SEED,
         )  # fmt: skip
         result = run_sil(options)
@@ -94,17 +100,19 @@ def run_behind_servos(
     )  # fmt: skip
 
 
-def run_free_decay(dof: int) -> TipRun:
+def run_free_decay(dof: int, rig: str = "default") -> TipRun:
     """Step a leaning link back on the rig and let it swing: goals that the loop's limits refuse.
 
     Parameters
     ----------
     dof : int
         Number of joints.
+    rig : str
+        Name of a structure.
     """
     case = TrialCase(Motion("decay", dof=dof), PAYLOAD_KG, trial=1, seed=SEED)
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
-        path, *_ = run_trial_cases([case], rig_named("default"), Path(scratch), 1, lambda _: None)
+        path, *_ = run_trial_cases([case], rig_named(rig), Path(scratch), 1, lambda _: None)
         trial = read_trial(path)
     goals = np.column_stack([trial.columns[f"goal_{j}_rad"] for j in range(1, dof + 1)])
     still = np.concatenate([[0.0], np.abs(np.diff(goals, axis=0)).max(axis=1)]) < 1e-6

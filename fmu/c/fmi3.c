@@ -152,15 +152,13 @@ FMI3_Export fmi3Status dropstitch_tick(fmi3Instance instance, const fmi3ValueRef
                                        double results[])
 {
     ENTER(INITIALIZING | STEPPING);
-    const fmi3ValueReference last = N_VARIABLES - 1;
-    double unused;
     int ok = fmu_set_float64(fmu, inputs, nInputs, values);
     if (ok && step_s > 0.0 && fmu->memory.mode == INITIALIZING)
         ok = fmu_exit_initialization(fmu);
     if (ok && step_s > 0.0)
         ok = fmu_step(fmu, fmu->memory.value[0], step_s);
     else if (ok)
-        ok = fmu_get_float64(fmu, &last, 1, &unused);
+        ok = fmu_refresh(fmu);
     for (size_t i = 0; ok == 1 && i < nOutputs; i++)
         results[i] = fmu->memory.value[outputs[i]];
     return done(self, ok);

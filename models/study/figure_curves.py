@@ -24,8 +24,8 @@ from models.study.study_document import (
 from models.study.tables import Fitted
 from models.trials.trial import Trial
 
-POINTS: Final = 171
-"""Largest number of points of a curve: every third row of the study's 512."""
+POINTS: Final = 128
+"""Largest number of points of a curve: every fourth row of the study's 512."""
 POSES: Final = 9
 """Shapes of the link in one cycle: every eighth of it."""
 

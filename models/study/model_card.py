@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from firmware_py.display_units import DURATION, FILE_SIZE, FRACTION, LENGTH
+from firmware_py.display_units import DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
 from firmware_py.inference.bundle import Manifest
+from firmware_py.signals import PERIOD_S
 from models.study.study_document import StudyDocument, TrialsSummary
 from models.tip.guarded_tip import MARGIN, TRUSTED_M
-from models.tip.predictors_document import PredictorsDocument
+from models.tip.predictors_document import CandidateEntry, Latency, PredictorsDocument
 
 
 def model_card(
@@ -104,16 +105,13 @@ def _candidates(predictors: PredictorsDocument) -> str:
                 label, str(entry.variant), test, LENGTH.number(score.mean_m, 2),
                 LENGTH.number(score.p95_m), LENGTH.number(score.max_m),
                 f"{FRACTION.number(score.coverage, 1)}", f"{FRACTION.number(score.in_range)}",
-                LENGTH.number(score.max_in_range_m),
+                LENGTH.number(score.max_in_range_m), *_cost(entry),
             ))  # fmt: skip
     header = (
         "candidate", "variant", "test", "mean in mm", "95 % in mm", "largest in mm",
         "interval covers in %", "in range in %", "largest in range in mm",
+        "warm / cold in µs", "graph in kB",
     )  # fmt: skip
-    sizes = ", ".join(
-        f"{name} {FILE_SIZE.number(entry.graph_bytes)} kB"
-        for name, entry in predictors.candidates.items()
-    )
     payloads = ", ".join(f"{kg:g}" for kg in predictors.payload_kg)
     return f"""## Choice of the predictor
 
@@ -121,9 +119,40 @@ def _candidates(predictors: PredictorsDocument) -> str:
 
 Trained on {len(predictors.trials)} trials ({", ".join(predictors.motions)}; payloads {payloads} \
 kg). "Left out in turn" is a nested cross-validation: each payload and each motion is left out of \
-everything, the choice of the variant and the interval included. Graphs: {sizes}.
+everything, the choice of the variant and the interval included. "Warm" is the median time of the \
+graph in onnxruntime in a hot loop, "cold" the same every {DURATION.factor * PERIOD_S:g} ms, as on \
+the robot, both on the machine that made the bundle.
 
-{_table(header, rows)}"""
+{_table(header, rows)}{_runtimes(predictors)}"""
+
+
+def _cost(entry: CandidateEntry) -> tuple[str, str]:
+    return latency_text(entry.latency), FILE_SIZE.number(entry.graph_bytes)
+
+
+def latency_text(latency: Latency | None) -> str:
+    """Return a latency as "warm / cold" in µs; empty where it was not measured.
+
+    Parameters
+    ----------
+    latency : Latency or None
+        Of a bundle.
+    """
+    if latency is None:
+        return ""
+    return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
+
+
+def _runtimes(predictors: PredictorsDocument) -> str:
+    if not predictors.runtimes:
+        return ""
+    rows = [(name, latency_text(latency)) for name, latency in predictors.runtimes.items()]
+    return f"""
+
+Observer and predictor together, by `runtime`. "compiled" is the predictor in the observer's \
+library; it gives the same answers to 1e-9, which the robot checks before it moves.
+
+{_table(("runtime", "warm / cold in µs"), rows)}"""
 
 
 def _data(document: StudyDocument) -> str:

@@ -12,7 +12,7 @@ import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
 
-__all__ = ["CandidateEntry", "PredictorsDocument", "TipScore", "read_predictors"]
+__all__ = ["CandidateEntry", "Latency", "PredictorsDocument", "TipScore", "read_predictors"]
 
 Test = str
 Part = str
@@ -47,6 +47,21 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_in_range_m: float
 
 
+class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Median duration of a call on the machine that made the bundle.
+
+    Attributes
+    ----------
+    warm_s : float
+        In a hot loop.
+    cold_s : float
+        With a control period before each call, as in the robot's loop.
+    """
+
+    warm_s: float
+    cold_s: float
+
+
 class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Candidate.
 
@@ -62,6 +77,8 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Trials that nothing was trained on: "all" rows, "rest", "motion".
     graph_bytes : int
         Size of its ONNX graph.
+    latency : Latency or None
+        Of its graph in onnxruntime; None in a bundle of an earlier release.
     """
 
     summary: str
@@ -69,6 +86,7 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nested: TipScore
     tests: dict[Test, dict[Part, TipScore]]
     graph_bytes: int
+    latency: Latency | None = None
 
 
 class PredictorsDocument(Document, frozen=True, kw_only=True):
@@ -90,6 +108,8 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
         Their payloads.
     candidates : dict of str to CandidateEntry
         In the order in which they were compared, simplest first.
+    runtimes : dict of str to Latency
+        Observer and predictor together, by runtime; added with the observer.
     """
 
     VERSION: ClassVar[int] = 1
@@ -102,6 +122,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     motions: tuple[str, ...]
     payload_kg: tuple[float, ...]
     candidates: dict[str, CandidateEntry]
+    runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
 
 
 def read_predictors(path: Path) -> PredictorsDocument:

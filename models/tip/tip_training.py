@@ -10,6 +10,7 @@ from models.learning.onnx_power import to_onnx
 from models.plant.simulation.compiled_model import CompiledModel
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.guarded_tip import GuardedTip
+from models.tip.latency import graph_latency
 from models.tip.observed_trials import WRONG_STIFFNESS, observe, wrong_stiffness
 from models.tip.predictors_document import CandidateEntry, PredictorsDocument, TipScore
 from models.tip.tip_predictor import TipPredictor
@@ -85,13 +86,14 @@ def train_tip(
 
 
 def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
-    graph = to_onnx(result.predictor, len(result.predictor.names))
+    graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
     return CandidateEntry(
         summary=result.summary,
         variant=result.variant,
         nested=result.nested,
         tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
-        graph_bytes=len(graph.SerializeToString()),
+        graph_bytes=len(graph),
+        latency=graph_latency(graph),
     )
 
 

@@ -42,6 +42,16 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
     assert read_manifest(bundle).predictor == document.chosen
     card = (bundle / "MODEL_CARD.md").read_text()
     assert document.reason in card and "left out in turn" in card
+    for entry in document.candidates.values():
+        assert entry.latency is not None and entry.graph_bytes > 0
+        assert min(entry.latency.warm_s, entry.latency.cold_s) > 0
+    assert document.runtimes == {} and "warm / cold" in card
+
+
+def test_the_observer_adds_what_a_whole_answer_costs(observed):
+    document = read_predictors(observed / "predictors.json")
+    assert set(document.runtimes) == {"onnx", "compiled"}
+    assert "| compiled |" in (observed / "MODEL_CARD.md").read_text()
 
 
 @pytest.fixture(scope="module")

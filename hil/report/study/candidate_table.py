@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from firmware_py.display_units import FILE_SIZE, FRACTION, LENGTH
+from firmware_py.display_units import DELAY, FILE_SIZE, FRACTION, LENGTH
 from hil.report.study.estimator_figures import test_words
 from models.shared.page_parts import Table
+from models.study.model_card import latency_text
 from models.tip.predictors_document import PredictorsDocument
 
 
@@ -30,13 +31,28 @@ def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
                         f"{dof}DOF, {name}{chosen}", test,
                         *map(LENGTH.number, (score.mean_m, score.p95_m, score.max_m)),
                         FRACTION.text(score.coverage, 1), FRACTION.text(score.in_range),
-                        LENGTH.number(score.max_in_range_m), FILE_SIZE.text(entry.graph_bytes),
+                        LENGTH.number(score.max_in_range_m), latency_text(entry.latency),
+                        FILE_SIZE.text(entry.graph_bytes),
                     ]
                 )  # fmt: skip
     return Table(
         f"Candidates for the robot's predictor, Euclidean distance in {LENGTH.name}",
         ["", "test", "mean", "95th percentile", "maximum", "interval covers", "in range",
-         "maximum in range", "graph"],
+         "maximum in range", f"warm / cold in {DELAY.name}", "graph"],
         rows,
-        " ".join(f"{dof}DOF: {document.reason}" for dof, document in documents.items()),
+        " ".join(_note(dof, document) for dof, document in documents.items()),
     )  # fmt: skip
+
+
+def _note(dof: int, document: PredictorsDocument) -> str:
+    """Reason of the choice, and what the whole answer costs by runtime."""
+    note = f"{dof}DOF: {document.reason}"
+    costs = [
+        f"{runtime} {latency_text(latency)} {DELAY.name}"
+        for runtime, latency in document.runtimes.items()
+    ]
+    return (
+        f"{note} Observer and predictor together, warm / cold: {', '.join(costs)}."
+        if costs
+        else note
+    )
