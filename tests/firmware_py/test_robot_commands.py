@@ -145,6 +145,7 @@ def test_gains_that_are_compared_with_none_are_said_and_kept_in_the_log(servos, 
     code, output = call(capsys, "run", "--config", config, "--json")
     assert code == 0, output.err
     assert "gains = { position_p = 32, velocity_p = 0, velocity_i = 0 }" in output.err
+    assert "is not signed, and it holds code that runs here" in output.err
     log = read_recording(json.loads(output.out)["log"])
     (settings,) = json.loads(log.metadata["servo_settings"])
     assert settings["Position P Gain"] == 32
@@ -158,6 +159,13 @@ def test_gains_that_are_declared_are_compared(servos, config, capsys):
     assert code == 2
     assert "has Position P Gain 32, the plant was identified with 31" in output.err
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+def test_an_unsigned_bundle_is_refused_where_keys_are_trusted(config, capsys):
+    key = "ed25519:" + 43 * "A" + "="
+    config.write_text(f'{config.read_text()}[trust]\nkeys = ["{key}"]\n')
+    code, output = call(capsys, "run", "--config", config)
+    assert code == 2 and "is not signed, and [trust] keys are given" in output.err
 
 
 def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
