@@ -30,7 +30,7 @@ from firmware_py.realtime.kernel_counters import Counters, NoCounters
 from firmware_py.realtime.service import NoService, Service
 from firmware_py.realtime.stop_signals import signals_to
 from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
@@ -264,6 +264,8 @@ class ControlLoop:
         supervisor.check(
             status, bus.alert, bus.angle_rad, bus.current_a, prediction.tip_m, estimate.di, missed
         )
+        if goals.trouble and supervisor.state < SafetyState.STOPPING:
+            supervisor.trip(goals.trouble, Fault.GOAL)
         self._heed_requests(slot)
         goal_rad = supervisor.admit(desired_rad)
         check_ns = now()
@@ -275,11 +277,13 @@ class ControlLoop:
 
         self._log.hand_over()
         self._service.alive()
-        self._log.append(Tick(
+        tick = Tick(
             slot, missed, goal_rad, bus.angle_rad, bus.current_a, estimate, prediction,
             supervisor.state, status, supervisor.stale_ticks, bus.alert,
             bus.wait_ns - waited_ns, marks_ns,
-        ))  # fmt: skip
+        )  # fmt: skip
+        self._log.append(tick)
+        goals.report(tick, supervisor.reason)
         end_ns = now()
         self._log.close(end_ns)
         return end_ns
@@ -288,6 +292,8 @@ class ControlLoop:
         """Begin the controlled stop on request, or when the motion is over."""
         if self._signal:
             self._end(Ended.SIGNALLED, self._signal)
+        elif self._goals.ended:
+            self._end(Ended.FINISHED, self._goals.ended)
         elif slot >= self._slots:
             self._end(Ended.FINISHED, "the motion is over")
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.documents import Document, schema_of
+from firmware_py.goals.outside.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.motion_document import MotionDocument
@@ -32,6 +33,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "rig_conditions": ConditionsRecord,
     "faults": FaultsDocument,
     "gap": GapDocument,
+    "goalmap": GoalMap,
     "motion": MotionDocument,
     "plan": TipPlan,
     "plant": PlantDocument,

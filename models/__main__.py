@@ -15,6 +15,7 @@ COMMANDS = (
     Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
     Command("experiment", "models.commands.experiment", "design the motion that separates best"),
     Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),
+    Command("goalmap", "models.commands.goalmap", "map places of the tip to goals at rest"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
     Command("sign", "models.commands.sign", "sign a bundle for robots that name the key"),
 )

@@ -31,6 +31,8 @@ from firmware_py.console import DONE, emit, silence_stdout
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
+from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
+from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
 from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
@@ -67,6 +69,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
     )  # fmt: skip
     parser.add_argument(
+        "--goals", metavar="unix:PATH",
+        help="goals of another program, one message a tick, in place of the motion",
+    )  # fmt: skip
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.json",
+        help="with --goals: goals at rest and modes, see 'python -m models goalmap'",
+    )  # fmt: skip
+    parser.add_argument(
         "--payload", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
     )
     parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
@@ -95,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
     slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
+        if args.goals is not None:
+            goals = stack.enter_context(outside_goals(args.goals, args.map, config))
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
         for sentence in (_origin(bundle), *_uncompared(config, settings)):
@@ -140,6 +152,10 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--seconds", f"is {args.seconds}", "give a positive time")
     if args.plan is not None and (args.motion is not None or args.amplitude_deg is not None):
         raise InputError("--plan", "is given beside a motion", "leave one out")
+    if args.goals is not None and (args.plan, args.motion, args.amplitude_deg) != (None,) * 3:
+        raise InputError("--goals", "is given beside a plan or a motion", "leave one out")
+    if args.map is not None and args.goals is None:
+        raise InputError("--map", "is given without --goals", "leave it out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     if args.log is not None:
@@ -202,6 +218,8 @@ def _telemetry(
         return
     started = datetime.now(UTC)
     motion = config.motion.motion(config.dof).name if plan is None else plan.name
+    if args.goals is not None:
+        motion = OUTSIDE
     name = f"{started:%Y%m%dT%H%M%SZ}_{motion}.mcap"
     log = (args.log or args.config.parent / config.logs / name) if config.record else None
     live = config.live
@@ -209,6 +227,8 @@ def _telemetry(
     metadata = log_metadata(config, bundle, started, settings)
     if plan is not None:
         metadata |= log_facts(plan)
+    if args.goals is not None:
+        metadata |= outside_facts()
     with recording(
         log, config.dof, time.time_ns(), metadata, address, live.origins, live.viewers
     ) as telemetry:

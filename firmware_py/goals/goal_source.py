@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.inference.estimator import Estimate
+from firmware_py.tick_log import Tick
 
-__all__ = ["GoalSource", "GoalTable"]
+__all__ = ["GoalSource", "GoalTable", "OwnGoals"]
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,21 @@ class GoalSource(Protocol):
         Number of joints.
     slots : int
         Slots after which the goals repeat.
+    trouble : str
+        Why the robot must stop; empty as long as the source can be trusted.
+    ended : str
+        Why the run is over without a fault; empty before.
     """
+
+    @property
+    def trouble(self) -> str:
+        """Why the robot must stop."""
+        ...
+
+    @property
+    def ended(self) -> str:
+        """Why the run is over."""
+        ...
 
     @property
     def dof(self) -> int:
@@ -61,8 +76,28 @@ class GoalSource(Protocol):
         """
         ...
 
+    def report(self, tick: Tick, reason: str) -> None:
+        """Take what became of a tick, at its end.
 
-class GoalTable:
+        Parameters
+        ----------
+        tick : Tick
+            The tick.
+        reason : str
+            Cause of a stop; empty before.
+        """
+
+
+class OwnGoals:
+    """Base of sources that nothing outside of the robot can disturb."""
+
+    trouble = ended = ""
+
+    def report(self, tick: Tick, reason: str) -> None:
+        """Do nothing."""
+
+
+class GoalTable(OwnGoals):
     """Table of goals that depends on no estimate.
 
     Parameters

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.goals.goal_source import OwnGoals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 _REMEDY = "make the path slower or smaller, or widen [limits]"
 
 
-class PlanGoals:
+class PlanGoals(OwnGoals):
     """Goals of a plan as `firmware_py.goals.goal_source.GoalSource`.
 
     Parameters

@@ -140,9 +140,9 @@ class SafetySupervisor:
             self._begin_stop()
             self._reason.begin(reason)
 
-    def trip(self, reason: str) -> None:
+    def trip(self, reason: str, fault: Fault = Fault.CLOCK) -> None:
         """Begin a controlled stop because of a fault that the loop has found."""
-        self._stop(Fault.CLOCK, reason)
+        self._stop(fault, reason)
 
     def conclude(self, alert: int, *, released: bool) -> None:
         """Add to the reason what was seen when the torque was switched off.

@@ -12,9 +12,11 @@ is then compared with a link that no plant describes exactly.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Final, get_args
 
 import msgspec
 
@@ -23,6 +25,7 @@ from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH, TIME
 from firmware_py.errors import InputError
+from firmware_py.goals.outside.for_robot import outside_goals
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
@@ -30,6 +33,7 @@ from hil.arguments import add_line_arguments
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
+from hil.sil.sil_options import sil_config
 from hil.timing.tick_budget import describe_budget
 from hil.timing.timing_document import PredictionError, TimingDocument
 from models.shared.catalogue import parse_strengths
@@ -38,6 +42,9 @@ EXAMPLE = (
     "python -m hil sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
     "--seconds 60 --load 1"
 )
+
+PATIENCE_S: Final = 2.0
+"""Longest wait in simulated time for the program that sends goals [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +78,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--plan", type=Path, metavar="PLAN.json",
         help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
     )  # fmt: skip
+    parser.add_argument(
+        "--goals",
+        metavar="unix:PATH",
+        help="goals of another program, see 'dropstitch run --goals'",
+    )
+    parser.add_argument(
+        "--map", type=Path, metavar="MAP.json", help="with --goals: see 'python -m models goalmap'"
+    )
     parser.add_argument(
         "--payload-known", action="store_true",
         help="tell the robot the payload (default: it estimates it)",
@@ -117,7 +132,15 @@ def run(args: argparse.Namespace) -> int:
         faults=parse_rates(args.faults),
         seed=args.seed,
     )
-    timing = write_results(run_sil(options), options)
+    with contextlib.ExitStack() as stack:
+        if args.goals is not None:
+            if plan is not None:
+                raise InputError("--goals", "is given beside a plan", "leave one out")
+            patience_s = PATIENCE_S if args.line == "virtual" else 0.0
+            config = sil_config(options, options.line)
+            goals = stack.enter_context(outside_goals(args.goals, args.map, config, patience_s))
+            options = replace(options, goals=goals)
+        timing = write_results(run_sil(options), options)
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
 

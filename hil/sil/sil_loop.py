@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig
+from firmware_py.goals.goal_source import GoalSource
+from firmware_py.goals.outside.for_robot import outside_facts
 from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
@@ -93,7 +95,9 @@ def build_sil_loop(
     """
     slots = round(options.seconds / config.period_s)
     options.bundle.assume_payload(config.payload_kg)
-    goals = goals_of_plan(options.plan, config, options.bundle) if options.plan else None
+    goals: GoalSource | None = options.goals
+    if options.plan is not None:
+        goals = goals_of_plan(options.plan, config, options.bundle)
     return build_loop(
         config, options.bundle, bus, clock, goals=goals, slots=slots, telemetry=telemetry,
         counters=counters, keep=slots + _STOP_TICKS,
@@ -117,6 +121,8 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     }
     if options.plan is not None:
         metadata |= log_facts(options.plan)
+    if options.goals is not None:
+        metadata |= outside_facts()
     path = options.out / LOG_NAME
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry

@@ -11,6 +11,7 @@ from typing import Literal
 from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
+from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import GLIDE_S
@@ -52,6 +53,8 @@ class SilOptions:
         Reference motion.
     plan : TipPlan, optional
         Plan of a path of the tip, in place of the motion.
+    goals : OutsideGoals, optional
+        Goals of another program, in place of the motion.
     load : int
         Processes that load the emulator's processor.
     faults : mapping of str to float
@@ -73,6 +76,7 @@ class SilOptions:
     payload_known: bool = False
     motion: MotionConfig = field(default_factory=MotionConfig)
     plan: TipPlan | None = None
+    goals: OutsideGoals | None = None
     load: int = 0
     faults: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
@@ -140,6 +144,8 @@ def programme_s(options: SilOptions) -> dict[str, float]:
         rest = round(plan.rest_s / plan.period_s)
         rows = {"rest": rest, "motion": plan.end_row - rest, "glide": plan.rows - plan.end_row}
         return {name: count * plan.period_s for name, count in rows.items()}
+    if options.goals is not None:
+        return {"motion": options.seconds}
     motion = options.motion.motion(options.dof)
     parts_s = {"rest": options.motion.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
     period_s = options.period_s  # the loop runs whole slots

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
 from firmware_py.signals import joint_signals, tip_names
 from hil.sil.prediction_error import true_tip_m
 from hil.sil.sil_loop import SilResult
@@ -45,6 +46,8 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     conditions: dict[str, Any]
     if options.plan is not None:
         conditions, rest_s = options.plan.conditions(), options.plan.rest_s
+    elif options.goals is not None:
+        conditions, rest_s = {"motion": OUTSIDE, "period_s": options.seconds}, 0.0
     else:
         motion = options.motion.motion(options.dof)
         conditions = {
@@ -60,7 +63,7 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
         trial=1,
         source="sil",
         **conditions,
-        rest_samples=min(round(rest_s / options.period_s), len(grid) - 1),
+        rest_samples=min(max(round(rest_s / options.period_s), 1), len(grid) - 1),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
         base_offset_m=geometry["base_offset_m"],
         link_length_m=geometry["link_length_m"],

@@ -93,7 +93,7 @@ def plan_path(
         If the plant is not the link, the payloads do not rise, the tip cannot reach the path, or
         the plan breaks a limit.
     """
-    _check(request)
+    check_request(request)
     plant, payloads = request.plant, request.payloads_kg
     twin = TipTwin(plant.step_model(request.dof), request.dof, request.period_s)
     middle = payloads[len(payloads) // 2]
@@ -247,7 +247,19 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
     return high
 
 
-def _check(request: PlanRequest) -> None:
+def check_request(request: PlanRequest) -> None:
+    """Refuse a plant that is not the link, and payloads that cannot be.
+
+    Parameters
+    ----------
+    request : PlanRequest
+        Plant and payloads.
+
+    Raises
+    ------
+    InputError
+        Naming what is wrong.
+    """
     payloads = list(request.payloads_kg)
     if request.plant.load != "link":
         raise InputError(

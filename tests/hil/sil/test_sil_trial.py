@@ -23,7 +23,12 @@ def test_a_run_stopped_at_rest_leaves_a_trial_that_can_be_read(
         records=records, outcome=SimpleNamespace(truth=None), geometry=geometry
     )
     options = SimpleNamespace(
-        dof=1, payload_kg=0.0, period_s=0.017, motion=MotionConfig(rest_s=1.0), plan=None
+        dof=1,
+        payload_kg=0.0,
+        period_s=0.017,
+        motion=MotionConfig(rest_s=1.0),
+        plan=None,
+        goals=None,
     )
     trial = sil_trial.as_trial(result, options)
     assert read_trial(write_trial(trial, tmp_path)).meta.rest_samples == rest_rows

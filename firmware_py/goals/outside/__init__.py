@@ -1,0 +1,1 @@
+"""Goals from another program: messages, channel, checks, shaping."""

@@ -1,0 +1,81 @@
+"""Goals from another program for one robot: channel, map that fits, facts for the log."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.config import RobotConfig
+from firmware_py.errors import InputError
+from firmware_py.goals.outside.goal_channel import accepted_program
+from firmware_py.goals.outside.goal_map import GoalMap, read_goal_map
+from firmware_py.goals.outside.outside_goals import OutsideGoals
+
+__all__ = ["outside_facts", "outside_goals"]
+
+WAIT_S: Final = 60.0
+"""Longest wait for the program, before the torque is switched on [assumed]."""
+NAME: Final = "outside"
+"""Name of the motion in logs and trials."""
+
+
+@contextlib.contextmanager
+def outside_goals(
+    address: str, map_path: Path | None, config: RobotConfig, patience_s: float = 0.0
+) -> Iterator[OutsideGoals]:
+    """Wait for the program that sends goals; its connection is closed at the end.
+
+    Parameters
+    ----------
+    address : str
+        `unix:PATH`.
+    map_path : Path or None
+        Map of the goals at rest.
+    config : RobotConfig
+        Joints, period, limits, and the payload where it is known.
+    patience_s : float
+        See `firmware_py.goals.outside.goal_channel.SocketChannel`.
+
+    Yields
+    ------
+    OutsideGoals
+        The goals.
+
+    Raises
+    ------
+    InputError
+        If the map does not fit the robot, or nobody connects.
+    """
+    goal_map = _fitting(map_path, config) if map_path is not None else None
+    print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
+    with accepted_program(address, WAIT_S, patience_s) as channel:
+        yield OutsideGoals(
+            channel, config.limits_in_force, config.dof, config.period_s, goal_map,
+            config.payload_kg,
+        )  # fmt: skip
+
+
+def _fitting(path: Path, config: RobotConfig) -> GoalMap:
+    found = read_goal_map(path)
+    if found.dof != config.dof:
+        raise InputError(
+            path, f"is for {found.dof} joints, the robot has {config.dof}", "make anew"
+        )
+    if not math.isclose(found.period_s, config.period_s):
+        raise InputError(
+            path, f"has a period of {found.period_s:g} s, the robot {config.period_s:g} s",
+            "make it anew",
+        )  # fmt: skip
+    return found
+
+
+def outside_facts() -> dict[str, str]:
+    """Return what the log of such a run holds in place of the configured motion."""
+    motion = {"motion": NAME, "period_s": 1.0, "amplitude_rad": 0.0, "phase_2_rad": 0.0}
+    return {"motion": msgspec.json.encode(motion).decode(), "rest_samples": "1"}

@@ -1,0 +1,200 @@
+"""Map of the goals at which the tip rests at a place, and of the first mode, over payloads.
+
+`python -m models goalmap` writes it, the robot reads it: a quasi-static inverse of the twin, and
+what the zero-vibration shaper is tuned by.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.documents import Document, read_document
+from firmware_py.errors import InputError
+
+__all__ = ["GoalMap", "PayloadMap", "RestGoals", "read_goal_map"]
+
+MOST_PLACES: Final = 201
+"""Largest number of places along an axis that is read [assumed]."""
+
+
+class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Map for one payload.
+
+    Attributes
+    ----------
+    payload_kg : float
+        Mass at the tip.
+    goals_rad : tuple of tuple of (float or None)
+        Goals of each joint at each place, the last coordinate running fastest; None where the tip
+        cannot rest.
+    half_period_s : tuple of float
+        Half of the period of the first mode, one per joint.
+    decay : tuple of float
+        Its amplitude after that time over that before.
+    """
+
+    payload_kg: float
+    goals_rad: tuple[tuple[float | None, ...], ...]
+    half_period_s: tuple[float, ...]
+    decay: tuple[float, ...]
+
+
+class GoalMap(Document, frozen=True):
+    """Goals at which the tip rests, over places and payloads.
+
+    Attributes
+    ----------
+    dof : int
+        Joints; the places are x, and y with two.
+    period_s : float
+        Control period.
+    places_m : tuple of float
+        Places along each axis, rising and evenly spaced.
+    payloads : tuple of PayloadMap
+        In rising order of payload.
+    plant_sha256 : str
+        Hash of the plant.
+    """
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "python -m models goalmap"
+
+    dof: int
+    period_s: float
+    places_m: tuple[float, ...]
+    payloads: tuple[PayloadMap, ...]
+    plant_sha256: str
+
+
+def read_goal_map(path: Path) -> GoalMap:
+    """Read and check a map.
+
+    Parameters
+    ----------
+    path : Path
+        JSON file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, damaged, of another version, or holds what cannot be.
+    """
+    found = read_document(path, GoalMap)
+    if wrong := _wrong_in(found):
+        raise InputError(path, wrong, f"write it anew with {GoalMap.MADE_BY}")
+    return found
+
+
+def _wrong_in(found: GoalMap) -> str:
+    places, count = np.array(found.places_m), len(found.places_m)
+    if found.dof not in (1, 2):
+        return f"is for {found.dof} joints; 1 or 2 can move"
+    if not 2 <= count <= MOST_PLACES or not np.isfinite(places).all():
+        return f"needs 2 to {MOST_PLACES} finite places_m"
+    steps = np.diff(places)
+    if steps[0] <= 0 or not np.allclose(steps, steps[0]):
+        return "has places_m that do not rise evenly"
+    grid = [own.payload_kg for own in found.payloads]
+    if not grid or grid[0] < 0 or not all(b > a for a, b in pairwise(grid)):
+        return "has payloads that are negative or do not rise, or none"
+    for own in found.payloads:
+        if [len(c) for c in own.goals_rad] != [count**found.dof] * found.dof:
+            return f"needs {found.dof} columns of {count**found.dof} goals"
+        modes = (*own.half_period_s, *own.decay)
+        if len(modes) != 2 * found.dof or not all(0.0 < v < 10.0 for v in modes):
+            return "has modes that cannot be"
+    return ""
+
+
+class RestGoals:
+    """Interpolation in a map.
+
+    Parameters
+    ----------
+    found : GoalMap
+        The map.
+
+    Attributes
+    ----------
+    lowest_kg, highest_kg : float
+        Ends of the grid of payloads.
+    longest_s : float
+        Longest half period.
+    """
+
+    def __init__(self, found: GoalMap) -> None:
+        places = found.places_m
+        self._low, self._step = places[0], (places[-1] - places[0]) / (len(places) - 1)
+        self._count, self._dof = len(places), found.dof
+        self._grid = [own.payload_kg for own in found.payloads]
+        self.lowest_kg, self.highest_kg = self._grid[0], self._grid[-1]
+        # Lists, not arrays: a tick reads some numbers of them, one at a time.
+        self._goals = [[list(column) for column in own.goals_rad] for own in found.payloads]
+        self._half = [own.half_period_s for own in found.payloads]
+        self._decay = [own.decay for own in found.payloads]
+        self.longest_s = max(max(own) for own in self._half)
+
+    def goals_rad(self, tip_m: tuple[float, ...], payload_kg: float) -> list[float] | None:
+        """Goals at which the tip rests at a place, one per joint; None where it cannot.
+
+        Parameters
+        ----------
+        tip_m : tuple of float
+            Place, one coordinate per joint.
+        payload_kg : float
+            Mass at the tip; beyond the grid its nearest end.
+        """
+        corners, count = [(0, 1.0)], self._count
+        for value in tip_m:
+            at = (value - self._low) / self._step
+            if not 0.0 <= at <= count - 1:
+                return None
+            k = min(int(at), count - 2)
+            part = at - k
+            corners = [
+                (index * count + k + side, weight * (part if side else 1.0 - part))
+                for index, weight in corners
+                for side in (0, 1)
+            ]
+        low, part = self._place_of(payload_kg)
+        result = [0.0] * self._dof
+        high = low + 1 if part else low
+        for table, share in ((self._goals[low], 1.0 - part), (self._goals[high], part)):
+            for joint, column in enumerate(table):
+                for index, weight in corners:
+                    if weight == 0.0 or share == 0.0:
+                        continue
+                    if (goal := column[index]) is None:
+                        return None
+                    result[joint] += share * weight * goal
+        return result
+
+    def mode(self, payload_kg: float) -> tuple[list[float], list[float]]:
+        """Half period in s and decay of the first mode, one per joint.
+
+        Parameters
+        ----------
+        payload_kg : float
+            Mass at the tip; beyond the grid its nearest end.
+        """
+        low, part = self._place_of(payload_kg)
+        high = low + 1 if part else low
+        return (
+            [a + part * (b - a) for a, b in zip(self._half[low], self._half[high], strict=True)],
+            [a + part * (b - a) for a, b in zip(self._decay[low], self._decay[high], strict=True)],
+        )
+
+    def _place_of(self, payload_kg: float) -> tuple[int, float]:
+        """Payload of the grid below, and the fraction of the way to the next."""
+        grid = self._grid
+        k = 0
+        while k < len(grid) - 2 and payload_kg > grid[k + 1]:
+            k += 1
+        if len(grid) == 1:
+            return 0, 0.0
+        return k, min(max((payload_kg - grid[k]) / (grid[k + 1] - grid[k]), 0.0), 1.0)

@@ -1,0 +1,233 @@
+"""Goals that another program sends, one message a tick, checked and shaped.
+
+What is wrong with the program ends in a controlled stop with a reason: no goal in time, a goal
+that answers an old status, more messages than ticks, a message that cannot be read, a place out of
+reach, an angle or a rate beyond its limit, a closed connection. In a tick without a message the
+goals go on at their latest rate, `limits.stale_ticks` - 1 times at most. The supervisor checks the
+goals that go out, as those of any source.
+
+With a map, places of the tip become the goals at which it rests there, and all goals pass the
+zero-vibration shaper, both by the estimated payload, which is followed at a limited rate.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.goals.outside.goal_channel import GoalChannel
+from firmware_py.goals.outside.goal_map import GoalMap, RestGoals
+from firmware_py.goals.outside.goal_message import (
+    GoalMessage,
+    StatusMessage,
+    decode_goal,
+    encode_status,
+)
+from firmware_py.goals.outside.zero_vibration import ZeroVibration
+from firmware_py.inference.estimator import Estimate
+from firmware_py.safety.limits import Limits
+from firmware_py.tick_log import Tick
+
+__all__ = ["OutsideGoals"]
+
+Array = NDArray[np.float64]
+MOST_IN_A_TICK: Final = 4
+"""Messages of one tick; more are a flood [assumed: what a program sends that was held up for as
+long as goals may be stale]."""
+FIRST_WAIT_S: Final = 5.0
+"""Longest wait for the first goal after the first status [assumed]."""
+PAYLOAD_RATE_KG_S: Final = 0.5
+"""Largest rate at which the estimated payload is followed: that of plans."""
+ENDLESS: Final = 1 << 62
+_ROUNDING: Final = 1.0 + 1e-6
+
+
+class OutsideGoals:
+    """Goals of another program as `firmware_py.goals.goal_source.GoalSource`.
+
+    The arm waits with all goals at zero for the first message; the first goals must begin there.
+
+    Parameters
+    ----------
+    channel : GoalChannel
+        To the program.
+    limits : Limits
+        Limits of the robot, as in force.
+    dof : int
+        Number of joints.
+    period_s : float
+        Control period.
+    goal_map : GoalMap, optional
+        Quasi-static inverse and modes; without it only joint goals are taken, unshaped.
+    payload_kg : float, optional
+        Payload where it is known; None follows the estimate, from the middle of the map.
+
+    Attributes
+    ----------
+    dof, slots : int
+        See `GoalSource`; the goals end when the program or `--seconds` says so.
+    trouble, ended : str
+        See `GoalSource`.
+    payload_kg : float
+        Payload by which goals are shaped.
+    """
+
+    def __init__(
+        self, channel: GoalChannel, limits: Limits, dof: int, period_s: float,
+        goal_map: GoalMap | None = None, payload_kg: float | None = None,
+    ) -> None:  # fmt: skip
+        self.dof, self.slots = dof, ENDLESS
+        self.trouble = self.ended = ""
+        self._channel, self._limits, self._period_s = channel, limits, period_s
+        self._rest = RestGoals(goal_map) if goal_map else None
+        self._known = payload_kg is not None
+        self.payload_kg = 0.0
+        self._shaper: ZeroVibration | None = None
+        if self._rest is not None:
+            low, high = self._rest.lowest_kg, self._rest.highest_kg
+            self.payload_kg = 0.5 * (low + high) if payload_kg is None else payload_kg
+            self._shaper = ZeroVibration([0.0] * dof, self._rest.longest_s, period_s)
+        self._slot, self._told, self._answered = -1, -1, -1
+        self._missing = 0
+        self._wanted, self._rate = [0.0] * dof, [0.0] * dof
+        self._goal, self._before = np.zeros(dof), np.zeros(dof)
+
+    def heed(self, estimate: Estimate, step_s: float) -> None:
+        """Follow the estimated payload; one that is not finite changes nothing.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            Of this tick.
+        step_s : float
+            Time since the previous tick.
+        """
+        if self._rest is None or self._known or not math.isfinite(estimate.payload_kg):
+            return
+        wanted = min(max(estimate.payload_kg, self._rest.lowest_kg), self._rest.highest_kg)
+        most = PAYLOAD_RATE_KG_S * step_s
+        self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
+
+    def at(self, slot: int) -> Array:
+        """Return the goals of a slot, shape (dof,); a new slot takes the messages that have come.
+
+        Parameters
+        ----------
+        slot : int
+            Number of the slot; before the first the goals wait at zero.
+        """
+        if slot < 0 or slot <= self._slot:
+            return self._goal if slot == self._slot else self._before
+        steps, self._slot = min(slot - self._slot, 100), slot
+        message = None if self.trouble or self.ended else self._newest(slot)
+        if message is not None:
+            self._missing = 0
+            self._take(message)
+        elif not (self.trouble or self.ended):
+            self._miss(slot, steps)
+        self._goal[:] = self._shaped(steps)
+        return self._goal
+
+    def report(self, tick: Tick, reason: str) -> None:
+        """Tell the program the state after a tick; see `GoalSource.report`."""
+        if tick.slot < 0:
+            return
+        payload, tip = tick.estimate.payload_kg, tick.prediction.tip_m
+        self._channel.send(encode_status(StatusMessage(
+            tick.slot, tick.slot * self._period_s, tick.state.name, tuple(tick.goal_rad.tolist()),
+            tuple(tick.angle_rad.tolist()), tuple(tip.tolist()), bool(tick.prediction.in_range),
+            payload if math.isfinite(payload) else None, reason,
+        )))  # fmt: skip
+        self._told = tick.slot
+
+    def _newest(self, slot: int) -> GoalMessage | None:
+        """Newest message of this tick; sets `trouble` or `ended` where there is none to follow."""
+        found = self._channel.receive(MOST_IN_A_TICK + 1)
+        if len(found) > MOST_IN_A_TICK:
+            self._refuse(f"sends more than {MOST_IN_A_TICK} goals in a tick")
+            return None
+        newest: GoalMessage | None = None
+        for data in found:
+            message = decode_goal(data, self.dof)
+            if isinstance(message, str):
+                self._refuse(f"sends a message that {message}")
+                return None
+            if not self._answered <= message.tick <= self._told:
+                told = f"after {self._answered} of {self._told}"
+                self._refuse(f"answers status {message.tick}, {told}")
+                return None
+            self._answered, newest = message.tick, message
+            if message.end:
+                self.ended = "the program that sends the goals has ended the run"
+                return None
+        if newest is None and self._channel.gone:
+            self._refuse("has gone")
+        elif newest is not None and slot - newest.tick > self._limits.stale_ticks:
+            self._refuse(f"sends goals that are {slot - newest.tick} ticks old")
+            return None
+        return newest
+
+    def _refuse(self, what: str) -> None:
+        self.trouble = f"the program that sends the goals {what}"
+        self._rate = [0.0] * self.dof
+
+    def _miss(self, slot: int, steps: int) -> None:
+        """Go on at the latest rate, for as long as goals may be stale."""
+        if self._answered < 0:
+            if slot * self._period_s > FIRST_WAIT_S:
+                self._refuse(f"has sent none within {FIRST_WAIT_S:g} s")
+            return
+        self._missing += steps
+        if self._missing >= self._limits.stale_ticks:
+            self._refuse(f"has sent none for {self._missing} ticks")
+            return
+        low, high = self._limits.angle_rad
+        ahead_s = steps * self._period_s
+        pairs = zip(self._wanted, self._rate, strict=True)
+        self._wanted = [min(max(at + ahead_s * rate, low), high) for at, rate in pairs]
+
+    def _take(self, message: GoalMessage) -> None:
+        """Check the goals of a message and follow them."""
+        goals = list(message.joint_rad or ())
+        if message.tip_m is not None:
+            if self._rest is None:
+                self._refuse("sends places of the tip, but there is no map (--map)")
+                return
+            found = self._rest.goals_rad(message.tip_m, self.payload_kg)
+            if found is None:
+                place = ", ".join(f"{v:.3f}" for v in message.tip_m)
+                self._refuse(f"wants the tip at ({place}) m, which is out of reach")
+                return
+            goals = found
+        low, high = self._limits.angle_rad
+        most = self._limits.rate_rad_s
+        rates = []
+        for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):
+            rate = (value - before) / self._period_s
+            if not low <= value <= high:
+                what = f"at {value:.3f} rad, outside {low:g} to {high:g} rad"
+                self._refuse(f"wants joint {joint + 1} {what}")
+                return
+            if not abs(rate) <= most * _ROUNDING:
+                what = f"at {rate:.2f} rad/s, the limit is {most:g} rad/s"
+                self._refuse(f"moves joint {joint + 1} {what}")
+                return
+            rates.append(rate)
+        self._wanted, self._rate = goals, rates
+
+    def _shaped(self, steps: int) -> list[float]:
+        result = self._wanted
+        if self._shaper is None or self._rest is None:
+            pairs = zip(result, self._rate, strict=True)
+            self._before[:] = [at - self._period_s * rate for at, rate in pairs]
+            return result
+        half_period_s, decay = self._rest.mode(self.payload_kg)
+        self._before[:] = self._goal
+        for step in range(steps):
+            if step:
+                self._before[:] = result
+            result = self._shaper.next(self._wanted, half_period_s, decay)
+        return result
