@@ -1,5 +1,6 @@
 """Plans on the robot's loop: goals as planned, tip on its path, robots that a plan does not fit."""
 
+import hashlib
 import json
 
 import msgspec
@@ -13,6 +14,7 @@ from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
+from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
@@ -48,7 +50,8 @@ def bundle(tmp_path_factory):
         coefficients={}, files={},
     )  # fmt: skip
     write_manifest(directory, manifest)
-    return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor())
+    sha256 = hashlib.sha256((directory / MANIFEST).read_bytes()).hexdigest()
+    return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor(), sha256)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +125,7 @@ def _improve(bundle, plan, directory, measured_m):
 def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):
     weighing = ModelBundle(
         bundle.directory, msgspec.structs.replace(bundle.manifest, estimator="observer"),
-        Weighing(), bundle.predictor,
+        Weighing(), bundle.predictor, bundle.manifest_sha256,
     )  # fmt: skip
     result = run_sil(options(bundle=weighing, payload_known=False))
     assert not result.summary.reason.startswith("the goal"), result.summary.reason
