@@ -338,6 +338,15 @@ bench-tip: build/bench/tip_1dof.json build/bench/tip_2dof.json
 build/bench/tip_%dof.json: build/bundle_%dof/observer.fmu
 	$(BIN)/python -m bench.tip build/bundle_$*dof --out $(@D) >&2
 
+# The same on a named structure, with a plant and a predictor that were trained on trials of it.
+build/rig_%/bench/tip_1dof.json: | $(READY)
+	$(call run,python -m models simulate --out build/rig_$*/trials --rig $* --dof 1 --payloads 0 1 2 --seed $(SEED))
+	$(call run,python -m models simulate --out build/rig_$*/multisine --rig $* --dof 1 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
+	$(call run,python -m models identify build/rig_$*/trials --plant models/plant/nominal.toml --out build/rig_$*/plant.json)
+	$(call run,python -m models train build/rig_$*/trials --dof 1 --plant build/rig_$*/plant.json --motions build/rig_$*/multisine --out build/rig_$*/bundle)
+	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
+	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2
+
 build/bench/onnx.json: $(READY)
 	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]
 
