@@ -6,6 +6,12 @@
 #
 # Every step is one command, which is printed and works on its own.
 
+# FMUs are dated to the last commit, so that two builds give the same bytes.
+ifndef SOURCE_DATE_EPOCH
+SOURCE_DATE_EPOCH := $(shell git log -1 --format=%ct 2>/dev/null || date +%s)
+endif
+export SOURCE_DATE_EPOCH
+
 PYTHON ?= python3
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -37,7 +43,7 @@ endef
 # The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
-.PHONY: help setup demo gap-demo experiment-demo tip-demo test test-fast test-durations lint pytest sil \
+.PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
   faults mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -52,6 +58,9 @@ help:
 	@echo "                them, runs it on the rig, diagnoses again"
 	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
 	@echo "                with the payload known and unknown; prints the page's path"
+	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
+	@echo "                platforms, with their sources; and the SSP packages"
+	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
 	@echo "make test       lint, types, import contracts and all tests"
 	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
 	@echo "                which lists tests that need more than half a second of processor time"
@@ -261,6 +270,25 @@ $(PLANS)/plans.html: $(PLAN_RUNS)
 # The page as numbers.
 build/plans/plans.json: $(PLANS)/plans.html
 	$(BIN)/python -m hil plans $(@D) --json > $@
+
+# --- FMUs for other machines ----------------------------------------------------------------------
+
+FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu)))
+
+fmu-all: $(FMU_ALL) ssp
+
+ssp: build/link_1dof.ssp build/link_2dof.ssp
+
+build/link_%dof.ssp: build/bundle_%dof/observer.fmu
+	$(call run,python -m fmu ssp $(<D) --plant build/plant.json --out $@)
+
+build_for_all = $(call run,python -m fmu build build/bundle_$(2)dof --plant build/plant.json --unit $(1) --fmi $(3) --platforms all --out $@)
+
+define fmu_for_all
+build/fmu_all/$(1)_$(2)dof_fmi$(3).fmu: build/bundle_$(2)dof/observer.fmu
+	$$(call build_for_all,$(1),$(2),$(3))
+endef
+$(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,$(eval $(call fmu_for_all,$(kind),$(dof),$(fmi))))))
 
 # --- checks -------------------------------------------------------------------------------------
 

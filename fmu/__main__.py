@@ -9,6 +9,7 @@ from firmware_py.console import Command, dispatch
 
 COMMANDS = (
     Command("build", "fmu.commands.build", "build a twin, predictor or observer FMU"),
+    Command("ssp", "fmu.commands.ssp", "build an SSP package of twin, observer and controller"),
     Command("check", "fmu.commands.check", "validate an FMU and compare it with the Python model"),
     Command("simulate", "fmu.commands.simulate", "step an FMU in FMPy and plot the run"),
 )

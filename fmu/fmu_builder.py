@@ -1,55 +1,40 @@
 """Builder of FMUs: generated C, the C wrapper, one binary per platform, packed into a zip.
 
-Two builds of the same inputs give the same bytes: the token is a hash of the content, and every
-date is fixed (SOURCE_DATE_EPOCH, or 1980).
+Two builds of the same inputs at the same SOURCE_DATE_EPOCH give the same bytes: the token is a
+hash of the content, and every date is that one (docs/sources.md, "FMI"). Without it an FMU holds
+the time of its build.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import time
 import uuid
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, NamedTuple
+from typing import Final
 
 import fmpy
 
 from fmu.interface import Interface, interface_of
-from fmu.model_description import FmiVersion, documentation_page, model_description_xml
+from fmu.model_description import FmiVersion, model_description_xml
+from fmu.packaging.documentation import documentation_page
+from fmu.packaging.platforms import HOST, PLATFORMS, SOURCE_CODE, binary_files
+from fmu.packaging.source_code import source_files
+from fmu.packaging.zip_file import build_time_s, date_and_time, write_zip
 from fmu.variables_c import write_variables
 from models.plant.simulation.model_c import write_model_c
 from models.plant.simulation.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
+from models.shared.page_parts import Section
 
-__all__ = ["PLATFORMS", "build_fmu"]
+__all__ = ["build_fmu"]
 
 ROOT: Final = Path(__file__).parents[1]
 WRAPPER: Final = Path(__file__).parent / "c"
 HEADERS: Final = Path(fmpy.__file__).parent / "c-code"
 """The standard's headers as FMPy ships them (BSD-2-Clause)."""
-
-
-class Platform(NamedTuple):
-    """Platform of a binary: compiler target, folders in FMI 2.0 and 3.0, suffix of the library."""
-
-    target: str
-    fmi2: str
-    fmi3: str
-    suffix: str
-
-
-PLATFORMS: Final = {
-    "x86_64-linux": Platform("x86_64-linux-gnu.2.17", "linux64", "x86_64-linux", ".so"),
-}
-"""Platforms that an FMU is built for."""
-
-_EARLIEST_ZIP_S: Final = 315_532_800
-"""1980-01-01, the earliest date that a zip can hold."""
 
 
 def build_fmu(
@@ -59,8 +44,10 @@ def build_fmu(
     fmi: FmiVersion = 3,
     description: str = "",
     resources: Mapping[str, bytes] | None = None,
-    platforms: Sequence[str] = tuple(PLATFORMS),
     derivatives: bool = True,
+    platforms: Sequence[str] = (HOST,),
+    files: Mapping[str, bytes] | None = None,
+    sections: Sequence[Section] = (),
 ) -> Path:
     """Build an FMU from a step model.
 
@@ -77,38 +64,41 @@ def build_fmu(
     resources : mapping of str to bytes, optional
         Files to embed under resources/.
     platforms : sequence of str
-        Keys of `PLATFORMS`.
+        Keys of `PLATFORMS`, and `SOURCE_CODE` for the sources.
     derivatives : bool
         Whether the FMU offers derivatives: directional ones, in FMI 3.0 adjoint ones too.
+    files : mapping of str to bytes, optional
+        Further files, by their path in the FMU.
+    sections : sequence of Section
+        Further sections of the documentation.
 
     Returns
     -------
     Path
         `output`.
     """
-    resources = dict(resources or {})
+    resources = resources or {}
     interface = interface_of(model, _offered(derivatives, fmi))
+    epoch_s = build_time_s()
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
         model_c = write_model_c(model, directory, interface.relations.functions)
+        _use_portable_math(model_c)
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [*core_sources(fmi), model_c, variables_c]
-        xml = model_description_xml(interface, fmi, token, description, _generated())
-        content = {
-            "modelDescription.xml": xml,
-            "documentation/index.html": documentation_page(interface, description).encode(),
-            "documentation/licenses/license.txt": _licences(),
-            **{f"resources/{name}": data for name, data in resources.items()},
-        }
-        for name in platforms:
-            platform = PLATFORMS[name]
-            library = directory / name / f"{interface.name}{platform.suffix}"
-            include = [WRAPPER, directory, HEADERS]
-            compile_library(sources, library, include=include, target=platform.target)
-            folder = platform.fmi2 if fmi == 2 else platform.fmi3
-            content[f"binaries/{folder}/{library.name}"] = library.read_bytes()
-    _pack(content, output)
+        listed = [path.name for path in sources] if SOURCE_CODE in platforms else []
+        dated = date_and_time(epoch_s)
+        xml = model_description_xml(interface, fmi, token, description, dated, listed)
+        content = {"modelDescription.xml": xml, **(files or {})}
+        content |= _documents(interface, description, resources, sections)
+        include = [WRAPPER, directory, HEADERS]
+        if SOURCE_CODE in platforms:
+            headers = [path for folder in include[:2] for path in sorted(folder.glob("*.h"))]
+            content |= source_files(interface.name, fmi, sources, headers)
+        libraries = _libraries(interface.name, sources, include, platforms)
+        content |= binary_files(interface.name, libraries, fmi)
+    write_zip(content, output, epoch_s)
     return output
 
 
@@ -127,6 +117,38 @@ def core_sources(fmi: FmiVersion) -> list[Path]:
         Version of the standard.
     """
     return [WRAPPER / f"fmi{fmi}.c", *sorted(WRAPPER.glob("fmu_*.c"))]
+
+
+def _documents(
+    interface: Interface,
+    description: str,
+    resources: Mapping[str, bytes],
+    sections: Sequence[Section],
+) -> dict[str, bytes]:
+    return {
+        "documentation/index.html": documentation_page(interface, description, sections).encode(),
+        "documentation/licenses/license.txt": _licences(),
+        **{f"resources/{name}": data for name, data in resources.items()},
+    }
+
+
+def _libraries(
+    identifier: str, sources: Sequence[Path], include: Sequence[Path], platforms: Sequence[str]
+) -> dict[str, bytes]:
+    """Compiled library of each platform, by its name."""
+    libraries = {}
+    for name in platforms:
+        if name != SOURCE_CODE:
+            library = sources[-1].parent / name / f"{identifier}{PLATFORMS[name].suffix}"
+            compile_library(sources, library, include=include, target=PLATFORMS[name].target)
+            libraries[name] = library.read_bytes()
+    return libraries
+
+
+def _use_portable_math(model_c: Path) -> None:
+    """Give the equations the project's own sine and so on: the same bits on every platform."""
+    text = model_c.read_text(encoding="utf-8")
+    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8")
 
 
 def _token(
@@ -152,25 +174,3 @@ def _licences() -> bytes:
         "CasADi, whose template code is under MIT-0.\n\n"
     )
     return notice.encode() + (ROOT / "LICENSE").read_bytes()
-
-
-def _epoch_s() -> int:
-    return max(int(os.environ.get("SOURCE_DATE_EPOCH", _EARLIEST_ZIP_S)), _EARLIEST_ZIP_S)
-
-
-def _generated() -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(_epoch_s()))
-
-
-def _pack(content: Mapping[str, bytes], output: Path) -> None:
-    output.parent.mkdir(parents=True, exist_ok=True)
-    scratch = output.with_name(f".{output.name}")
-    date = time.gmtime(_epoch_s())[:6]
-    with zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in sorted(content):
-            entry = zipfile.ZipInfo(name, date)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = 3  # Unix, on every machine
-            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            archive.writestr(entry, content[name])
-    scratch.replace(output)

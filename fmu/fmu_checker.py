@@ -24,10 +24,12 @@ from firmware_py.signals import PERIOD_S
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_builder import HEADERS
 from fmu.fmu_models import FmuParts
+from fmu.packaging.reference_run import read_reference_run
 from fmu.parity import (
     PARITY,
     FmuCheck,
     check_onnx_parity,
+    check_reference_run,
     check_saved_states,
     check_step_parity,
     step_times_us,
@@ -112,6 +114,7 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
     if not report.checks[-1].passed:
         return report
     report.checks += _refusals(archive)
+    report.checks.append(_reference(archive))
     if parts is None:
         report.checks.append(
             FmuCheck(
@@ -164,6 +167,13 @@ def _exports(archive: FmuArchive) -> FmuCheck:
     missing = [name for name in wanted if not hasattr(library, name)]
     detail = "lacks " + ", ".join(missing) if missing else f"exports all {len(wanted)} functions"
     return FmuCheck("binary", not missing, detail)
+
+
+def _reference(archive: FmuArchive) -> FmuCheck:
+    run = read_reference_run(archive.directory)
+    if run is None:
+        return FmuCheck("reference results", True, "not tested: the FMU holds none")
+    return check_reference_run(archive, run)
 
 
 def _refusals(archive: FmuArchive) -> Iterator[FmuCheck]:

@@ -33,6 +33,7 @@ Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
 """Kinds of FMU."""
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
+MODEL_CARD: Final = "MODEL_CARD.md"
 """Files in the resources of an FMU: the parts that it was built from, and its kind and dof."""
 
 DESCRIPTIONS: Final[dict[Kind, str]] = {
@@ -137,6 +138,11 @@ class FmuParts(NamedTuple):
         """Return one sentence that describes the FMU."""
         return DESCRIPTIONS[self.kind].format(dof=self.dof)
 
+    def model_card(self) -> str:
+        """Return the model card of the predictor's bundle; "" where there is none."""
+        card = self.predictor.with_name(MODEL_CARD) if self.predictor else None
+        return card.read_text(encoding="utf-8") if card and card.is_file() else ""
+
     def resources(self) -> dict[str, bytes]:
         """Return the files to embed, by name; with them the FMU can be checked by itself."""
         files = {CARD: json.dumps({"kind": self.kind, "dof": self.dof}).encode()}
@@ -144,6 +150,8 @@ class FmuParts(NamedTuple):
             files[PLANT] = plant_json(self.plant.document()).encode()
         if self.predictor:
             files[PREDICTOR] = self.predictor.read_bytes()
+        if card := self.model_card():
+            files[MODEL_CARD] = card.encode()
         return files
 
 
@@ -195,10 +203,20 @@ def embedded_parts(resources: Path) -> FmuParts | None:
     return read_parts(kind, dof, resources) if kind in KINDS else None
 
 
+HALF_WIDTH_M: Final = 5e-3
+"""Nominal half width of the predictor's interval: 3 to 8 mm on the study's trials [assumed]."""
+
+
 def _variables(*names: str) -> tuple[Variable, ...]:
     """Variables of these names, as the signal table defines them."""
     table = {s.name: s for s in (AGE, *observer_signals(dof=2), *tick_signals(dof=2))}
-    return tuple(Variable(name, table[name].unit, 0.0, table[name].description) for name in names)
+    return tuple(
+        Variable(
+            name, table[name].unit, 0.0, table[name].description,
+            nominal=HALF_WIDTH_M if name.startswith("half_width_") else 1.0,
+        )
+        for name in names
+    )  # fmt: skip
 
 
 _OUTPUTS: Final = tuple(

@@ -1,19 +1,17 @@
-"""Model description (modelDescription.xml) and documentation page of an FMU."""
+"""Model description (modelDescription.xml) of an FMU."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 from xml.etree import ElementTree as ET
 
-from markupsafe import Markup
-
 from firmware_py import __version__
-from firmware_py.display_units import VALUE_UNITS, symbol_of
+from firmware_py.display_units import VALUE_UNITS
 from firmware_py.signals import PERIOD_S
 from fmu.interface import FmiVariable, Interface, finite_bounds
+from fmu.packaging.source_code import add_source_files
 from fmu.si_units import base_exponents
-from models.shared.html_page import render_page
-from models.shared.page_parts import Paragraph, Section, Table
 
 FmiVersion = Literal[2, 3]
 
@@ -22,7 +20,12 @@ STOP_TIME_S = 2 * 256 * PERIOD_S
 
 
 def model_description_xml(
-    interface: Interface, fmi: FmiVersion, token: str, description: str, generated: str
+    interface: Interface,
+    fmi: FmiVersion,
+    token: str,
+    description: str,
+    generated: str,
+    sources: Sequence[str] = (),
 ) -> bytes:
     """Write modelDescription.xml for FMI 2.0 or FMI 3.0.
 
@@ -38,26 +41,15 @@ def model_description_xml(
         One sentence that describes the FMU.
     generated : str
         Date and time, like "2026-11-21T00:00:00Z".
+    sources : sequence of str
+        Names of the C files under sources/, which FMI 2.0 lists here.
 
     Returns
     -------
     bytes
         XML, UTF-8.
     """
-    root = ET.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": f"{fmi}.0",
-            "modelName": interface.name,
-            {2: "guid", 3: "instantiationToken"}[fmi]: token,
-            "description": description,
-            "version": __version__,
-            "license": "Apache-2.0",
-            "generationTool": f"dropstitch {__version__}",
-            "generationDateAndTime": generated,
-            "variableNamingConvention": "structured",
-        },
-    )
+    root = _root(interface, fmi, token, description, generated)
     if fmi == 2:
         root.set("numberOfEventIndicators", str(interface.relations.indicators))
     root.append(_model_exchange(interface, fmi))
@@ -73,9 +65,30 @@ def model_description_xml(
     for variable in interface.variables:
         variables.append(_variable_2(variable) if fmi == 2 else _variable_3(variable))
     root.append(_structure_2(interface) if fmi == 2 else _structure_3(interface))
+    if fmi == 2 and sources:
+        add_source_files(root, sources)
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
+
+
+def _root(
+    interface: Interface, fmi: FmiVersion, token: str, description: str, generated: str
+) -> ET.Element:
+    return ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{fmi}.0",
+            "modelName": interface.name,
+            {2: "guid", 3: "instantiationToken"}[fmi]: token,
+            "description": description,
+            "version": __version__,
+            "license": "Apache-2.0",
+            "generationTool": f"dropstitch {__version__}",
+            "generationDateAndTime": generated,
+            "variableNamingConvention": "structured",
+        },
+    )
 
 
 def _model_exchange(interface: Interface, fmi: FmiVersion) -> ET.Element:
@@ -210,35 +223,3 @@ def _structure_3(interface: Interface) -> ET.Element:
 
 def _list(numbers: list[int]) -> str:
     return " ".join(map(str, numbers))
-
-
-def documentation_page(interface: Interface, description: str) -> str:
-    """Write documentation/index.html: the description and the table of variables.
-
-    Parameters
-    ----------
-    interface : Interface
-        Variables.
-    description : str
-        One sentence that describes the FMU.
-    """
-    rows = [
-        [v.name, v.causality, symbol_of(v.unit), _range(v), v.description]
-        for v in interface.variables
-    ]
-    usage = Markup(
-        "Co-Simulation with any communication step size. A value that is set between two steps "
-        "acts on the outputs immediately. A refused call leaves the instance unchanged and logs "
-        "one message under <code>logStatusError</code>. The folder <code>resources/</code> holds "
-        "the plant and the predictor that the FMU was built from."
-    )
-    table = Table("", ["variable", "causality", "unit", "range", "description"], rows)
-    lead = [Paragraph(description, "lead"), Paragraph(usage)]
-    return render_page(interface.name, lead, [Section("variables", "Variables", [table])])
-
-
-def _range(variable: FmiVariable) -> str:
-    limits = finite_bounds(variable)
-    if not limits:
-        return ""
-    return f"{limits.get('min', '')} … {limits.get('max', '')}"

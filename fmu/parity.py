@@ -13,6 +13,7 @@ from firmware_py.inference.predictor import OnnxPredictor, Prediction
 from firmware_py.signals import AGE, DI, IN_RANGE, PERIOD_S, feature_names, tip_names
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import FmuParts
+from fmu.packaging.reference_run import ReferenceRun
 from models.plant.step_model import StepModel, names
 
 Array = NDArray[np.float64]
@@ -79,6 +80,28 @@ def check_step_parity(
         name, value = max(zip(outputs, worst, strict=True), key=lambda pair: pair[1])
         detail = f"{value:.1e} at most ({name}), {len(u)} steps"
         yield FmuCheck(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
+
+
+def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
+    """Replay the reference run that an FMU holds.
+
+    Parameters
+    ----------
+    archive : FmuArchive
+        The FMU.
+    run : ReferenceRun
+        Its reference run.
+    """
+    known = {v.name for v in archive.description.modelVariables}
+    unknown = [name for name in (*run.inputs, *run.outputs) if name not in known]
+    if unknown:
+        return FmuCheck("reference results", False, f"name the unknown variable {unknown[0]}")
+    with archive.instance() as instance:
+        steps_s = np.full(len(run.u) - 1, run.step_s)
+        y = instance.run(run.inputs, run.u[:-1], steps_s, run.outputs)
+    rows = np.rint(run.times_s / run.step_s).astype(int)
+    worst = float(np.abs(y[rows] - run.y).max())
+    return FmuCheck("reference results", worst <= PARITY, f"{worst:.1e} at most, {len(rows)} rows")
 
 
 def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u: Array) -> FmuCheck:

@@ -13,7 +13,7 @@ from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
-from models.plant.simulation.compiled_model import CompiledModel, model_inputs
+from models.plant.simulation.compiled_model import model_inputs
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
@@ -54,9 +54,9 @@ def inputs_from_motion(
     columns[PAYLOAD.name] = np.full(len(goal_rad), payload_kg)
     if parts.kind == "twin":
         return _columns(model, columns)
-    twin = CompiledModel(parts.required_plant().step_model(parts.dof, "twin"))
-    y = twin.simulate(_columns(twin.model, columns), step_s)[1:]
-    return _columns(model, dict(zip(names(twin.model.outputs), y.T, strict=True)))
+    twin = parts.required_plant().step_model(parts.dof, "twin")
+    y = twin.simulate(_columns(twin, columns), step_s)[1:]
+    return _columns(model, dict(zip(names(twin.outputs), y.T, strict=True)))
 
 
 def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:

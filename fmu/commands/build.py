@@ -30,6 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="FILE", help="the .fmu (observer: observer.fmu in the bundle)")
     add("--fmi", type=int, choices=(2, 3), default=3, help="version of the standard (3)")
     add(
+        "--platforms", default="x86_64-linux", metavar="NAMES",
+        help="platforms separated by commas, or all: x86_64-linux, aarch64-linux, x86_64-windows, "
+        "x86_64-darwin, aarch64-darwin, c-code for the sources (x86_64-linux)",
+    )  # fmt: skip
+    add(
         "--unit",
         choices=("twin", "predictor", "observer"),
         default="twin",
@@ -50,9 +55,12 @@ def run(args: argparse.Namespace) -> int:
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu
     from fmu.fmu_models import read_parts
+    from fmu.packaging.fmu_contents import fmu_contents
+    from fmu.packaging.platforms import platform_names
 
     kind: Kind = args.kind
     output = _output(args)
+    platforms = platform_names(args.platforms)
     manifest = read_manifest(args.bundle)
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
@@ -64,12 +72,18 @@ def run(args: argparse.Namespace) -> int:
             )
         add_observer(args.bundle, manifest, parts)
     else:
+        model = parts.model()
+        contents = fmu_contents(parts, model, args.fmi)
         build_fmu(
-            parts.model(), output, fmi=args.fmi,
-            description=parts.description(), resources=parts.resources(),
+            model, output, fmi=args.fmi, description=parts.description(),
+            resources=parts.resources(), platforms=platforms, files=contents.files,
+            sections=contents.sections,
         )  # fmt: skip
     size = output.stat().st_size
-    data = {"unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size}
+    data = {
+        "unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size,
+        "platforms": list(platforms),
+    }  # fmt: skip
     emit(
         args,
         data,

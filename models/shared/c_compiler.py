@@ -30,11 +30,14 @@ OPTIONS_VARIABLE: Final = "DROPSTITCH_CC_OPTIONS"
 code that is four times slower and gives the same bits; the tests of short runs use it."""
 
 _FLAGS: Final = (
-    "-O2", "-std=c99", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
+    "-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden",
     "-fno-sanitize=undefined", "-DCASADI_SYMBOL_EXPORT=", "-s", "-Wl,--build-id=none",
     "-g0",  # no debug information, which is stripped anyway: a third of the compile time
     "-fno-slp-vectorize",  # a quarter of the compile time of a large model, for no faster code
 )  # fmt: skip
+
+
+_LIBRARY: Final = ("-fPIC", "-shared")
 
 
 def compile_library(
@@ -73,7 +76,39 @@ def compile_library(
     DropstitchError
         If the compiler refuses the sources; the message is the compiler's.
     """
-    options = [*_FLAGS, *flags, *compiler_options(), "-target", target]
+    options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
+    return _compile_cached(sources, output, include, options)
+
+
+def compile_program(
+    source: Path, output: Path, *, include: Sequence[Path] = (), target: str = TARGET
+) -> Path:
+    """Compile one C source into a program that links to the C library dynamically.
+
+    Parameters
+    ----------
+    source : Path
+        C file.
+    output : Path
+        Program to write.
+    include : sequence of Path
+        Directories searched for headers.
+    target : str
+        Zig's name of the platform.
+
+    Raises
+    ------
+    DropstitchError
+        If the compiler refuses the source; the message is the compiler's.
+    """
+    _compile_cached([source], output, include, [*_FLAGS, "-target", target])
+    output.chmod(0o755)
+    return output
+
+
+def _compile_cached(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> Path:
     cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
     if not cached.is_file():
         CACHE.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,60 @@
+"""SSP package of twin, observer and a controller that leads the tip along a sinusoid.
+
+The FMUs in it are of FMI 2.0, which tools that read SSP take.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, emit
+from firmware_py.display_units import FILE_SIZE
+from firmware_py.errors import InputError
+
+EXAMPLE = "python -m fmu ssp build/bundle_1dof --plant build/plant.json --out build/link_1dof.ssp"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
+    add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
+    add("--out", type=Path, required=True, metavar="FILE", help="the .ssp file")
+    add("--payload", type=float, default=1.0, metavar="KG", help="mass at the twin's tip (1)")
+    add(
+        "--platforms", default="x86_64-linux", metavar="NAMES",
+        help="platforms of the FMUs, see 'fmu build' (x86_64-linux)",
+    )  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build the package.
+
+    Raises
+    ------
+    InputError
+        If an option or a file cannot be used.
+    """
+    from firmware_py.inference.bundle import read_manifest
+    from fmu.fmu_models import read_parts
+    from fmu.packaging.platforms import platform_names
+    from fmu.ssp.ssp_builder import build_ssp
+
+    if args.out.suffix != ".ssp":
+        raise InputError(
+            f"--out {args.out}", "does not end in .ssp", "use a name like link_1dof.ssp"
+        )
+    platforms = platform_names(args.platforms)
+    dof = read_manifest(args.bundle).dof
+    twin, observer = (
+        read_parts(kind, dof, args.bundle, args.plant) for kind in ("twin", "observer")
+    )
+    build_ssp(twin, observer, args.out, payload_kg=args.payload, platforms=platforms)
+    size = args.out.stat().st_size
+    emit(
+        args,
+        {"dof": dof, "path": str(args.out), "bytes": size, "platforms": list(platforms)},
+        f"{args.out}: twin, observer and controller, {dof}DOF, {FILE_SIZE.number(size)} kB",
+    )
+    return DONE

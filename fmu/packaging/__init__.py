@@ -1,0 +1,1 @@
+"""Parts of an FMU file beside model description and equations: binaries, sources, documents."""

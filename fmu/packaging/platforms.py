@@ -1,0 +1,136 @@
+"""Platforms of an FMU: compiler targets, folders of both standards, universal libraries for macOS.
+
+FMI 3.0 gives each platform a folder of its own (section 2.5.1.4). FMI 2.0 knows one folder for
+macOS, so both processors share a universal library there, and none for Linux on aarch64: that
+library gets FMI 3.0's folder (docs/sources.md, "FMI").
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal, NamedTuple
+
+from firmware_py.errors import InputError
+
+__all__ = ["HOST", "PLATFORMS", "SOURCE_CODE", "Platform", "binary_files", "platform_names"]
+
+HOST: Final = "x86_64-linux"
+"""The platform that an FMU is built for where none is named: the robot's and the tests'."""
+
+SOURCE_CODE: Final = "c-code"
+"""Name of the source code among the platforms, as FMPy calls it."""
+
+
+class Platform(NamedTuple):
+    """Platform of a binary.
+
+    Attributes
+    ----------
+    target : str
+        Zig's name of it, with the oldest glibc that it needs.
+    fmi2_folder : str
+        Folder of FMI 2.0; that of FMI 3.0 is the key in `PLATFORMS`.
+    suffix : str
+        Suffix of the library.
+    flags : tuple of str
+        Options of the compiler beside those of every platform.
+    """
+
+    target: str
+    fmi2_folder: str
+    suffix: str
+    flags: tuple[str, ...] = ()
+
+    def folder(self, name: str, fmi: Literal[2, 3]) -> str:
+        """Return the folder under binaries/ of the platform of this name."""
+        return self.fmi2_folder if fmi == 2 else name
+
+
+PLATFORMS: Final = {
+    HOST: Platform("x86_64-linux-gnu.2.17", "linux64", ".so"),
+    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", "aarch64-linux", ".so"),
+    "x86_64-windows": Platform("x86_64-windows-gnu", "win64", ".dll"),
+    "x86_64-darwin": Platform("x86_64-macos.11.0", "darwin64", ".dylib"),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", "darwin64", ".dylib"),
+}
+"""Platforms by FMI 3.0's names: Linux with the glibc of 2012, macOS 11."""
+
+
+def platform_names(text: str) -> tuple[str, ...]:
+    """Return the platforms that a list of names stands for.
+
+    Parameters
+    ----------
+    text : str
+        Names of `PLATFORMS` and `SOURCE_CODE`, separated by commas, or "all".
+
+    Raises
+    ------
+    InputError
+        If a name is unknown.
+
+    Examples
+    --------
+    >>> platform_names("x86_64-linux,c-code")
+    ('x86_64-linux', 'c-code')
+    """
+    known = (*PLATFORMS, SOURCE_CODE)
+    if text == "all":
+        return known
+    asked = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    for name in asked:
+        if name not in known:
+            raise InputError(
+                f"--platforms {text}", f"names the unknown platform {name!r}",
+                f"choose all, or some of {', '.join(known)}",
+            )  # fmt: skip
+    return asked
+
+
+def binary_files(name: str, libraries: Mapping[str, bytes], fmi: Literal[2, 3]) -> dict[str, bytes]:
+    """Return the files of libraries in an FMU.
+
+    Parameters
+    ----------
+    name : str
+        Model identifier.
+    libraries : mapping of str to bytes
+        Libraries by platform.
+    fmi : {2, 3}
+        Version of the standard.
+    """
+    places: dict[str, list[bytes]] = {}
+    for key, library in libraries.items():
+        platform = PLATFORMS[key]
+        path = f"binaries/{platform.folder(key, fmi)}/{name}{platform.suffix}"
+        places.setdefault(path, []).append(library)
+    return {path: universal_library(parts) for path, parts in places.items()}
+
+
+_FAT_MAGIC: Final = 0xCAFEBABE
+_ALIGNMENT: Final = 14
+"""Power of two at which a slice starts: the page size of arm64."""
+
+
+def universal_library(slices: Sequence[bytes]) -> bytes:
+    """Join Mach-O libraries for several processors into one file; one alone stays as it is.
+
+    A big-endian header `fat_header` with one `fat_arch` for each slice (Apple, `mach-o/fat.h`).
+
+    Parameters
+    ----------
+    slices : sequence of bytes
+        One Mach-O library for each processor.
+    """
+    if len(slices) == 1:
+        return slices[0]
+    step = 1 << _ALIGNMENT
+    header, body, offset = [struct.pack(">II", _FAT_MAGIC, len(slices))], [], step
+    for library in slices:
+        processor, kind = struct.unpack_from("<II", library, 4)
+        header.append(struct.pack(">5I", processor, kind, offset, len(library), _ALIGNMENT))
+        padded = library + bytes(-len(library) % step)
+        body.append(padded)
+        offset += len(padded)
+    return b"".join(header).ljust(step, b"\0") + b"".join(body)

@@ -1,0 +1,1 @@
+"""System of twin, observer and controller as an SSP package."""
