@@ -1,7 +1,7 @@
 """Controller for the example system: it leads the tip along a sinusoid by the observer's tip.
 
-The angle at which the tip is seen from the joint is the joint's and the link's bend. The goal is the
-reference plus the integral of the difference, which takes the mean of the bend away::
+The angle at which the tip is seen from the joint is that of the joint and of the bend. The goal is
+the reference plus the integral of the difference, which takes the mean of the bend away::
 
     φ_1 = atan2(x, z),   φ_2 = asin(y / |r|),   İ_j = k (r_j(t) − φ_j),   goal_j = r_j + I_j
 """
