@@ -44,7 +44,7 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  faults mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
+  faults fuzz mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -68,6 +68,8 @@ help:
 	@echo "make soak       the same for 28 minutes under load with faults on the line"
 	@echo "make faults     the fault campaign: every fault injected and judged, three minutes"
 	@echo "make recorded-runs  records the runs anew that every change has to answer as before"
+	@echo "make fuzz       mutates valid files of every reader for ten minutes: each is used or refused in one"
+	@echo "                sentence, within 500 MB and 10 s; counts for each reader"
 	@echo "make mutate     changes every comparison of the safety supervisor; a test has to fail"
 	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT"
 	@echo "make hitl-emulated  the same tests on an emulated servo"
@@ -337,6 +339,9 @@ faults: build/twin_2dof.fmu
 recorded-runs: build/twin_2dof.fmu
 	$(BIN)/python -m hil.faults.recorded.run_recorder --bundle build/bundle_2dof --fmu $< \
 	  --out tests/hil/faults/recorded_runs.xz
+
+fuzz: build/bundle_1dof/observer.fmu
+	$(BIN)/python -m tests.fuzz --bundle $(<D) --keep
 
 mutate: $(READY)
 	$(BIN)/python tests/firmware_py/safety/mutation.py

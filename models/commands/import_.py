@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import itertools
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import DURATION
-from firmware_py.files.guarded_call import guarded_call
+from firmware_py.files.guarded_call import SECONDS, guarded_call
+from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.trials.importers import KINDS, read_series
 from models.trials.importers.assembly import align_rest_pose, assemble_trial
@@ -22,6 +25,9 @@ from models.trials.importers.synchronisation import shift_clock, synchronise
 from models.trials.importers.table_file import read_scalars
 from models.trials.trial_files import check_trial_name, read_trial, write_trial
 
+SECONDS_PER_BYTE: Final = 2e-6
+"""Processor time by the size of a recording: five times that of a bag of joint states
+[measured]."""
 EXAMPLE = (
     "python -m models import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
 )
@@ -66,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     with TemporaryDirectory(prefix=".import-", dir=args.out) as scratch:
         answer = guarded_call(
             lambda: msgspec.json.encode(_import(args, name, Path(scratch))), args.file,
-            "export it again, or import less of it",
+            "export it again, or import less of it", seconds=_seconds_for(args.file, args.servo),
         )  # fmt: skip
         result: dict[str, Any] = msgspec.json.decode(answer)
         for file in sorted(Path(scratch).iterdir()):  # the CSV first: a trial needs both
@@ -123,6 +129,16 @@ def _described(result: dict[str, Any]) -> str:
     for name in result["cut_off"]:
         text += f"; {name} was cut off: read up to its last whole chunk"
     return text
+
+
+def _seconds_for(*paths: Path | None) -> float:
+    """Processor time for files of this size; what cannot be read is refused later."""
+    size = 0
+    for path in filter(None, paths):
+        with contextlib.suppress(OSError, ValueError):
+            files = path.iterdir() if path.is_dir() else (path,)
+            size += sum(file.stat().st_size for file in itertools.islice(files, 100))
+    return SECONDS + min(size, 2 * MOST_BYTES) * SECONDS_PER_BYTE
 
 
 def _is_recording(path: Path | None) -> bool:

@@ -1,5 +1,6 @@
 """Conventions that hold for every command line: version, help, exit codes."""
 
+import io
 import re
 import tomllib
 from pathlib import Path
@@ -77,3 +78,61 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypa
 def test_an_unknown_command_is_bad_input(capsys):
     assert ROOMS["firmware_py"].main(["fly"]) == console.BAD_INPUT
     assert "invalid choice" in capsys.readouterr().err
+
+
+class Echo:
+    """A command that prints, or raises."""
+
+    EXAMPLE = "echo"
+
+    def __init__(self, action):
+        self.run = action
+
+    def configure(self, parser):
+        pass
+
+
+@pytest.fixture
+def dispatched(monkeypatch):
+    """Exit code of a command that does something."""
+
+    def dispatched(action):
+        monkeypatch.setattr(console.importlib, "import_module", lambda _: Echo(action))
+        return console.dispatch("tool", "", [console.Command("echo", "m", "")], ["echo"])
+
+    return dispatched
+
+
+def test_a_full_disk_is_one_sentence(dispatched, capsys, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device", "/data/run.csv")
+
+    assert dispatched(full) == 2
+    said = capsys.readouterr().err
+    assert (
+        said.startswith("tool: /data/run.csv: No space left on device; ") and said.count("\n") == 1
+    )
+
+
+def test_a_full_standard_output_is_one_sentence(dispatched, capsys, monkeypatch):
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert dispatched(lambda _: print("result") or 0) == 2
+        monkeypatch.undo()
+    said = capsys.readouterr().err
+    assert said.startswith("tool: output: No space left on device; ") and said.count("\n") == 1
+
+
+def test_a_sign_that_a_terminal_lacks_is_escaped(dispatched, monkeypatch):
+    stream = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(stream, encoding="ascii"))
+    assert dispatched(lambda _: print("12 µs") or 0) == 0
+    assert stream.getvalue() == b"12 \\xb5s\n"
+
+
+def test_memory_that_is_not_there_is_one_sentence(dispatched, capsys):
+    def large(_):
+        raise MemoryError
+
+    assert dispatched(large) == 2
+    assert capsys.readouterr().err == "tool: echo: needs more memory than there is; give less.\n"

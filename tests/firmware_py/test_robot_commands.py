@@ -271,6 +271,14 @@ def test_a_log_that_nobody_writes_is_refused(config, capsys):
     assert (code, "--log" in output.err) == (2, True)
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "run.timing.json"])
+def test_a_log_or_a_summary_that_exists_is_not_overwritten(config, tmp_path, capsys, name):
+    (tmp_path / name).write_text("kept")
+    code, output = call(capsys, "run", "--config", config, "--log", tmp_path / "run.mcap")
+    assert (code, f"{name} exists" in output.err) == (2, True)
+    assert (tmp_path / name).read_text() == "kept"
+
+
 def test_a_directory_for_logs_that_cannot_be_is_refused(servos, config, capsys):
     config.write_text(f'logs = "{config}"\n' + config.read_text())
     code, output = call(capsys, "run", "--config", config)

@@ -47,7 +47,7 @@ def verdicts_on(reader, inputs, scratch, *, guarded=True):
 
     def work(changed):
         if not guarded:
-            import_.guarded_call = lambda own, *_: own()  # in this child only
+            import_.guarded_call = lambda own, *_, **__: own()  # in this child only
         folder = scratch / "case"
         shutil.rmtree(folder, ignore_errors=True)
         for name, content in (reader.files | changed()).items():

@@ -19,15 +19,18 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_BYTES, open_bounded
+from firmware_py.files.input_files import MOST_BYTES, open_bounded, read_bytes
 from models.trials.importers.mapping import MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, factor_to_si, marker_columns
 
 MOST_FILES: Final = 100
 """Most files of a bag."""
-MOST_METADATA_BYTES: Final = 200_000
-"""Size of the largest metadata.yaml: 400 topics; its parser needs seconds for it."""
+MOST_METADATA_BYTES: Final = 100_000
+"""Size of the largest metadata.yaml: 200 topics; its parser needs a second for it."""
+MOST_NESTED: Final = 1000
+"""Most brackets and lists in lists of it, for which its parser needs quadratic time."""
+_NESTING: Final = (b"[", b"{", b"- - ", b"? ?")
 Samples = list[tuple[float, dict[str, Any]]]
 
 
@@ -72,10 +75,13 @@ def _check_files(path: Path) -> None:
     files = list(itertools.islice(path.iterdir(), MOST_FILES + 1))
     if len(files) > MOST_FILES:
         raise InputError(path, f"holds more than {MOST_FILES} files", "name one bag")
-    left = MOST_BYTES
+    left, remedy = MOST_BYTES, "name the directory of a bag"
     for file in files:
-        most = MOST_METADATA_BYTES if file.suffix == ".yaml" else max(left, 0)
-        with open_bounded(file, "name the directory of a bag", most) as stream:
+        if file.suffix == ".yaml":
+            facts = read_bytes(file, remedy, MOST_METADATA_BYTES)
+            if sum(map(facts.count, _NESTING)) > MOST_NESTED:
+                raise InputError(file, "is too deeply nested", remedy)
+        with open_bounded(file, remedy, max(left, 0)) as stream:
             left -= stream.seek(0, io.SEEK_END)
 
 

@@ -46,9 +46,18 @@ def test_memory_is_limited():
 
 def test_time_is_limited():
     start_s = time.monotonic()
-    with pytest.raises(InputError, match=r"takes more than 0\.2 s to read"):
-        call(lambda: time.sleep(60), seconds=0.2)
+    with pytest.raises(InputError, match=r"takes more than 0\.02 s to read"):
+        call(lambda: time.sleep(60), seconds=0.02)
     assert time.monotonic() - start_s < 20
+
+
+def test_processor_time_is_limited():
+    def work():
+        while True:
+            pass
+
+    with pytest.raises(InputError, match=r"takes more than 0\.9 s to read"):
+        call(work, seconds=0.9)
 
 
 def test_temporary_files_go_with_the_child_and_files_are_limited(monkeypatch):
