@@ -2,7 +2,7 @@
 
 Every reader of this project goes through these functions, so that each refuses the same things in
 one sentence: what is missing, is no regular file, is too large, or is not of its form. The limits
-are in docs/files.md.
+are in docs/files/readers.md.
 """
 
 from __future__ import annotations

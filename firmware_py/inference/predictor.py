@@ -19,6 +19,8 @@ __all__ = ["NO_SIGNALS", "OnnxGraph", "OnnxPredictor", "Prediction", "Predictor"
 
 Array = NDArray[np.float64]
 AXES: Final = 3
+MOST_INPUTS: Final = 1000
+"""Most input columns of a graph; those of ours have 60 at most."""
 NO_SIGNALS: Final[Array] = np.zeros(0)
 """Signals of an estimator that gives none beside DI and payload."""
 
@@ -124,25 +126,37 @@ class OnnxGraph:
                 path, "is not a graph that onnxruntime can load", "train or copy the bundle again"
             ) from None
         found = [
-            (o.name, o.shape[-1], o.type) for o in (*session.get_inputs(), *session.get_outputs())
+            (o.name, (o.shape or [0])[-1], o.type)
+            for o in (*session.get_inputs(), *session.get_outputs())
         ]
         name, width = found[0][:2]
         inputs = width if inputs is None and isinstance(width, int) else inputs or 0
         expected = [(name, inputs), *outputs]
-        if found != [(*pair, "tensor(double)") for pair in expected]:
+        fitting = found == [(*pair, "tensor(double)") for pair in expected]
+        if not fitting or not 0 < inputs <= MOST_INPUTS:
             raise InputError(
                 path, f"has the inputs and outputs {found}, not {expected} in float64",
                 "train the bundle again with this version",
             )  # fmt: skip
         self.row: Array = np.zeros(inputs)
         self.results: tuple[Array, ...] = tuple(np.zeros(width) for _, width in outputs)
-        self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+        try:
+            self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+        except UnicodeDecodeError as error:
+            raise InputError(
+                path, f"has damaged metadata ({error})", "train or copy the bundle again"
+            ) from None
         self._session = session
         self._binding: Any = session.io_binding()
         self._binding.bind_input(name, "cpu", 0, np.float64, (1, inputs), self.row.ctypes.data)
         for (output, width), buffer in zip(outputs, self.results, strict=True):
             self._binding.bind_output(output, "cpu", 0, np.float64, (1, width), buffer.ctypes.data)
-        self.run()  # the first call allocates inside onnxruntime: not in the loop
+        try:
+            self.run()  # the first call allocates inside onnxruntime: not in the loop
+        except Exception as error:
+            raise InputError(
+                path, f"cannot be evaluated ({error})", "train or copy the bundle again"
+            ) from None
 
     def run(self) -> None:
         """Evaluate the graph on `row` into `results`."""

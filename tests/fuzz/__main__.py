@@ -42,6 +42,7 @@ def campaign(readers, scratch, args):
         if verdict.failed:
             failed += 1
             print(f"{reader.name}, kept {name}: {verdict.kind}\n{verdict.text}", flush=True)
+    readers = [reader for reader in readers if reader.fed]
     for reader in readers:
         with silence():
             tally = fuzz(reader, scratch, args.seconds / len(readers), args.inputs, args.seed)

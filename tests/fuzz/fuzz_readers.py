@@ -25,6 +25,11 @@ class FuzzReader(NamedTuple):
     mutate: Callable[[random.Random, Files], Files]
     read: Callable[[Path], object]
 
+    @property
+    def fed(self):
+        """Whether there are valid files to mutate."""
+        return any(self.files.values())
+
 
 def toml_file(rng, data):
     return of_toml(rng, data, tomllib.loads)
@@ -133,14 +138,14 @@ def of_bag(rng, files):
 
 
 def every_reader(bundle=None):
-    """Every reader; those of a bundle only where a directory of one is given.
+    """Every reader; those of a bundle have no valid files where no directory of one is given.
 
     Parameters
     ----------
     bundle : Path, optional
         Bundle of one joint with its observer.
     """
-    return [*_recordings(), *_documents(), *(_bundle_files(bundle) if bundle else [])]
+    return [*_recordings(), *_documents(), *_bundle_files(bundle)]
 
 
 def _recordings():
@@ -235,10 +240,12 @@ def _bundle_files(bundle):
     from firmware_py.inference.golden import read_golden
     from firmware_py.inference.predictor import OnnxPredictor
 
-    files = {p.name: p.read_bytes() for p in sorted(Path(bundle).iterdir()) if p.is_file()}
+    found = sorted(Path(bundle).iterdir()) if bundle else []
+    files = {p.name: p.read_bytes() for p in found if p.is_file()}
 
     def document(name, file, mutation, read):
-        return FuzzReader(name, {file: files[file]}, one(file, mutation), lambda f: read(f / file))
+        content = {file: files.get(file, b"")}
+        return FuzzReader(name, content, one(file, mutation), lambda f: read(f / file))
 
     def manifest(folder):
         read_manifest(folder)

@@ -124,9 +124,9 @@ def _of_tree(rng, data, loads, dumps):
     if rng.random() < 0.4:
         return rng.choice((of_text, of_text, of_bytes))(rng, data)
     tree = loads(data.decode())
-    for _ in range(rng.choice((1, 1, 2, 3))):
-        tree = of_tree(rng, tree)
     try:
+        for _ in range(rng.choice((1, 1, 2, 3))):
+            tree = of_tree(rng, tree)
         return dumps(tree)[:LONGEST]
     except (TypeError, ValueError, RecursionError, AttributeError):  # what the form cannot express
         return of_text(rng, data)

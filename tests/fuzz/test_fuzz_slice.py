@@ -20,6 +20,8 @@ def readers():
 def test_every_reader_uses_or_refuses_a_slice_of_inputs(readers, tmp_path):
     failures = {}
     for name, reader in readers.items():
+        if not reader.fed:
+            continue
         tally = fuzz(reader, tmp_path, 60.0, INPUTS)
         failures |= {(name, seed): verdict for seed, verdict in tally.failures}
         assert tally.counts.total() == INPUTS
