@@ -25,6 +25,7 @@ from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
 from firmware_py.motion_document import read_motion_document
 from firmware_py.realtime.clock import RealTimeOptions
+from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
@@ -119,7 +120,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Whether the recorder process writes the ticks to a file.
     logs : str
         Directory of these files, relative to the file.
-    motion, limits, live, trust, real_time
+    motion, limits, feedback, live, trust, real_time
         Tables of these names.
     """
 
@@ -134,6 +135,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     logs: str = "logs"
     motion: MotionConfig = MotionConfig()
     limits: Limits = Limits()
+    feedback: TrustOptions = TrustOptions()
     live: LiveConfig = LiveConfig()
     trust: TrustConfig = TrustConfig()
     real_time: RealTimeOptions = RealTimeOptions()
@@ -315,6 +317,8 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("limits.blend_s", limits.blend_s, 0.0, 60.0),
         ("limits.stop_deceleration_rad_s2", limits.stop_deceleration_rad_s2, 1e-2, 1e4),
         ("limits.hold_s", limits.hold_s, 0.0, 3600.0),
+        ("feedback.bad_ticks", config.feedback.bad_ticks, 1, 100),
+        ("feedback.regain_s", config.feedback.regain_s, 0.0, 3600.0),
         ("live.port", config.live.port, 0, 65535),
         ("live.viewers", config.live.viewers, 1, 100),
         ("real_time.priority", config.real_time.priority, 0, 99),

@@ -22,6 +22,7 @@ from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource
+from firmware_py.goals.tip_feedback import Correction, NoCorrection
 from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -61,6 +62,8 @@ class ControlLoop:
         Goals of each slot, as a rule a table, see `firmware_py.goals.goal_source`.
     clock : Clock
         Real or simulated.
+    correction : Correction, optional
+        Correction of the goals by the estimated tip.
     slots : int, optional
         Slots to run before the controlled stop; the goals repeat. None runs them once.
     period_s : float
@@ -93,6 +96,7 @@ class ControlLoop:
         goals: GoalSource,
         clock: Clock,
         *,
+        correction: Correction | None = None,
         slots: int | None = None,
         period_s: float = PERIOD_S,
         reply_timeout_s: float = 0.008,
@@ -109,7 +113,7 @@ class ControlLoop:
             )  # fmt: skip
         self._bus, self._clock, self._supervisor = bus, clock, supervisor
         self._estimator, self._predictor = SampleHold(estimator), predictor
-        self._goals = goals
+        self._goals, self._correction = goals, correction or NoCorrection(bus.dof)
         self._slots = goals.slots if slots is None else slots
         self._period_ns = round(period_s * 1e9)
         self._period_s = self._period_ns * 1e-9
@@ -256,9 +260,13 @@ class ControlLoop:
         predict_ns = now()
 
         goals.heed(estimate, step_s)
-        desired_rad = goals.at(slot)
-        if missed:
-            supervisor.rebase(goals.at(slot - 1))
+        correction = self._correction
+        before_rad = goals.at(slot - 1) + correction.value_rad if missed else None
+        desired_rad = goals.at(slot) + correction.update(
+            slot, step_s, status.fresh, bus.current_a, estimate, prediction
+        )
+        if before_rad is not None:
+            supervisor.rebase(before_rad)
         command_ns = now()
 
         supervisor.check(
@@ -266,6 +274,8 @@ class ControlLoop:
         )
         if goals.trouble and supervisor.state < SafetyState.STOPPING:
             supervisor.trip(goals.trouble, Fault.GOAL)
+        if correction.stop_reason and supervisor.state < SafetyState.STOPPING:
+            supervisor.trip(correction.stop_reason, Fault.ESTIMATE)
         self._heed_requests(slot)
         goal_rad = supervisor.admit(desired_rad)
         check_ns = now()
@@ -279,7 +289,7 @@ class ControlLoop:
         self._service.alive()
         tick = Tick(
             slot, missed, goal_rad, bus.angle_rad, bus.current_a, estimate, prediction,
-            supervisor.state, status, supervisor.stale_ticks, bus.alert,
+            supervisor.state, correction.trust, status, supervisor.stale_ticks, bus.alert,
             bus.wait_ns - waited_ns, marks_ns,
         )  # fmt: skip
         self._log.append(tick)

@@ -39,6 +39,7 @@ from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig, check_config
 from firmware_py.errors import InputError
 from firmware_py.goals.goal_source import GoalSource, GoalTable
+from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
@@ -214,6 +215,7 @@ def build_loop(
     clock: Clock,
     *,
     goals: GoalSource | None = None,
+    correction: Correction | None = None,
     slots: int | None = None,
     telemetry: Telemetry | None = None,
     counters: Counters | None = None,
@@ -234,6 +236,8 @@ def build_loop(
         The clock of the bus.
     goals : GoalSource, optional
         Goals of each slot; by default the configured motion, made to repeat where `slots` is given.
+    correction : Correction, optional
+        Correction of the goals by the estimated tip.
     slots : int, optional
         Slots to run before the controlled stop; the goals repeat. None runs them once.
     telemetry, counters, service, keep
@@ -249,9 +253,9 @@ def build_loop(
     return ControlLoop(
         bus, bundle.estimator, bundle.predictor,
         SafetySupervisor(config.limits_in_force, config.dof, config.period_s), goals, clock,
-        slots=slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-        replug_s=config.bus.replug_s, telemetry=telemetry, counters=counters, service=service,
-        keep=keep,
+        correction=correction, slots=slots, period_s=config.period_s,
+        reply_timeout_s=config.bus.reply_timeout_s, replug_s=config.bus.replug_s,
+        telemetry=telemetry, counters=counters, service=service, keep=keep,
     )  # fmt: skip
 
 

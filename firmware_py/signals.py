@@ -156,6 +156,7 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         Signal(
             "state", "1", "state of the safety supervisor (firmware_py.safety.states.SafetyState)"
         ),
+        Signal("trust", "1", "trust in the estimated tip (firmware_py.safety.estimate_trust)"),
         Signal(
             "bus_status", "1", "result of the bus transfer (firmware_py.bus.servo_bus.BusStatus)"
         ),
@@ -173,7 +174,7 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
     )
 
 
-_INTEGERS = {"tick", "state", "bus_status", "stale_ticks", "alert", "missed", "in_range"}
+_INTEGERS = {"tick", "state", "bus_status", "stale_ticks", "alert", "missed", "in_range", "trust"}
 
 
 def tick_dtype(dof: int) -> np.dtype[np.void]:

@@ -17,6 +17,7 @@ from firmware_py.log.telemetry import Telemetry
 from firmware_py.log.tick_ring import TickRing
 from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.realtime.timing import Timing, cause_of_miss
+from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.states import SafetyState
 
 Array = NDArray[np.float64]
@@ -41,6 +42,8 @@ class Tick(NamedTuple):
         Tip and its prediction interval.
     state : SafetyState
         State of the supervisor after the tick.
+    trust : TrustState
+        Whether corrections by the estimated tip act.
     status : BusStatus
         The worse result of read and write.
     stale_ticks : int
@@ -61,6 +64,7 @@ class Tick(NamedTuple):
     estimate: Estimate
     prediction: Prediction
     state: SafetyState
+    trust: TrustState
     status: BusStatus
     stale_ticks: int
     alert: int
@@ -153,9 +157,9 @@ class TickLog:
         self._ring.append((
             tick.slot, tick.slot * self._period_s, tick.marks_ns[0], *chain.from_iterable(joints),
             estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
-            *prediction.half_width_m.tolist(), in_range, tick.state, tick.status,
-            tick.stale_ticks, tick.alert, *stages_ns, 0, 0, tick.bus_wait_ns, stages_ns[0],
-            *self._delays_ns, tick.missed,
+            *prediction.half_width_m.tolist(), in_range, tick.state, tick.trust,
+            tick.status, tick.stale_ticks, tick.alert, *stages_ns, 0, 0, tick.bus_wait_ns,
+            stages_ns[0], *self._delays_ns, tick.missed,
         ))  # fmt: skip
         self._statuses[tick.status] += 1
         self.held_up += not tick.status.fresh and sum(self._delays_ns) > _HELD_UP_NS

@@ -16,6 +16,7 @@ COMMANDS = (
     Command("experiment", "models.commands.experiment", "design the motion that separates best"),
     Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),
     Command("goalmap", "models.commands.goalmap", "map places of the tip to goals at rest"),
+    Command("linearise", "models.commands.linearise", "linearise the twin for python-control"),
     Command("train", "models.commands.train", "train the predictors, write a bundle"),
     Command("sign", "models.commands.sign", "sign a bundle for robots that name the key"),
 )

@@ -33,7 +33,7 @@ from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
 from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
-from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
+from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
@@ -79,6 +79,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--payload", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
     )
+    parser.add_argument(
+        "--open-loop", action="store_true", help="run the plan without feedback of the tip"
+    )
     parser.add_argument("--log", type=Path, help="log file (default: in the configured directory)")
     parser.add_argument(
         "--live", action="store_true", help="serve the ticks to Foxglove at the address in [live]"
@@ -98,8 +101,10 @@ def run(args: argparse.Namespace) -> int:
     bundle = load_bundle(config, args.config)
     config = with_bundle_gains(config, bundle, args.config)
     goals: GoalSource
+    correction = None
     if plan is not None:
-        goals = goals_of_plan(plan, config, bundle)
+        goals = planned = goals_of_plan(plan, config, bundle)
+        correction = feedback_of_plan(plan, planned, config, bundle)
     else:
         goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
     slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
@@ -115,8 +120,8 @@ def run(args: argparse.Namespace) -> int:
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
-            config, bundle, bus, clock, goals=goals, slots=slots, telemetry=telemetry,
-            counters=counters, service=service,
+            config, bundle, bus, clock, goals=goals, correction=correction, slots=slots,
+            telemetry=telemetry, counters=counters, service=service,
         )  # fmt: skip
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
@@ -168,6 +173,9 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
             raise InputError("--amplitude-deg", "is given beside a motion file", "leave one out")
         motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
     config = msgspec.structs.replace(config, motion=motion)
+    if args.open_loop:
+        feedback = msgspec.structs.replace(config.feedback, use=False)
+        config = msgspec.structs.replace(config, feedback=feedback)
     if args.payload is not None:
         config = msgspec.structs.replace(config, payload_kg=args.payload)
         check_config(config, "--payload")

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import msgspec
 
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
+from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 
-__all__ = ["goals_of_plan", "log_facts"]
+__all__ = ["feedback_of_plan", "goals_of_plan", "innovation_places", "log_facts"]
 
 
 def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
@@ -55,6 +57,42 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
         )  # fmt: skip
     check_plan_goals(plan, config.limits_in_force, where)
     return PlanGoals(plan, config.payload_kg)
+
+
+def feedback_of_plan(
+    plan: TipPlan, goals: PlanGoals, config: RobotConfig, bundle: ModelBundle
+) -> TipFeedback | None:
+    """Return the feedback of a plan; None where it has none or robot.toml says so.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    goals : PlanGoals
+        Of `goals_of_plan`.
+    config : RobotConfig
+        With the table `[feedback]`.
+    bundle : ModelBundle
+        The robot's bundle, whose predictor estimates the tip.
+    """
+    if plan.feedback is None or not config.feedback.use:
+        return None
+    wanted: tuple[str, ...] = getattr(bundle.predictor, "wanted", ())
+    return TipFeedback(plan, goals, config.feedback, innovation_places(wanted, plan.dof))
+
+
+def innovation_places(wanted: Sequence[str], dof: int) -> list[int]:
+    """Return the places of the innovations of the currents among the signals of an estimate.
+
+    Parameters
+    ----------
+    wanted : sequence of str
+        Signals that the predictor takes from the estimator, in order.
+    dof : int
+        Number of joints.
+    """
+    names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
+    return [wanted.index(name) for name in names if name in wanted]
 
 
 def log_facts(plan: TipPlan) -> dict[str, str]:

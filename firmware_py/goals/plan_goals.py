@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,6 +41,8 @@ class PlanGoals(OwnGoals):
         Joints and rows of the plan.
     payload_kg : float
         Payload of the goals of this tick; beyond the grid its nearest end.
+    known : bool
+        Whether it is known.
 
     Raises
     ------
@@ -56,7 +59,7 @@ class PlanGoals(OwnGoals):
                 "payload_kg", f"is {payload_kg:g}, the plan holds {low:g} to {high:g} kg",
                 "plan again with --payloads that enclose it",
             )  # fmt: skip
-        self._known = payload_kg is not None
+        self.known = payload_kg is not None
         self._rate_kg_s = plan.payload_rate_kg_s
         self.payload_kg = 0.5 * (low + high) if payload_kg is None else float(payload_kg)
 
@@ -70,7 +73,7 @@ class PlanGoals(OwnGoals):
         step_s : float
             Time since the previous tick.
         """
-        if self._known or not math.isfinite(estimate.payload_kg):
+        if self.known or not math.isfinite(estimate.payload_kg):
             return
         wanted = min(max(estimate.payload_kg, self._grid[0]), self._grid[-1])
         most = self._rate_kg_s * step_s
@@ -84,15 +87,41 @@ class PlanGoals(OwnGoals):
         slot : int
             Number of the slot; before the first the goals wait at the start.
         """
-        row, grid = max(slot, 0) % self.slots, self._grid
+        return self.between(self._goals, max(slot, 0) % self.slots)
+
+    def between(self, tables: Array, row: int) -> Array:
+        """Interpolate a row of a table for each payload of the grid, shape (dof,).
+
+        Parameters
+        ----------
+        tables : ndarray, shape (p, n, dof)
+            One table per payload.
+        row : int
+            Row of the plan.
+        """
+        k, part = self._place()
+        below = tables[k, row]
+        return np.asarray(below + part * (tables[k + 1, row] - below) if part else below)
+
+    def blend(self, values: Array) -> Array:
+        """Interpolate values for each payload of the grid, shape (dof,).
+
+        Parameters
+        ----------
+        values : ndarray, shape (p, dof)
+            One row per payload.
+        """
+        k, part = self._place()
+        return np.asarray(values[k] + part * (values[k + 1] - values[k]) if part else values[k])
+
+    def _place(self) -> tuple[int, float]:
+        """Interval of the grid that the payload lies in, and where in it."""
+        grid, k = self._grid, 0
         if len(grid) == 1:
-            return np.asarray(self._goals[0, row])
-        k = 0
+            return 0, 0.0
         while k < len(grid) - 2 and self.payload_kg > grid[k + 1]:
             k += 1
-        part = (self.payload_kg - grid[k]) / (grid[k + 1] - grid[k])
-        below, above = self._goals[k, row], self._goals[k + 1, row]
-        return np.asarray(below + part * (above - below))
+        return k, (self.payload_kg - grid[k]) / (grid[k + 1] - grid[k])
 
 
 def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
@@ -113,6 +142,7 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
         If a goal violates a limit; it names the first row, and the payload.
     """
     goals, step_s = plan.goals_rad(), plan.period_s
+    limits = _beside_corrections(plan, limits)
     for own, table in zip(plan.payloads, goals, strict=True):
         before, velocity = table[0], np.zeros(plan.dof)
         for row, goal in enumerate(table):
@@ -126,6 +156,18 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
                 )  # fmt: skip
             before, velocity = goal, (goal - before) / step_s
     _check_change_of_payload(plan, goals, limits, where)
+
+
+def _beside_corrections(plan: TipPlan, limits: Limits) -> Limits:
+    """Limits that corrections of the goals leave: these may turn round within one period."""
+    if plan.feedback is None:
+        return limits
+    size, rate = plan.feedback.size_rad, plan.feedback.rate_rad_s
+    low, high = limits.angle_rad
+    return msgspec.structs.replace(
+        limits, angle_rad=(low + size, high - size), rate_rad_s=limits.rate_rad_s - rate,
+        acceleration_rad_s2=limits.acceleration_rad_s2 - 2.0 * rate / plan.period_s,
+    )  # fmt: skip
 
 
 def _check_change_of_payload(plan: TipPlan, goals: Array, limits: Limits, where: str) -> None:

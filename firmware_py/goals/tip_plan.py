@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 
 from firmware_py.documents import Document, read_document
 from firmware_py.errors import InputError
+from firmware_py.goals.feedback_design import (
+    FeedbackDesign,
+    StiffnessSlopes,
+    wrong_in_feedback,
+)
 
 __all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "read_tip_plan"]
 
@@ -45,6 +50,8 @@ class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         The same for goals from rigid kinematics.
     expected_rms_m : float
         The residual together with the plant's own error on trials that it was not fitted to.
+    stiffness : StiffnessSlopes or None
+        Differences that a stiffer link makes; None where the plan has no feedback.
     """
 
     payload_kg: float
@@ -54,6 +61,7 @@ class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     residual_rms_m: float
     rigid_rms_m: float
     expected_rms_m: float
+    stiffness: StiffnessSlopes | None = None
 
 
 class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -144,6 +152,8 @@ class TipPlan(Document, frozen=True):
     moves : tuple of (int, int, int)
         Moves from rest to rest: first row, row at which the move itself is over, and the row after
         the rest that follows.
+    feedback : FeedbackDesign or None
+        Feedback of the estimated tip.
     """
 
     VERSION: ClassVar[int] = 1
@@ -167,6 +177,7 @@ class TipPlan(Document, frozen=True):
     learned: tuple[LearnedRun, ...] = ()
     best: tuple[BestRun, ...] = ()
     moves: tuple[tuple[int, int, int], ...] = ()
+    feedback: FeedbackDesign | None = None
 
     @property
     def name(self) -> str:
@@ -257,7 +268,8 @@ def _wrong_in(plan: TipPlan) -> str:
                 return f"needs {plan.dof} columns of {plan.rows} rows in {name}"
             if not np.isfinite(columns).all():
                 return f"has a value in {name} that is not finite"
-    return _wrong_in_learning(plan)
+    slopes = tuple(own.stiffness for own in plan.payloads)
+    return _wrong_in_learning(plan) or wrong_in_feedback(plan.feedback, slopes, plan.dof, plan.rows)
 
 
 def _wrong_in_learning(plan: TipPlan) -> str:

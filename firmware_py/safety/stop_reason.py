@@ -20,6 +20,7 @@ class Fault(Enum):
     MEASUREMENT = auto()
     GOAL = auto()
     TORQUE = auto()
+    ESTIMATE = auto()
 
 
 class StopReason:

@@ -91,6 +91,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="tell the robot the payload (default: it estimates it)",
     )  # fmt: skip
     parser.add_argument(
+        "--open-loop", action="store_true", help="run the plan without feedback of the tip"
+    )
+    parser.add_argument(
         "--motion", default="sinusoid", metavar="KIND|FILE",
         help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)",
     )  # fmt: skip
@@ -123,6 +126,7 @@ def run(args: argparse.Namespace) -> int:
         payload_kg=args.payload_kg,
         payload_known=args.payload_known,
         plan=plan,
+        open_loop=args.open_loop,
         motion=MotionConfig(
             amplitude_rad=math.radians(args.amplitude_deg),
             period_s=args.period,

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from firmware_py.bus.registers import Register
 from hil.faults.injection import Injection
+
+TRUST_WORDS: Final = {
+    "TRUSTED": "corrections go on",
+    "FADING": "corrections begin to fade",
+    "LOST": "corrections are gone within 0.2 s",
+}
+"""Words for the lowest trust in the estimated tip."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,8 @@ class Expectation:
         Whether the log must lack ticks, and nothing but the log.
     on_time : bool
         Whether no slot may be missed.
+    trust : str
+        Lowest trust in the estimated tip that must be seen (`TrustState`); empty for any.
     """
 
     ended: str
@@ -39,6 +48,7 @@ class Expectation:
     replugs: int = 0
     unlogged: bool = False
     on_time: bool = False
+    trust: str = ""
 
     def __str__(self) -> str:
         parts = [self.ended]
@@ -52,6 +62,8 @@ class Expectation:
             parts.append("only the log suffers")
         if self.on_time:
             parts.append("no slot missed")
+        if self.trust:
+            parts.append(TRUST_WORDS[self.trust])
         if self.replugs:
             parts.append("goes on from the measured position")
         if self.reason:
@@ -103,6 +115,9 @@ class Setup:
         How long the port is gone.
     port_renamed : bool
         Whether the port comes back under another name.
+    feedback : {"none", "continue", "stop"}
+        Whether a plan with feedback of the tip runs in place of the motion, and what follows when
+        the estimate is not trusted.
     """
 
     latency_s: float = 1e-3
@@ -124,6 +139,7 @@ class Setup:
     bundle_swapped: bool = False
     unplug_s: float | None = None
     port_renamed: bool = False
+    feedback: Literal["none", "continue", "stop"] = "none"
 
 
 USUAL = Setup()

@@ -23,6 +23,7 @@ from typing import Final
 from firmware_py.bus.registers import HARDWARE_ERRORS, Register
 from firmware_py.safety.stop_reason import UNRELEASED
 from hil.faults.fault_row import Expectation, FaultRow, Setup
+from hil.faults.feedback_rows import FEEDBACK
 from hil.faults.injection import FOREVER, Injection
 
 HOUR_S: Final = 3600.0
@@ -316,6 +317,7 @@ PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
     "Servo": SERVO,
     "Host": HOST,
     "While stopping": STOPPING,
+    "Feedback of the tip": FEEDBACK,
     "Together": TOGETHER,
     "Processes": PROCESS,
 }

@@ -8,6 +8,7 @@ complaint about its course proves nothing and the case is inconclusive.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +18,7 @@ from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.display_units import TICK_TIME
 from firmware_py.realtime.timing import Cause
+from firmware_py.safety.estimate_trust import FADE_S
 from hil.faults.fault_row import FaultRow
 from hil.faults.observation import CaseObservation
 from hil.verdict import JUnitCase, Verdict, junit_xml
@@ -116,6 +118,8 @@ def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
         complaints.append("a servo still drives in the end")
     if seen.live and seen.drift_rad > HELD_RAD:
         complaints.append(f"it moved {seen.drift_rad:.3f} rad after the last that it heard")
+    if seen.fade_ticks is not None and seen.fade_ticks > math.ceil(FADE_S / period_s):
+        complaints.append(f"corrections faded for {seen.fade_ticks} ticks")
     if seen.goal_jump_rad > RESOLUTION_RAD:
         complaints.append(f"a goal jumped by {seen.goal_jump_rad:.4f} rad beyond the rate limit")
     # Replies have no number: one that the host hands over a tick late answers the next read.
@@ -139,6 +143,8 @@ def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
         complaints.append(f"seen in tick {seen.detected_ticks}, not within {must.within}")
     if must.lost is not None and seen.lost_ticks > must.lost:
         complaints.append(f"{seen.lost_ticks} ticks lost, not {must.lost} at most")
+    if must.trust and seen.trust != must.trust:
+        complaints.append(f"trust in the tip is {seen.trust}, not {must.trust}")
     if must.on_time and seen.misses:
         complaints.append(f"{sum(seen.misses.values())} slots missed")
     if must.replugs != seen.replugs:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.transport import Transport
+from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
 from firmware_py.realtime.clock import SimClock
@@ -23,6 +24,8 @@ HOST_FAULTS: Final = (
     "predictor",
     "estimator",
     "slow predictor",
+    "range",
+    "innovation",
     "stall",
     "garbage",
     "clock",
@@ -166,10 +169,27 @@ class FaultyPredictor:
             self._host.take(slow_s)
         prediction = self._inner.predict(angle_rad, current_a, di, signals, age_s)
         wrong = self._host.value("predictor")
-        if wrong is None:
+        if wrong is None and self._host.value("range") is None:
             return prediction
-        self._wrong.tip_m[:] = wrong
+        self._wrong.tip_m[:] = prediction.tip_m if wrong is None else wrong
         return self._wrong
+
+
+class FaultyFeedback(TipFeedback):
+    """Feedback of the tip that sees a wrong innovation.
+
+    Attributes
+    ----------
+    host : HostFaults or None
+        Schedule of the faults.
+    """
+
+    host: HostFaults | None = None
+
+    def innovation_a(self, estimate: Estimate) -> float:
+        """See `TipFeedback.innovation_a`."""
+        wrong = self.host.value("innovation") if self.host else None
+        return super().innovation_a(estimate) if wrong is None else wrong
 
 
 class SteppedClock(SimClock):

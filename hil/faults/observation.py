@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.states import SafetyState
 from hil.faults.servo_log import ServoLog
 
@@ -90,6 +91,10 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Replies before which the host had held the servos' process up.
     held_up_ticks : int
         Ticks without fresh data in which the host held up the loop's thread.
+    trust : str
+        Lowest trust in the estimated tip, see `firmware_py.safety.estimate_trust`.
+    fade_ticks : int or None
+        Ticks from the first loss of trust until the corrections were gone.
     """
 
     ended: str
@@ -112,6 +117,8 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     late_replies: int = 0
     held_up_replies: int = 0
     held_up_ticks: int = 0
+    trust: str = TrustState.NONE.name
+    fade_ticks: int | None = None
 
 
 def observe_case(
@@ -192,7 +199,18 @@ def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
         else SafetyState.RUNNING.name,
         "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
         "lost_ticks": int(stale[span].sum() + missed[span].sum()),
-    }
+    } | _trust(columns)
+
+
+def _trust(columns: Columns) -> dict[str, Any]:
+    """Lowest trust in the estimated tip, and the time in which corrections faded."""
+    trust, ticks = columns["trust"].astype(int), columns["tick"].astype(int)
+    fading, lost = np.flatnonzero(trust == TrustState.FADING), trust == TrustState.LOST
+    fade = None
+    if len(fading) and lost[fading[0] :].any():
+        gone = fading[0] + int(np.argmax(lost[fading[0] :]))
+        fade = int(ticks[gone] - ticks[fading[0]])
+    return {"trust": TrustState(int(trust.max())).name, "fade_ticks": fade}
 
 
 def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:

@@ -17,7 +17,7 @@ from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig
 from firmware_py.goals.goal_source import GoalSource
 from firmware_py.goals.outside.for_robot import outside_facts
-from firmware_py.goals.plan_for_robot import goals_of_plan, log_facts
+from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
@@ -96,11 +96,13 @@ def build_sil_loop(
     slots = round(options.seconds / config.period_s)
     options.bundle.assume_payload(config.payload_kg)
     goals: GoalSource | None = options.goals
-    if options.plan is not None:
-        goals = goals_of_plan(options.plan, config, options.bundle)
+    correction, plan = None, options.plan
+    if plan is not None:
+        goals = planned = goals_of_plan(plan, config, options.bundle)
+        correction = feedback_of_plan(plan, planned, config, options.bundle)
     return build_loop(
-        config, options.bundle, bus, clock, goals=goals, slots=slots, telemetry=telemetry,
-        counters=counters, keep=slots + _STOP_TICKS,
+        config, options.bundle, bus, clock, goals=goals, correction=correction, slots=slots,
+        telemetry=telemetry, counters=counters, keep=slots + _STOP_TICKS,
     )  # fmt: skip
 
 

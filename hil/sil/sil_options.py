@@ -16,6 +16,7 @@ from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import GLIDE_S
 from firmware_py.realtime.clock import RealTimeOptions
+from firmware_py.safety.estimate_trust import TrustOptions
 from hil.emulator.physics import RigSource
 
 LineKind = Literal["pty", "socket", "virtual"]
@@ -55,6 +56,8 @@ class SilOptions:
         Plan of a path of the tip, in place of the motion.
     goals : OutsideGoals, optional
         Goals of another program, in place of the motion.
+    open_loop : bool
+        Whether the plan runs without feedback of the estimated tip.
     load : int
         Processes that load the emulator's processor.
     faults : mapping of str to float
@@ -77,6 +80,7 @@ class SilOptions:
     motion: MotionConfig = field(default_factory=MotionConfig)
     plan: TipPlan | None = None
     goals: OutsideGoals | None = None
+    open_loop: bool = False
     load: int = 0
     faults: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
@@ -134,6 +138,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         period_s=options.period_s,
         payload_kg=options.payload_kg if options.payload_known else None,
         motion=options.motion,
+        feedback=TrustOptions(use=not options.open_loop),
         real_time=RealTimeOptions(cpu=cpu),
     )
 

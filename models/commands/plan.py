@@ -18,7 +18,7 @@ import msgspec
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
 from firmware_py.console import DONE, Progress, emit
-from firmware_py.display_units import CURRENT, LENGTH, TIME
+from firmware_py.display_units import ANGLE, CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
@@ -69,6 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--move", type=float, default=0.0, metavar="S",
         help="duration of a move of point_to_point (a quarter of --seconds)")  # fmt: skip
     add("--fastest", action="store_true", help="shortest move that keeps the limits")
+    add("--open-loop", action="store_true", help="leave the feedback of the estimated tip out")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,10 +86,11 @@ def run(args: argparse.Namespace) -> int:
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
     method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
-    progress = Progress("plan", 1 + len(payloads) if method == "inverse" else 1)
+    steps = 2 - args.open_loop + len(payloads) if method == "inverse" else 1
+    progress = Progress("plan", steps)
     request = PlanRequest(
         plant, manifest.dof, manifest.period_s, limits, payloads,
-        files.manifest_sha256, method,
+        files.manifest_sha256, method, not args.open_loop,
     )  # fmt: skip
     if args.fastest:
         if method != "inverse" or not path.moves:
@@ -203,6 +205,15 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
             f"{LENGTH.number(own.expected_rms_m, 2):>10}{LENGTH.number(own.rigid_rms_m):>10}"
             f"{CURRENT.text(current):>17}"
         )
+    if plan.feedback is not None:
+        gain = min(m.gain_db for own in plan.feedback.margins for m in own)
+        phase = min(m.phase_rad for own in plan.feedback.margins for m in own)
+        lines.append(
+            f"feedback of the tip: gain margin {gain:.1f} dB, phase margin "
+            f"{ANGLE.text(phase)} at least over the grid"
+        )
+    elif plan.method == "inverse":
+        lines.append("no feedback of the tip")
     if plan.plant_error_rms_m is None:
         lines.append("the plant does not tell its own error: expected is what the inversion leaves")
     lines.append(f"see {picture}")

@@ -11,6 +11,7 @@ payload to payload, so they are renewed only where a step with the old ones gain
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -135,6 +136,31 @@ class Inverter:
             found[k] = self._solved(start, payloads_kg[k])
             self._report(f"{payloads_kg[k]:g} kg inverted")
         return [self.found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
+
+    def on(self, twin: TipTwin) -> Inverter:
+        """Inversion of another twin of the same plant, with the derivatives that there are.
+
+        Parameters
+        ----------
+        twin : TipTwin
+            The other twin.
+        """
+        other = copy.copy(self)
+        other._twin = twin
+        return other
+
+    def invert_from(self, found: Inverse) -> Inverse:
+        """Goals for the payload of goals that nearly follow the path already.
+
+        Parameters
+        ----------
+        found : Inverse
+            Where the search begins.
+        """
+        start = np.asarray(
+            np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
+        )
+        return self._found(self._goals(self._solved(start, found.payload_kg)), found.payload_kg)
 
     def _goals(self, c: Array) -> Array:
         return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)

@@ -19,6 +19,7 @@ from models.plan.moves.point_moves import rate_limited, shaped, zvd_impulses
 from models.plan.moves.vibration_mode import first_modes
 from models.plan.path_shapes import DesiredPath
 from models.plan.plan_timeline import Timeline, timeline
+from models.plan.planned_feedback import with_feedback
 from models.plan.reach import check_reach
 from models.plan.twin_sensitivity import TipTwin
 from models.plant.plant import Plant
@@ -62,6 +63,8 @@ class PlanRequest:
     method : {"inverse", "rigid", "zvd"}
         Inversion of the twin; the link taken as rigid, where moves from rest to rest are as fast as
         the limits permit; the latter with ZVD shaping of the moves.
+    feedback : bool
+        Whether the inverse gets feedback of the estimated tip.
     """
 
     plant: Plant
@@ -71,6 +74,7 @@ class PlanRequest:
     payloads_kg: Sequence[float] = PAYLOADS_KG
     bundle_sha256: str = ""
     method: Method = "inverse"
+    feedback: bool = True
 
 
 def plan_path(
@@ -113,6 +117,9 @@ def plan_path(
         found = rigid
     plan = _document(path, request, line, twin, list(zip(found, rigid, strict=True)))
     check_plan_goals(plan, request.limits, where)
+    if request.feedback and request.method == "inverse":
+        plan = with_feedback(plan, request.plant, request.limits, twin, inverter, found)
+        report("feedback designed")
     for own in found:
         _check_prediction(twin, own, line, request.limits, where)
     return plan
@@ -228,7 +235,7 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
         If not even the longest duration keeps the limits.
     """
     ends = tuple(sorted({request.payloads_kg[0], request.payloads_kg[-1]}))
-    tried = replace(request, payloads_kg=ends)
+    tried = replace(request, payloads_kg=ends, feedback=False)
     low, high = MOVE_S
 
     def keeps(seconds: float) -> bool:

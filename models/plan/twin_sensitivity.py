@@ -8,6 +8,8 @@ C code does not depend on the path, and a path of any length needs no other comp
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
@@ -51,6 +53,19 @@ class TipTwin:
         self._current = [outputs.index(f"current_{j + 1}_a") for j in range(dof)]
         self._angle = [outputs.index(f"angle_{j + 1}_rad") for j in range(dof)]
         self._stepper: SensitiveModel | None = None
+
+    def changed(self, values: Mapping[str, float]) -> TipTwin:
+        """Twin with other values of parameters; names that it does not have are left out.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            By name.
+        """
+        known = set(names(self._model.parameters))
+        other = copy.copy(self)
+        other._p = self._model.parameter_values({n: v for n, v in values.items() if n in known})
+        return other
 
     def run(self, goals_rad: Array, payload_kg: float) -> Array:
         """Outputs at every row of a table of goals, shape (n, outputs), from rest at the first.

@@ -16,16 +16,27 @@ from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
-from firmware_py.goals.goal_source import GoalTable
+from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter
+from firmware_py.goals.goal_source import GoalSource, GoalTable
+from firmware_py.goals.plan_for_robot import innovation_places
+from firmware_py.goals.plan_goals import PlanGoals
+from firmware_py.goals.tip_feedback import Correction
+from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_bus, build_loop
+from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary
 from hil.emulator.physics import Physics
 from hil.faults.fault_row import FaultRow, Setup
-from hil.faults.host_faults import FaultyEstimator, FaultyPredictor, HostFaults
+from hil.faults.host_faults import (
+    FaultyEstimator,
+    FaultyFeedback,
+    FaultyPredictor,
+    HostFaults,
+)
 from hil.faults.observation import CaseOutcome, Columns
 from hil.faults.servo_log import LoggedServo
 
@@ -182,7 +193,7 @@ def lean_arm(physics: Physics, angle_rad: float) -> None:
 def run_case_loop(
     robot: CaseRobot,
     config: RobotConfig,
-    goals_rad: Array,
+    goals: tuple[GoalSource, Correction | None],
     slots: int,
     clock: Clock,
     host: HostFaults,
@@ -197,8 +208,8 @@ def run_case_loop(
         Common part of the campaign.
     config : RobotConfig
         Configuration of the case.
-    goals_rad : ndarray, shape (n, dof)
-        Goal of each slot.
+    goals : GoalSource and Correction or None
+        Goals of each slot, and the correction that is added.
     slots : int
         Slots to run.
     clock : Clock
@@ -215,8 +226,8 @@ def run_case_loop(
         if robot.tap is not None:
             bus = robot.tap.wrap(bus)
         loop = build_loop(
-            config, FaultyModels(robot.bundle, host), bus, clock, goals=GoalTable(goals_rad),
-            slots=slots, counters=counters, keep=2 * slots,
+            config, FaultyModels(robot.bundle, host), bus, clock, goals=goals[0],
+            correction=goals[1], slots=slots, counters=counters, keep=2 * slots,
         )  # fmt: skip
         host.request_stop = loop.stop
         try:
@@ -230,6 +241,51 @@ def run_case_loop(
     if robot.tap is not None:
         robot.tap.end(outcome, columns)
     return outcome, columns
+
+
+def case_source(
+    robot: CaseRobot, config: RobotConfig, goals_rad: Array, setup: Setup, host: HostFaults
+) -> tuple[GoalSource, Correction | None]:
+    """Return a table of goals; with feedback a plan of half of them, and its correction.
+
+    The plan wants the tip where a rigid link would have it, so that there is always something to
+    correct, and its filter is a gain of 1/s.
+
+    Parameters
+    ----------
+    robot : CaseRobot
+        Common part of the campaign.
+    config : RobotConfig
+        Configuration of the case.
+    goals_rad : ndarray, shape (n, dof)
+        Goal of each slot.
+    setup : Setup
+        Differences of the case.
+    host : HostFaults
+        Faults of the host.
+    """
+    if setup.feedback == "none":
+        return GoalTable(goals_rad), None
+    columns = tuple(tuple(c) for c in (0.5 * goals_rad).T.tolist())
+    still = tuple((0.0,) * len(goals_rad) for _ in range(robot.dof))
+    own = RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((1.0,),))
+    plan = TipPlan(
+        schema=TipPlan.VERSION, path="case", method="rigid", dof=robot.dof,
+        period_s=config.period_s, rest_s=REST_S, start_row=0, end_row=len(goals_rad), drawn=(),
+        desired_m=columns,
+        payloads=(PayloadPlan(payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=still,
+                              residual_rms_m=0.0, rigid_rms_m=0.0, expected_rms_m=0.0),),
+        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        feedback=FeedbackDesign(filters=((own,) * robot.dof,), margins=(), size_rad=0.03,
+                                rate_rad_s=0.16, innovation_a=0.8),
+    )  # fmt: skip
+    source = PlanGoals(plan, 1.0)
+    wanted: tuple[str, ...] = getattr(robot.bundle.predictor, "wanted", ())
+    correction = FaultyFeedback(
+        plan, source, TrustOptions(when_lost=setup.feedback), innovation_places(wanted, robot.dof)
+    )
+    correction.host = host
+    return source, correction
 
 
 def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:

@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.bus.transport import Transport, open_transport
+from firmware_py.goals.goal_source import GoalTable
 from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
 from hil.faults.cases.case_robot import CaseRobot, case_config, run_case_loop
@@ -50,7 +51,7 @@ def run_real_time(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Ca
         with contextlib.closing(KernelCounters()) as counters, real_time(config.real_time):
             before = _collections()
             outcome, columns = run_case_loop(
-                robot, config, goals_rad, SLOTS, clock, host, opener, counters
+                robot, config, (GoalTable(goals_rad), None), SLOTS, clock, host, opener, counters
             )  # fmt: skip
             collections = _collections() - before
         servo_log = servo_process.stop()

@@ -18,6 +18,7 @@ from hil.faults.cases.case_robot import (
     case_config,
     case_goals,
     case_servos,
+    case_source,
     lean_arm,
     run_case_loop,
 )
@@ -85,7 +86,8 @@ def _run(
 
     config = case_config(robot, row, number, "virtual")
     goals_rad = case_goals(config, setup, number)
-    outcome, columns = run_case_loop(robot, config, goals_rad, SLOTS, clock, host, opener)
+    goals = case_source(robot, config, goals_rad, setup, host)
+    outcome, columns = run_case_loop(robot, config, goals, SLOTS, clock, host, opener)
     servo_log = bus.log(true_clock.now_ns() + SETTLE_NS)
     if (pulse := setup.through_pulse) is not None:
         wanted_rad = MODELS[number].angle_rad(pulse)

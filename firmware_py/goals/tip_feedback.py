@@ -1,0 +1,259 @@
+"""Feedback of the estimated tip along a plan: bounded corrections of the goals.
+
+The error of the estimated tip passes a filter, whose output is the rate of the correction; the
+correction is its integral, so its bounds of size and rate are at the integrator itself and nothing
+winds up behind them. Filters for the payloads of the plan run side by side, and their rates are
+interpolated like the goals. Where the payload is known, the stiffness of the link is estimated as
+well (`firmware_py.goals.stiffness_estimate`): goals and the estimated tip follow it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.goals.feedback_design import StiffnessSlopes
+from firmware_py.goals.plan_goals import PlanGoals
+from firmware_py.goals.stiffness_estimate import StiffnessEstimate
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.inference.estimator import Estimate
+from firmware_py.inference.predictor import Prediction
+from firmware_py.safety.estimate_trust import EstimateTrust, TrustOptions, TrustState
+
+__all__ = ["Correction", "NoCorrection", "TipFeedback"]
+
+Array = NDArray[np.float64]
+RANGE_M: Final = 0.015
+"""Half width of the interval beyond which the predictor says "out of range" for that alone."""
+WIDEST_M: Final = 0.06
+"""Half width beyond which feedback does not trust the tip either [assumed]. The interval widens
+with the innovation, which a wrong stiffness raises too, and that is what feedback is to correct."""
+STIFFNESS_RATE_PER_S: Final = 0.05
+"""Largest rate at which the goals follow the estimated stiffness [assumed]."""
+
+
+class Correction(Protocol):
+    """Correction that is added to the goals of a source.
+
+    Attributes
+    ----------
+    value_rad : ndarray, shape (dof,)
+        Correction of the latest tick.
+    trust : TrustState
+        Whether the estimate is trusted.
+    stop_reason : str
+        Why the robot must stop; empty where it need not.
+    """
+
+    value_rad: Array
+
+    @property
+    def trust(self) -> TrustState:
+        """Whether the estimate is trusted."""
+        ...
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the robot must stop; empty where it need not."""
+        ...
+
+    def update(
+        self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
+        prediction: Prediction,
+    ) -> Array:  # fmt: skip
+        """Return the correction of a tick, shape (dof,).
+
+        Parameters
+        ----------
+        slot : int
+            Number of the slot.
+        step_s : float
+            Time since the previous tick.
+        fresh : bool
+            Whether the sample was measured in this tick.
+        current_a : ndarray, shape (dof,)
+            As measured.
+        estimate : Estimate
+            Of the estimator.
+        prediction : Prediction
+            Of the predictor.
+        """
+        ...
+
+
+class NoCorrection:
+    """No correction.
+
+    Parameters
+    ----------
+    dof : int
+        Number of joints.
+    """
+
+    trust: TrustState = TrustState.NONE
+    stop_reason = ""
+
+    def __init__(self, dof: int) -> None:
+        self.value_rad = np.zeros(dof)
+
+    def update(
+        self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
+        prediction: Prediction,
+    ) -> Array:  # fmt: skip
+        """Return zeros."""
+        return self.value_rad
+
+
+class TipFeedback:
+    """Feedback of a plan as `Correction`.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        With a feedback design.
+    goals : PlanGoals
+        Goals of this plan, whose payload the feedback follows.
+    options : TrustOptions
+        What follows when the estimate is not trusted.
+    innovations : sequence of int
+        Places of the innovations of the currents among the signals of an estimate.
+
+    Attributes
+    ----------
+    value_rad : ndarray, shape (dof,)
+        Correction of the latest tick.
+    stiffness : float
+        Relative stiffness that the goals follow.
+
+    Raises
+    ------
+    ValueError
+        If the plan has no feedback.
+    """
+
+    def __init__(
+        self, plan: TipPlan, goals: PlanGoals, options: TrustOptions, innovations: list[int]
+    ) -> None:
+        if plan.feedback is None:
+            raise ValueError("the plan has no feedback")
+        design, self._goals, self._innovations = plan.feedback, goals, innovations
+        self._dof, self._rows = plan.dof, plan.rows
+        self._size_rad, self._rate_rad_s = design.size_rad, design.rate_rad_s
+        self._most_innovation_a = design.innovation_a
+        self._desired_m = np.ascontiguousarray(plan.desired_tip_m())
+        filters = [f for own in design.filters for f in own]
+        states = len(filters[0].a)
+        self._a = np.array([f.a for f in filters])
+        self._b = np.array([f.b for f in filters])[:, :, 0]
+        self._c = np.array([f.c for f in filters])[:, 0, :]
+        self._d = np.array([f.d for f in filters])[:, 0, 0]
+        self._x = np.zeros((len(filters), states))
+        slopes = [own.stiffness for own in plan.payloads]
+        known = [s for s in slopes if s is not None] if goals.known else []
+        self._slopes = _tables(known) if len(known) == len(slopes) else None
+        self._current_a = np.array([np.transpose(own.current_a) for own in plan.payloads])
+        self._estimate = StiffnessEstimate(plan.dof)
+        self.stiffness = 0.0
+        self._integral = np.zeros(plan.dof)
+        self.value_rad = np.zeros(plan.dof)
+        self._trust = EstimateTrust(options, plan.period_s)
+
+    @property
+    def trust(self) -> TrustState:
+        """Whether the estimate is trusted."""
+        return self._trust.state
+
+    @property
+    def losses(self) -> int:
+        """How often trust was lost."""
+        return self._trust.losses
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the robot must stop; empty where it need not."""
+        if not self._trust.stops:
+            return ""
+        return f"the estimated tip is no longer trusted: {self._trust.reason}"
+
+    def update(
+        self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
+        prediction: Prediction,
+    ) -> Array:  # fmt: skip
+        """Return the correction of a tick; see `Correction.update`."""
+        trust = self._trust
+        doubt = self._doubt(fresh, estimate, prediction)
+        trust.update(doubt, step_s)
+        if slot < 0:
+            return self.value_rad
+        row = slot % self._rows
+        if trust.state is TrustState.TRUSTED and not doubt:
+            self._follow(row, step_s, current_a, prediction.tip_m)
+        elif trust.state is TrustState.LOST:
+            self._integral[:] = 0.0
+            self._x[:] = 0.0
+        wanted = self._integral
+        if self._slopes is not None:
+            wanted = wanted + self.stiffness * self._goals.between(self._slopes["goals_rad"], row)
+        size, most = self._size_rad, self._rate_rad_s * step_s
+        wanted = trust.fraction * np.clip(wanted, -size, size)
+        self.value_rad = self.value_rad + np.clip(wanted - self.value_rad, -most, most)
+        return self.value_rad
+
+    def _doubt(self, fresh: bool, estimate: Estimate, prediction: Prediction) -> str:
+        if not fresh:
+            return "the data is stale"
+        tip = prediction.tip_m
+        if not (math.isfinite(tip[0]) and math.isfinite(tip[1]) and math.isfinite(estimate.di)):
+            return "it is not finite"
+        widest_m = max(prediction.half_width_m.tolist())
+        if not widest_m <= WIDEST_M or not (prediction.in_range or widest_m > RANGE_M):
+            return "it is out of range"
+        innovation_a = self.innovation_a(estimate)
+        if not innovation_a <= self._most_innovation_a:
+            return f"its innovation is {innovation_a:.2f} A"
+        return ""
+
+    def innovation_a(self, estimate: Estimate) -> float:
+        """Return the largest innovation of a current; 0 where the estimator tells none.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            Of the estimator.
+        """
+        return max((float(estimate.signals[k]) for k in self._innovations), default=0.0)
+
+    def _follow(self, row: int, step_s: float, current_a: Array, tip_m: Array) -> None:
+        """Run the filters and the estimate of the stiffness for a sample."""
+        goals, slopes, dof = self._goals, self._slopes, self._dof
+        error = self._desired_m[row] - tip_m[:dof]
+        if slopes is not None:
+            planned = goals.between(self._current_a, row)
+            unmatched = goals.between(slopes["unmatched_a"], row)
+            moved = goals.between(slopes["current_a"], row) - unmatched
+            self._estimate.update(
+                current_a - planned - self.stiffness * moved, unmatched,
+                goals.between(slopes["friction_a"], row), goals.between(slopes["weight"], row),
+            )  # fmt: skip
+            most = STIFFNESS_RATE_PER_S * step_s
+            change = self._estimate.value - self.stiffness
+            self.stiffness += min(max(change, -most), most)
+            error -= self.stiffness * goals.between(slopes["unseen_m"], row)
+        errors = np.tile(error, len(self._x) // dof)
+        rates = np.einsum("fn,fn->f", self._c, self._x) + self._d * errors
+        self._x = np.einsum("fij,fj->fi", self._a, self._x) + self._b * errors[:, None]
+        rate = goals.blend(rates.reshape(-1, dof))
+        most_rad_s, size = self._rate_rad_s, self._size_rad
+        moved_rad = self._integral + step_s * np.clip(rate, -most_rad_s, most_rad_s)
+        self._integral = np.clip(moved_rad, -size, size)
+
+
+def _tables(slopes: list[StiffnessSlopes]) -> dict[str, Array]:
+    """Columns by name, shape (payloads, rows, dof)."""
+    return {
+        name: np.array([np.transpose(getattr(own, name)) for own in slopes])
+        for name in StiffnessSlopes.__struct_fields__
+    }

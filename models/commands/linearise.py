@@ -1,0 +1,96 @@
+"""Linearised twin as state space: the exact derivatives of one control period about rest.
+
+The file is JSON with A, B, C, D, dt and the names of states, inputs and outputs. In Python:
+
+    import json, control
+    m = json.load(open("linear.json"))
+    system = control.ss(m["A"], m["B"], m["C"], m["D"], m["dt"])
+
+Prints the modes with their damping, and the margins of the feedback that a plan would get at this
+payload. While the joints move dry friction does not depend on their speed and is left out; at rest
+(--at-rest) it is as stiff as its smoothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from firmware_py.console import DONE, emit
+from firmware_py.display_units import ANGLE
+from firmware_py.errors import InputError
+from firmware_py.signals import PERIOD_S
+from models.plant.plant import read_plant
+
+EXAMPLE = "python -m models linearise build/plant.json --dof 1 --payload 1 --out build/linear.json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("plant", type=Path, metavar="PLANT", help="plant to linearise")
+    add("--out", type=Path, required=True, metavar="FILE.json", help="file to write")
+    add("--payload", type=float, default=1.0, metavar="KG", help="mass at the tip (1)")
+    add("--dof", type=int, choices=(1, 2), default=1, help="number of joints (1)")
+    add("--period", type=float, default=PERIOD_S, metavar="S", help="control period (0.017)")
+    add("--angle-deg", type=float, nargs="+", metavar="DEG",
+        help="goals at which the arm rests, one per joint (0)")  # fmt: skip
+    add("--at-rest", action="store_true", help="keep dry friction, as while the joints stand")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Linearise, write, report."""
+    plant = read_plant(args.plant)
+    angles_deg = args.angle_deg or [0.0] * args.dof
+    if len(angles_deg) != args.dof:
+        raise InputError("--angle-deg", f"has {len(angles_deg)} values", f"give {args.dof}")
+    if not 0.0 <= args.payload <= 3.0:
+        raise InputError("--payload", f"is {args.payload:g} kg", "give 0 to 3 kg")
+    if not 1e-3 <= args.period <= 1.0:
+        raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")
+    if plant.load != "link":
+        raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
+    # CasADi and python-control are loaded here, so that a wrong option is refused at once.
+    import numpy as np
+
+    from models.plan.feedback_loops import design_feedback
+    from models.plan.linear_twin import LinearTwins, modes
+
+    twins = LinearTwins(plant, args.dof, args.period)
+    system = twins.at(args.payload, np.radians(angles_deg), sliding=not args.at_rest)
+    found = modes(system)
+    margins = design_feedback(plant, args.dof, args.period, [args.payload]).margins
+    document: dict[str, Any] = {
+        "plant_sha256": plant.sha256(), "payload_kg": args.payload, "dof": args.dof,
+        "angles_rad": [math.radians(a) for a in angles_deg], "sliding": not args.at_rest,
+        "dt": args.period, "states": system.state_labels, "inputs": system.input_labels,
+        "outputs": system.output_labels,
+        "A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(),
+        "D": system.D.tolist(),
+        "modes": [{"frequency_rad_s": m.frequency_rad_s, "damping": m.damping} for m in found],
+        "margins": [
+            {"joint": j, "gain_db": m.gain_db, "phase_rad": m.phase_rad,
+             "crossover_rad_s": m.crossover_rad_s}
+            for j, own in enumerate(margins, start=1) for m in own
+        ],
+    }  # fmt: skip
+    try:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            args.out, f"cannot be written ({error.strerror})", "name another"
+        ) from error
+    lines = [f"{args.out}: {len(system.A)} states, {args.payload:g} kg, {args.dof}DOF", "modes:"]
+    lines += [f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}" for m in found]
+    lines += [
+        f"feedback of joint {j}: gain margin {m.gain_db:.1f} dB, phase margin "
+        f"{ANGLE.text(m.phase_rad)}, crossover {m.crossover_rad_s:.1f} rad/s"
+        for j, own in enumerate(margins, start=1)
+        for m in own
+    ]
+    emit(args, document, "\n".join(lines))
+    return DONE

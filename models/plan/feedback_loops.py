@@ -1,0 +1,267 @@
+"""Feedback of the estimated tip: filters shaped on the linearised twin for each payload.
+
+The loop of a joint is filter, integrator, delay and twin::
+
+    L(z) = F(z) · h/(z − 1) · P(z)
+
+The integrator is the correction itself; one period of delay stands for the loop and the bus. F is a
+gain and a notch at the first mode of the link, whose frequency falls with the payload: without it
+the mode limits the gain. The estimate of the tip counts as exact: the observer is the twin's own
+link, driven by the measured angles. Loop shaping with python-control: the gain is the highest with
+which all linearisations at that payload keep the margins, at rest and sliding, and with a link that
+is 20 % stiffer or softer than the plant says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import control
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.goals.feedback_design import Columns, FeedbackDesign, LoopMargins, RateFilter
+from models.plan.linear_twin import LinearTwins, frequency_response, modes, tip_part
+from models.plan.loop_margins import (
+    LEAST_GAIN_DB,
+    LEAST_PHASE_RAD,
+    Response,
+    crossover_rad_s,
+    gain_margin,
+    highest_gain,
+    phase_margin_rad,
+)
+from models.plant.plant import Plant
+
+Array = NDArray[np.float64]
+SIZE_RAD: Final = 0.03
+"""Largest correction [assumed]: 3 cm at the tip, half of what rigid kinematics leaves."""
+RATE_RAD_S: Final = 0.16
+"""Largest rate of a correction: the largest one fades out within 0.2 s."""
+INNOVATION_A: Final = 0.8
+"""Innovation of a current above which the estimate is not trusted [assumed]: that of 1 kg that the
+observer does not know of, at 0.5 m beside the joint."""
+SPARE_DB: Final = 0.5
+SPARE_RAD: Final = float(np.radians(3.0))
+"""Margin kept beyond the required one, for other payloads than those of the grid [assumed]."""
+VARIANTS: Final = ((True, 1.0), (False, 1.0), (True, 0.8), (True, 1.2))
+"""Linearisations at a payload: sliding or at rest, factor on the stiffness of the link."""
+DEPTHS: Final = (0.1, 0.2, 0.35)
+WIDTHS: Final = (0.5, 0.8, 1.2, 1.8)
+PLACES: Final = (0.95, 1.0, 1.1)
+"""Notches that are tried: damping of numerator and denominator, frequency over that of the mode."""
+LIGHT: Final = 0.3
+"""Damping ratio below which a mode is one of the link."""
+
+
+@dataclass(frozen=True)
+class ShapedLoops:
+    """Loops of one joint at one payload, for pictures.
+
+    Attributes
+    ----------
+    joint : int
+        Number of the joint, from 1.
+    payload_kg : float
+        Mass at the tip.
+    rates_rad_s : ndarray, shape (n,)
+        Frequencies.
+    responses : list of ndarray of complex
+        One per linearisation of `VARIANTS`.
+    """
+
+    joint: int
+    payload_kg: float
+    rates_rad_s: Array
+    responses: list[Response]
+
+
+def frequencies(period_s: float) -> Array:
+    """Return the angular frequencies at which loops are judged, up to Nyquist's.
+
+    Parameters
+    ----------
+    period_s : float
+        Control period.
+    """
+    end = np.pi / period_s
+    return np.concatenate([np.geomspace(0.05, 3.0, 50), np.arange(3.05, 30.0, 0.15),
+                           np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
+
+
+def design_feedback(
+    plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
+) -> FeedbackDesign:
+    """Design the feedback of a plan.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    dof : int
+        Number of joints.
+    period_s : float
+        Control period.
+    payloads_kg : sequence of float
+        Grid of the plan.
+    """
+    twins = LinearTwins(plant, dof, period_s)
+    filters: list[tuple[RateFilter, ...]] = []
+    responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
+    for payload_kg, plants in responses.items():
+        mode_rad_s = _link_mode_rad_s(twins, payload_kg)
+        filters.append(
+            tuple(_shaped([p[:, j, j] for p in plants], mode_rad_s, period_s) for j in range(dof))
+        )
+    design = FeedbackDesign(
+        filters=tuple(filters), margins=(), size_rad=SIZE_RAD, rate_rad_s=RATE_RAD_S,
+        innovation_a=INNOVATION_A,
+    )  # fmt: skip
+    loops = _opened(design, period_s, responses)
+    return msgspec.structs.replace(design, margins=_margins(loops, dof))
+
+
+def margins_of(
+    design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
+) -> tuple[tuple[LoopMargins, ...], ...]:
+    """Least margins of each loop at each payload, the other loop closed.
+
+    Parameters
+    ----------
+    design : FeedbackDesign
+        The filters.
+    twins : LinearTwins
+        Linearisations to judge them on.
+    payloads_kg : sequence of float
+        Payloads of the filters.
+    """
+    return _margins(shaped_loops(design, twins, payloads_kg), twins.dof)
+
+
+def _margins(loops: Sequence[ShapedLoops], dof: int) -> tuple[tuple[LoopMargins, ...], ...]:
+    return tuple(
+        tuple(
+            LoopMargins(
+                payload_kg=own.payload_kg,
+                gain_db=20.0 * float(np.log10(min(map(gain_margin, own.responses)))),
+                phase_rad=min(map(phase_margin_rad, own.responses)),
+                crossover_rad_s=crossover_rad_s(own.responses[0], own.rates_rad_s),
+            )
+            for own in loops
+            if own.joint == joint
+        )
+        for joint in range(1, dof + 1)
+    )
+
+
+def shaped_loops(
+    design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
+) -> list[ShapedLoops]:
+    """Responses of the loops by payload and joint, each opened with the other one closed.
+
+    Parameters
+    ----------
+    design, twins, payloads_kg
+        See `margins_of`.
+    """
+    responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
+    return _opened(design, twins.period_s, responses)
+
+
+def _opened(
+    design: FeedbackDesign, period_s: float,
+    plants_by_payload: Mapping[float, Sequence[NDArray[np.complex128]]],
+) -> list[ShapedLoops]:  # fmt: skip
+    rates = frequencies(period_s)
+    found = []
+    for (payload_kg, plants), filters in zip(
+        plants_by_payload.items(), design.filters, strict=True
+    ):
+        shapes = [_integrated(as_system(f, period_s), rates) for f in filters]
+        for j, own in enumerate(shapes):
+            responses = []
+            for p in plants:
+                seen = p[:, j, j]
+                if len(shapes) == 2:
+                    o = 1 - j
+                    closed = shapes[o] / (1.0 + shapes[o] * p[:, o, o])
+                    seen = seen - p[:, j, o] * closed * p[:, o, j]
+                responses.append(own * seen)
+            found.append(ShapedLoops(j + 1, payload_kg, rates, responses))
+    return found
+
+
+def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
+    """Return a filter as python-control has it.
+
+    Parameters
+    ----------
+    own : RateFilter
+        Of a design.
+    period_s : float
+        Control period.
+    """
+    return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
+
+
+def keeps_margins(design: FeedbackDesign) -> bool:
+    """Whether every loop keeps the margins that are required.
+
+    Parameters
+    ----------
+    design : FeedbackDesign
+        With its margins.
+    """
+    return all(
+        m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
+        for own in design.margins
+        for m in own
+    )
+
+
+def _responses(twins: LinearTwins, payload_kg: float) -> list[NDArray[np.complex128]]:
+    rates = frequencies(twins.period_s)
+    return [
+        frequency_response(
+            tip_part(twins.at(payload_kg, sliding=sliding, stiffness=factor), twins.dof), rates
+        )
+        for sliding, factor in VARIANTS
+    ]
+
+
+def _link_mode_rad_s(twins: LinearTwins, payload_kg: float) -> float:
+    light = [m for m in modes(twins.at(payload_kg)) if m.damping < LIGHT]
+    return light[0].frequency_rad_s if light else 0.25 * np.pi / twins.period_s
+
+
+def _integrated(own: control.StateSpace, rates_rad_s: Array) -> Response:
+    """Filter, integrator and the period of delay."""
+    z = np.exp(1j * rates_rad_s * own.dt)
+    return np.asarray(frequency_response(own, rates_rad_s)[:, 0, 0] * own.dt / (z - 1.0))
+
+
+def _shaped(plants: list[Response], mode_rad_s: float, period_s: float) -> RateFilter:
+    """Notch and gain with the highest crossover that keeps the margins."""
+    rates = frequencies(period_s)
+    best: tuple[float, RateFilter] | None = None
+    for depth, width, place in product(DEPTHS, WIDTHS, PLACES):
+        w = place * mode_rad_s
+        notch = control.tf([1.0, 2 * depth * w, w * w], [1.0, 2 * width * w, w * w])
+        own = control.ss(control.sample_system(notch, period_s, "tustin"))
+        shape = _integrated(own, rates)
+        loops = [shape * p for p in plants]
+        gain = highest_gain(loops, LEAST_GAIN_DB + SPARE_DB, LEAST_PHASE_RAD + SPARE_RAD)
+        if gain > 0.0 and (best is None or gain > best[0]):
+            a, b, c, d = (_rows(m) for m in (own.A, own.B, gain * own.C, gain * own.D))
+            best = gain, RateFilter(a=a, b=b, c=c, d=d)
+    if best is None:  # a plant without gain: no feedback at all keeps the margins
+        return RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((0.0,),))
+    return best[1]
+
+
+def _rows(matrix: Array) -> Columns:
+    return tuple(tuple(row) for row in np.asarray(matrix, dtype=np.float64).tolist())

@@ -1,0 +1,57 @@
+"""Feedback of a plan that was inverted: loops for its grid, and what a stiffer link changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.goals.plan_goals import check_plan_goals
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.safety.limits import Limits
+from models.plan.feedback_loops import design_feedback, keeps_margins
+from models.plan.inversion import Inverse, Inverter
+from models.plan.stiffness_slopes import stiffness_slopes
+from models.plan.twin_sensitivity import TipTwin
+from models.plant.plant import Plant
+from models.plant.simulation.compiled_model import CompiledModel
+
+
+def with_feedback(
+    plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
+    found: Sequence[Inverse],
+) -> TipPlan:  # fmt: skip
+    """Add feedback where it keeps the margins and the limits leave room for corrections.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        Without feedback.
+    plant : Plant
+        That was inverted.
+    limits : Limits
+        Limits of the robot.
+    twin : TipTwin
+        Twin of the plant.
+    inverter : Inverter
+        That found the goals.
+    found : sequence of Inverse
+        The goals, one for each payload.
+    """
+    design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
+    if not keeps_margins(design):
+        return plan
+    guided = msgspec.structs.replace(plan, feedback=design)
+    try:
+        check_plan_goals(guided, limits, f"path {plan.path}")
+    except InputError:
+        return plan
+    driven = CompiledModel(plant.step_model(plan.dof, "driven"))
+    payloads = tuple(
+        msgspec.structs.replace(
+            own, stiffness=stiffness_slopes(plant, twin, inverter, inverse, driven)
+        )
+        for own, inverse in zip(plan.payloads, found, strict=True)
+    )
+    return msgspec.structs.replace(guided, payloads=payloads)

@@ -1,0 +1,35 @@
+"""The command `models linearise`: what it writes is what python-control reads."""
+
+import json
+
+import control
+import numpy as np
+import pytest
+
+from models.__main__ import main
+from models.plant.plant import NOMINAL
+
+
+def test_the_file_is_a_system_of_python_control(tmp_path, capsys):
+    out = tmp_path / "linear.json"
+    assert main(["linearise", str(NOMINAL), "--payload", "2", "--out", str(out)]) == 0
+    m = json.loads(out.read_text())
+    system = control.ss(m["A"], m["B"], m["C"], m["D"], m["dt"])
+    assert (system.ninputs, system.noutputs) == (1, len(m["outputs"]))
+    assert len(m["states"]) == system.nstates
+    tip = m["outputs"].index("tip_x_m")
+    low = abs(system(np.exp(0.01j * m["dt"]))[tip, 0])
+    assert 0.9 < low < 1.5, "1 rad moves a link of 1 m by about 1 m, and it leans further by itself"
+    assert m["margins"][0]["gain_db"] >= 6.0
+    text = capsys.readouterr().out
+    assert "damping" in text and "gain margin" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [(["--payload", "9"], "give 0 to 3 kg"), (["--angle-deg", "1", "2"], "give 1"),
+     (["--period", "0"], "0.001 to 1 s")],
+)  # fmt: skip
+def test_wrong_options_are_refused(tmp_path, capsys, options, sentence):
+    assert main(["linearise", str(NOMINAL), "--out", str(tmp_path / "x"), *options]) == 2
+    assert sentence in capsys.readouterr().err
