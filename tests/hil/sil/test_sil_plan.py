@@ -16,6 +16,7 @@ from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
+from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from hil.__main__ import main
@@ -74,7 +75,7 @@ def options(bundle, plan, fmu, tmp_path):
         given = {
             "bundle": bundle, "model": MODELS[54024], "out": tmp_path, "fmu": fmu,
             "line": "virtual", "seconds": plan.duration_s, "payload_kg": 0.8,
-            "payload_known": True, "plan": plan,
+            "payload_known": True, "plan": plan, "open_loop": True,
         }  # fmt: skip
         return SilOptions(**(given | changes))
 
@@ -120,6 +121,18 @@ def _improve(bundle, plan, directory, measured_m):
     assert improved.learned[0].rms_m == pytest.approx(measured_m, rel=0.02)
     assert improved.learned[0].predicted_rms_m < measured_m / 2
     assert (directory / "next.svg").stat().st_size > 1000
+
+
+def test_corrections_of_a_wrong_estimate_stay_within_their_bounds(options, plan):
+    """A predictor that knows no bend asks for more than the bounds give."""
+    result = run_sil(options(open_loop=False))
+    assert result.summary.reason == "the motion is over"
+    own = result.records[(result.records["tick"] >= 0) & (result.records["tick"] < plan.rows)]
+    goals = PlanGoals(plan, 0.8)
+    added = own["goal_1_rad"] - np.array([goals.at(int(k))[0] for k in own["tick"]])
+    assert set(own["trust"]) == {TrustState.TRUSTED}
+    assert 1e-3 < np.max(np.abs(added)) <= plan.feedback.size_rad + 1e-9
+    assert np.max(np.abs(np.diff(added))) <= plan.feedback.rate_rad_s * PERIOD_S + 1e-9
 
 
 def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):
