@@ -292,6 +292,19 @@ REQUIREMENTS: Final = (
         "SR-27", "The same recorded run gives the same goals, states and end, or it is declared.",
         ("hil/faults/test_recorded_runs.py::test_a_recorded_run_is_answered_as_it_was",),
     ),
+    SafetyRequirement(
+        "SR-28", "Corrections by a tip that is not trusted are gone within 0.2 s.",
+        (
+            f"{_T}/goals/test_tip_feedback.py::"
+            "test_corrections_fade_within_200_ms_and_come_back",
+            f"{_T}/goals/test_tip_feedback.py::test_the_robot_stops_where_it_is_told_to",
+        ),
+        (),
+        (
+            "innovation of the current too large", "estimated tip *", "stale data under feedback",
+            "host stall of 20 ms under feedback",
+        ),
+    ),
 )  # fmt: skip
 """Every requirement, in the order of the page."""
 

@@ -160,7 +160,7 @@ class Inverter:
         start = np.asarray(
             np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
         )
-        return self._found(self._goals(self._solved(start, found.payload_kg)), found.payload_kg)
+        return self.found(self._goals(self._solved(start, found.payload_kg)), found.payload_kg)
 
     def _goals(self, c: Array) -> Array:
         return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)

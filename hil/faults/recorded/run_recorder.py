@@ -26,6 +26,7 @@ from firmware_py.inference.bundle import ModelBundle
 from hil.faults.campaign import cases_of
 from hil.faults.cases.case_robot import CaseRobot, RunTap, case_config
 from hil.faults.cases.virtual_case import SLOTS, run_virtual
+from hil.faults.fault_table import ROWS
 from hil.faults.fault_verdict import FaultCase
 from hil.faults.observation import CaseOutcome, Columns
 from hil.faults.recorded.recorded_run import RunTape, TapeFacts, column_names, write_runs
@@ -137,7 +138,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     robot = CaseRobot(ModelBundle.load(args.bundle), args.fmu)
     runs, named = [], set()
-    for case in cases_of(robot.dof, ("virtual",), [args.seed]):
+    replayed = [row for row in ROWS if row.setup.feedback == "none"]  # no interval on the tape
+    for case in cases_of(robot.dof, ("virtual",), [args.seed], replayed):
         if (case.row.fault, case.row.how) in named or (run := record_case(case, robot)) is None:
             continue
         named.add((case.row.fault, case.row.how))

@@ -38,7 +38,9 @@ def test_every_fault_of_the_virtual_line_that_lets_the_robot_start_was_recorded(
     started = {
         f"{row.fault}, {row.how}"
         for row in ROWS
-        if "virtual" in row.lines and row.must.ended != "refused"
+        if "virtual" in row.lines
+        and row.must.ended != "refused"
+        and row.setup.feedback == "none"  # its interval and innovation are not on the tape
     }
     assert recorded == started
 
