@@ -273,6 +273,10 @@ $(PLANS)/plans.html: $(PLAN_RUNS)
 build/plans/plans.json: $(PLANS)/plans.html
 	$(BIN)/python -m hil plans $(@D) --json > $@
 
+# Speeds, learning with a wrong plant, and moves from rest to rest.
+build/bench_plans/%.json: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu
+	$(call run,python -m bench.plans $* --build build --out $(@D))
+
 # --- FMUs for other machines ----------------------------------------------------------------------
 
 FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu)))
