@@ -2,17 +2,18 @@
 
 import xml.etree.ElementTree as ET
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.signals import PERIOD_S, tip_names
 from fmu.fmu_models import read_parts
 from fmu.ssp.ssp_builder import build_ssp
 from fmu.ssp.system_structure import PATHS, system_structure
 from fmu.ssp.tip_controller import tip_controller
-from models.plant.plant import read_plant
+from models.plant.step_model import Variable
 
 PAYLOAD_KG = 1.5
 STEPS = 300
@@ -25,13 +26,24 @@ def package(bundle_1dof, tmp_path_factory):
     return build_ssp(twin, observer, path, payload_kg=PAYLOAD_KG)
 
 
+def with_signals(inputs, outputs):
+    """A model in name only."""
+    return SimpleNamespace(
+        inputs=[Variable(name, "1") for name in inputs],
+        outputs=[Variable(name, "1") for name in outputs],
+    )
+
+
 @pytest.mark.parametrize("dof", [1, 2])
 def test_every_input_that_another_component_gives_is_connected_once(dof):
-    plant = read_plant()
+    joints = range(1, dof + 1)
+    goals = [f"goal_{j}_rad" for j in joints]
+    measured = [f"{what}_{j}_{unit}" for what, unit in (("angle", "rad"), ("current", "a"))
+                for j in joints]  # fmt: skip
     models = {
         "controller": tip_controller(dof),
-        "twin": plant.step_model(dof, "twin"),
-        "observer": plant.step_model(dof, "observer"),
+        "twin": with_signals([*goals, "payload_kg"], [*measured, *tip_names()]),
+        "observer": with_signals(measured, [*tip_names(), "payload_kg"]),
     }
     root = ET.fromstring(system_structure("link", models, 1.0, "2026-01-01T00:00:00Z"))
     ends = [
