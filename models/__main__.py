@@ -10,6 +10,7 @@ from firmware_py.console import Command, dispatch
 COMMANDS = (
     Command("simulate", "models.commands.simulate", "run the rig, write trials"),
     Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
+    Command("validate", "models.commands.validate", "check trials before a fit"),
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
     Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),

@@ -1,10 +1,17 @@
-"""Import of a recording as a trial: names and units mapped, files merged, clocks synchronised."""
+"""Import of recordings as trials: names and units mapped, files merged, clocks synchronised.
+
+Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows what
+was found. An import that cannot be right is refused with its likely cause, a doubtful one warned
+of. Several files, or a folder, are imported with one map; conditions then come from their names or
+from a table ([takes] in the map, docs/trials.md).
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import itertools
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -12,18 +19,22 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from firmware_py.console import DONE, emit
+from firmware_py.console import BAD_INPUT, DONE, emit
 from firmware_py.display_units import DURATION
+from firmware_py.errors import InputError
 from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
-from models.trials.importers import KINDS, read_series
-from models.trials.importers.assembly import align_rest_pose, assemble_trial
+from models.trials.importers import KINDS
 from models.trials.importers.mapping import read_mapping
 from models.trials.importers.robot_log import with_log_conditions
-from models.trials.importers.synchronisation import shift_clock, synchronise
 from models.trials.importers.table_file import read_scalars
+from models.trials.takes import Take, find_takes
 from models.trials.trial_files import check_trial_name, read_trial, write_trial
+from models.trials.verdict.finding import ImportFinding
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.inspected_import import Source, inspect_import
+from models.trials.verdict.verdict_page import clock_text, write_verdict
 
 SECONDS_PER_BYTE: Final = 2e-6
 """Processor time by the size of a recording: five times that of a bag of joint states
@@ -35,9 +46,11 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="recording to import")
     parser.add_argument(
-        "--as", dest="kind", required=True, choices=KINDS, help="format of the recording"
+        "file", type=Path, nargs="+", metavar="FILE", help="recordings to import, or their folder"
+    )
+    parser.add_argument(
+        "--as", dest="kind", required=True, choices=KINDS, help="format of the recordings"
     )
     parser.add_argument(
         "--servo", type=Path, metavar="LOG",
@@ -56,62 +69,104 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import one recording and check the written trial as any other.
-
-    The work is done in a child process with limits of memory and time: libraries that read binary
-    formats crash or allocate without bound on damaged files.
+    """Import every take and check the written trials as any other.
 
     Raises
     ------
     InputError
-        If a file cannot be used, or the name of the trial is none.
+        If a file cannot be used, the import of a single take is refused, or an option belongs to
+        one take only.
     """
-    name = args.name or args.file.stem
+    takes = find_takes(args.file, args.kind, read_mapping(args.map))
+    if len(takes) == 1:
+        result = _import(args, takes[0], args.name or takes[0].file.stem)
+        emit(args, result, _described(result))
+        return DONE
+    for option in ("servo", "name", "offset"):
+        if getattr(args, option) is not None:
+            raise InputError(
+                f"--{option}", f"belongs to one file, not to {len(takes)}", "give it under [takes]"
+            )
+    results, texts = [], []
+    for take in takes:
+        try:
+            result = _import(args, take, take.file.stem)
+            text = _described(result)
+        except InputError as error:
+            result = {"file": str(take.file), "verdict": "refused", "why": str(error)}
+            text = f"refused: {error}"
+        results.append(result)
+        texts.append(text)
+    refused = sum(result["verdict"] == "refused" for result in results)
+    imported = f"{len(takes) - refused} of {len(takes)} takes imported"
+    emit(args, {"takes": results}, "\n".join([*texts, imported]))
+    return BAD_INPUT if refused else DONE
+
+
+def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
+    """Import one take in a child process with limits of memory and time.
+
+    Libraries that read binary formats crash or allocate without bound on damaged files.
+    """
     check_trial_name(name, "--name")
     args.out.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".import-", dir=args.out) as scratch:
         answer = guarded_call(
-            lambda: msgspec.json.encode(_import(args, name, Path(scratch))), args.file,
-            "export it again, or import less of it", seconds=_seconds_for(args.file, args.servo),
+            lambda: msgspec.json.encode(_imported(args, take, name, Path(scratch))), take.file,
+            "export it again, or import less of it",
+            seconds=_seconds_for(take.file, args.servo or take.servo),
         )  # fmt: skip
         result: dict[str, Any] = msgspec.json.decode(answer)
         for file in sorted(Path(scratch).iterdir()):  # the CSV first: a trial needs both
             file.replace(args.out / file.name)
-    emit(args, result, _described(result))
-    return DONE
+    for finding in result["findings"]:
+        print(f"warning: {take.file}: {finding['text']}; {finding['remedy']}.", file=sys.stderr)
+    return result
 
 
-def _import(args: argparse.Namespace, name: str, out: Path) -> dict[str, Any]:
-    """Facts about the trial that is written to `out`."""
-    mapping = read_mapping(args.map)
+def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dict[str, Any]:
+    """Facts about the trial and the page that are written to `out`."""
+    mapping, servo = take.mapping, args.servo or take.servo
     cut_off = []
-    for path in filter(_is_recording, (args.file, args.servo)):
-        log = read_recording(path)
-        mapping = with_log_conditions(mapping, log)
-        if not log.complete:
-            cut_off.append(str(path))
+    for path in (take.file, servo):
+        if path is not None and path.suffix == ".mcap":
+            log = read_recording(path)
+            mapping = with_log_conditions(mapping, log)
+            if not log.complete:
+                cut_off.append(str(path))
     if args.kind == "table":
-        mapping = mapping.with_scalars(read_scalars(args.file), args.file)
-    series = align_rest_pose(read_series(args.file, args.kind, mapping), mapping)
-    result: dict[str, Any] = {}
-    if args.servo is not None:
-        servo = read_series(args.servo, None, mapping.for_servo())
-        if args.offset is None:
-            found = synchronise(servo, series, mapping.dof)
-            result = {"offset_s": found.offset_s, "correlation": found.correlation}
-        else:
-            result = {"offset_s": args.offset}
-        series = [*series, *shift_clock(servo, result["offset_s"])]
-    path = write_trial(assemble_trial(series, mapping, name), out)
-    trial = read_trial(path, mapping.signals)
-    return result | {
+        mapping = mapping.with_scalars(read_scalars(take.file), take.file)
+    offset_s = args.offset if args.offset is not None else take.offset_s
+    verdict = ImportVerdict(name)
+    try:
+        trial = inspect_import(Source(take.file, args.kind, servo, offset_s), mapping, verdict)
+        path = write_trial(trial, out)
+        trial = read_trial(path, mapping.signals)
+    except InputError as error:
+        if verdict.pose is None and verdict.trial is None:
+            raise
+        if not verdict.refused:
+            verdict.findings.append(ImportFinding("refused", "refused", error.what, error.remedy))
+        page = write_verdict(verdict, args.out)
+        raise InputError(error.where, error.what, f"{error.remedy} (see {page})") from None
+    write_verdict(verdict, out)
+    result: dict[str, Any] = verdict.as_json() | {
         "trial": str(args.out / path.name),
+        "page": str(args.out / f"{name}.html"),
         "rows": len(trial),
         "step_s": trial.step_s,
         "rest_samples": trial.meta.rest_samples,
         "occluded_share": None if mapping.signals else float(np.mean(np.isnan(trial.markers_m))),
         "cut_off": cut_off,
     }
+    clock = verdict.clock
+    if servo is not None and clock is not None:
+        result |= {"offset_s": clock.offset_s, "clock": clock_text(clock)}
+        if clock.by != "option":
+            result["offset_error_s"] = clock.error_s
+        if clock.by == "motion":
+            result["correlation"] = clock.correlation
+    return result
 
 
 def _described(result: dict[str, Any]) -> str:
@@ -122,13 +177,12 @@ def _described(result: dict[str, Any]) -> str:
     )
     if result["occluded_share"] is not None:
         text += f", {result['occluded_share']:.1%} of the marker cells empty"
-    if "correlation" in result:
-        text += (
-            f"; servo clock {result['offset_s']:+.4f} s, correlation {result['correlation']:.4f}"
-        )
+    if "clock" in result:
+        text += f"; {result['clock']}"
     for name in result["cut_off"]:
         text += f"; {name} was cut off: read up to its last whole chunk"
-    return text
+    warned = len(result["findings"])
+    return f"{text}; {warned or 'no'} warning{'s' if warned != 1 else ''}, see {result['page']}"
 
 
 def _seconds_for(*paths: Path | None) -> float:
@@ -139,7 +193,3 @@ def _seconds_for(*paths: Path | None) -> float:
             files = path.iterdir() if path.is_dir() else (path,)
             size += sum(file.stat().st_size for file in itertools.islice(files, 100))
     return SECONDS + min(size, 2 * MOST_BYTES) * SECONDS_PER_BYTE
-
-
-def _is_recording(path: Path | None) -> bool:
-    return path is not None and path.suffix == ".mcap"

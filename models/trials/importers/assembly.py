@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -11,7 +12,8 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS
 from firmware_py.signals import TIME, joint_signals, tip_names
-from models.trials.importers.mapping import MARKERS, RecordingMap
+from models.shared.kinematics import base_rotation
+from models.trials.importers.mapping import BASE_MARKERS, MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.importers.series import Series, marker_columns, row_centre_m
 from models.trials.trial import Array, Trial
@@ -51,6 +53,7 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
         unseen for longer than `LONGEST_TIP_GAP_S`.
     """
     where = series[0].path
+    series = _goals_at_samples(series, mapping)
     source = {column: s for s in map(_with_tip, series) for column in s.columns}
     needed = (
         columns_of(mapping.dof, mapping.signals)[1:]
@@ -68,7 +71,9 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
             columns[column] = np.full(len(grid_s), np.nan)
             continue
         owner, hold = source[column], column in goals
-        columns[column] = resample(owner.time_s, owner.columns[column], grid_s, hold=hold)
+        # A goal stamped up to half a step after a row's time is the one sent just after it.
+        at_s = grid_s + 0.5 * mapping.step_s if hold and len(used) > 1 else grid_s
+        columns[column] = resample(owner.time_s, owner.columns[column], at_s, hold=hold)
     for tip in (n for n in tip_names() if n in columns):
         columns[tip] = _fill_short_gaps(where, columns[tip], mapping.step_s)
     for signal in needed:
@@ -82,6 +87,32 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     return Trial(name, mapping.meta(min(rest, len(grid_s) - 1), duration_s), columns)
 
 
+def _goals_at_samples(series: list[Series], mapping: RecordingMap) -> list[Series]:
+    """Goals that were recorded apart, stamped as the samples that they were sent after.
+
+    A goal stamped within a period after a sample belongs to the row of that sample.
+    """
+    sampled = next((s.time_s for s in series if "angle_1_rad" in s.columns), None)
+    if sampled is None or mapping.signals:
+        return series
+    return [
+        replace(s, time_s=_sent_after(s.time_s, sampled, mapping.step_s))
+        if s.columns and all(name.startswith("goal") for name in s.columns)
+        else s
+        for s in series
+    ]
+
+
+def _sent_after(goal_s: Array, sampled_s: Array, step_s: float) -> Array:
+    """Times of the samples before goals, where one goal follows a sample within a period."""
+    before = np.searchsorted(sampled_s, goal_s, side="right") - 1
+    sample_s = sampled_s[np.maximum(before, 0)]
+    close = (before >= 0) & (goal_s - sample_s < (1 - STEP_TOLERANCE) * step_s)
+    alone = np.bincount(np.maximum(before, 0), minlength=len(sampled_s))[np.maximum(before, 0)] == 1
+    moved_s = np.where(close & alone, sample_s, goal_s)
+    return moved_s if np.all(np.diff(moved_s) > 0) else goal_s
+
+
 def _is_goal(column: str, mapping: RecordingMap) -> bool:
     """Whether a column is held from one sample to the next."""
     if column in mapping.signals:
@@ -89,24 +120,46 @@ def _is_goal(column: str, mapping: RecordingMap) -> bool:
     return column.startswith("goal")
 
 
-def align_rest_pose(series: list[Series], mapping: RecordingMap) -> list[Series]:
-    """Move the markers to the upright link by their rest pose, where the map asks for it.
+def align_markers(
+    series: list[Series], mapping: RecordingMap, rest_rad: Array | None = None
+) -> list[Series]:
+    """Move the markers onto the nominal robot by what the map names: nothing, rest pose, or base.
 
     Parameters
     ----------
     series : list of Series
-        Those without the marker m01 are returned as they are.
+        Those without markers are returned as they are.
     mapping : RecordingMap
         With `[frame]` and the size of the link.
+    rest_rad : ndarray, shape (dof,), optional
+        Joint angles at rest; upright without it.
 
     Raises
     ------
     InputError
-        If fewer than four markers are visible at rest.
+        If too few markers are visible at rest.
     """
     if mapping.frame.align == "none":
         return series
-    return [_align_series(s, mapping) if "m01_x_m" in s.columns else s for s in series]
+    turn = np.eye(3) if rest_rad is None else base_rotation(np.atleast_2d(rest_rad))[0]
+    return [_align_series(s, mapping, turn) if "m01_x_m" in s.columns else s for s in series]
+
+
+def rest_count(series: Series, names: Sequence[str]) -> int:
+    """Leading samples in which no marker has moved, at least one.
+
+    Parameters
+    ----------
+    series : Series
+        With the markers.
+    names : sequence of str
+        Markers to look at.
+    """
+    places_m = np.concatenate([series.position_m(n) for n in names], axis=1)
+    first = np.argmax(np.isfinite(places_m), axis=0)
+    moved_m = np.abs(places_m - places_m[first, np.arange(places_m.shape[1])])
+    moved = np.flatnonzero(np.any(moved_m > REST_RANGE_M, axis=1))  # NaN is no motion
+    return max(int(moved[0]), 1) if len(moved) else len(places_m)
 
 
 def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:
@@ -201,20 +254,28 @@ def _rest_rows(values: Array, limit: float) -> int:
     return int(moved[0]) if len(moved) else len(values)
 
 
-def _align_series(series: Series, mapping: RecordingMap) -> Series:
-    names = [n for n in (*MARKERS, "tip") if f"{n}_x_m" in series.columns]
+def _align_series(series: Series, mapping: RecordingMap, turn: Array) -> Series:
+    meta = mapping.meta(0)
+    by_base = mapping.frame.align == "base"
+    wanted = BASE_MARKERS if by_base else MARKERS
+    half, up = 0.5 * meta.link_width_m, meta.base_offset_m
+    corners_m = [(sx * half, sy * half, up) for sy in (1, -1) for sx in (1, -1)]
+    places_m = np.array(corners_m) if by_base else nominal_markers_m(meta)
+    nominal = dict(zip(wanted, places_m @ turn.T, strict=True))
+    names = [n for n in (*MARKERS, *BASE_MARKERS, "tip") if f"{n}_x_m" in series.columns]
+    rest = rest_count(series, names)
     markers_m = {n: series.position_m(n) for n in names}
-    stacked = np.nan_to_num(np.concatenate([markers_m[n] for n in names], axis=1))
-    rest = max(_rest_rows(stacked, REST_RANGE_M), 1)
-    nominal = dict(zip(MARKERS, nominal_markers_m(mapping.meta(0)), strict=True))
     pairs = [
         (np.nanmean(markers_m[n][:rest], axis=0), nominal[n])
         for n in names
         if n in nominal and np.isfinite(markers_m[n][:rest]).any()
     ]
-    if len(pairs) < 4:
+    least = 3 if by_base else 4
+    if len(pairs) < least:
         raise InputError(
-            series.path, f"shows {len(pairs)} markers at rest", "align needs at least four"
+            series.path,
+            f"shows {len(pairs)} markers {'of the base ' if by_base else ''}at rest",
+            f"align needs at least {least}" + (": map b01 … b04" if by_base else ""),
         )
     rotation, shift_m = fit_rigid_motion(*(np.array(side) for side in zip(*pairs, strict=True)))
     moved = {n: position @ rotation.T + shift_m for n, position in markers_m.items()}

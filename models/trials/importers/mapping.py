@@ -31,9 +31,14 @@
 
     [frame]                            # mocap frame -> world frame
     up = "y"                           # axis of the file that points up
-    align = "rest"                     # fit the rest pose to the upright link, or "none"
+    align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
     origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
     yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
+
+    [takes]                            # one map for many files: conditions by file name or table
+    pattern = "load{payload_kg}_take{trial}"   # of the names, without suffix
+    table = "takes.csv"                # or a table with a column `file` and one for each condition
+    servo = "{name}.mcap"              # servo's file of each take, beside it
 """
 
 from __future__ import annotations
@@ -55,6 +60,8 @@ Scalar = str | int | float
 """Single value of a file, or of a condition."""
 
 MARKERS = tuple(f"m{i:02d}" for i in range(1, 17))
+BASE_MARKERS = ("b01", "b02", "b03", "b04")
+"""Corners of the base plate, in the order of a row; they align the frame and give the clock."""
 
 
 class ColumnSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -76,9 +83,17 @@ class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Orientation and origin of the motion capture's frame in the world; see the module's text."""
 
     up: Literal["x", "y", "z"] | None = None
-    align: Literal["rest", "none"] = "none"
+    align: Literal["rest", "base", "none"] = "none"
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_deg: float = 0.0
+
+
+class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`[takes]`: how a folder of takes gets conditions and servo files; see the module's text."""
+
+    pattern: str = ""
+    table: str = ""
+    servo: str = ""
 
 
 class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -108,6 +123,8 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Unit of `JointState.effort`.
     frame : MocapFrame
         Frame of the motion capture.
+    takes : TakeRules
+        Conditions and servo files of many takes.
     path : str
         File of the map, for messages.
     """
@@ -124,6 +141,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     joints: list[str] = []
     effort_unit: str = "A"
     frame: MocapFrame = MocapFrame()
+    takes: TakeRules = TakeRules()
     path: str = "--map"
 
     def meta(self, rest_samples: int, duration_s: float | None = None) -> TrialMeta:
@@ -225,7 +243,8 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             if name == source:
                 return marker
         bare = name.rsplit(":", 1)[-1].strip().lower()
-        return bare if not self.markers and bare in (*MARKERS, "tip") else None
+        known = (*MARKERS, *BASE_MARKERS, "tip")
+        return bare if not self.markers and bare in known else None
 
 
 def read_mapping(path: Path | None) -> RecordingMap:
@@ -246,8 +265,10 @@ def read_mapping(path: Path | None) -> RecordingMap:
     document = read_toml(path, "name an existing MAP.toml")
     mapping = convert(document, RecordingMap, path, "", "see docs/trials.md for its form")
     for name in mapping.markers:
-        if name not in (*MARKERS, "tip"):
-            raise InputError(path, f"[markers] {name!r} is no marker", "use m01 … m16 or tip")
+        if name not in (*MARKERS, *BASE_MARKERS, "tip"):
+            raise InputError(
+                path, f"[markers] {name!r} is no marker", "use m01 … m16, tip or b01 … b04"
+            )
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
     mapping = msgspec.structs.replace(mapping, path=str(path))

@@ -29,13 +29,29 @@ def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) 
     default_up : {"x", "y", "z"}
         Upward axis of the file where the map does not give it.
     """
-    yaw = np.radians(frame.yaw_deg)
-    about_z = np.array(
+    rotation = world_rotation(frame, default_up)
+    origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
+    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
+
+
+def world_rotation(frame: MocapFrame, default_up: str) -> Array:
+    """Rotation from the file's axes to the world's, shape (3, 3).
+
+    Parameters
+    ----------
+    frame : MocapFrame
+        The map's `[frame]`.
+    default_up : {"x", "y", "z"}
+        Upward axis of the file where the map does not give it.
+    """
+    return np.asarray(_about_z(frame.yaw_deg) @ _TO_Z_UP[frame.up or default_up])
+
+
+def _about_z(yaw_deg: float) -> Array:
+    yaw = np.radians(yaw_deg)
+    return np.array(
         [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
     )
-    rotation = about_z @ _TO_Z_UP[frame.up or default_up]
-    origin_m = about_z @ np.array(frame.origin_m)
-    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
 
 
 def nominal_markers_m(meta: TrialMeta) -> Array:

@@ -23,6 +23,7 @@ from firmware_py.files.input_files import MOST_CELLS, read_lines
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, marker_columns
+from models.trials.importers.text_columns import cells_remedy, has_decimal_comma
 from models.trials.trial import Array
 from models.trials.trial_columns import MOST_COLUMNS
 
@@ -156,10 +157,10 @@ def _samples(
     for number, row in enumerate(rows, start=line + 1):
         if not row:
             continue
-        if len(row) < width:
+        if len(row) < width or len(row) >= 1.5 * width:
             raise InputError(
                 path, f"line {number} has {len(row)} cells, the header {width}",
-                "the file is truncated: export it again",
+                cells_remedy(len(row), width),
             )  # fmt: skip
         if len(numbers) > MOST_CELLS:
             raise InputError(path, f"holds more than {MOST_CELLS} numbers", "export less of it")
@@ -173,9 +174,10 @@ def _samples(
 
 def _no_number(path: Path, line: int, row: list[str]) -> InputError:
     k, cell = next((k, c) for k, c in enumerate(row, start=1) if not _is_number(c))
-    return InputError(
-        path, f"line {line}, cell {k}: {cell[:80]!r} is not a number", "export it from Motive again"
-    )
+    remedy = "export it from Motive again"
+    if has_decimal_comma(cell):
+        remedy = "the file has decimal commas: export it with decimal points"
+    return InputError(path, f"line {line}, cell {k}: {cell[:80]!r} is not a number", remedy)
 
 
 def _is_number(cell: str) -> bool:

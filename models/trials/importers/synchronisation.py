@@ -1,32 +1,40 @@
 """Offset between the servo's clock and the motion capture's.
 
-Both recorded the same motion: the servo as its angle, the markers as the direction in which the
-link points. The offset is the one at which the two correlate best. The link lags behind the joint
-by its own dynamics, so the direction is that of its root (first marker row, if there is one),
-which bends least.
+A hardware signal that both files recorded (`sync_v`) gives it directly. Otherwise both recorded the
+same motion: the servo as its angle, the markers as the direction in which the link points. All
+offsets and signs are searched (`models.trials.clock.offset_search`), and the offset is fitted
+without the lag of the link's bend (`models.trials.clock.offset_fit`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
 
 from firmware_py.errors import InputError
 from models.shared.kinematics import pointing_angles_rad
-from models.trials.importers.mapping import MARKERS
+from models.trials.clock.bending_lag import BendRatio, nominal_bend_ratio
+from models.trials.clock.offset_fit import OffsetFit, fit_offset
+from models.trials.clock.offset_search import SEPARATION_S, ClockSignal, Peak, find_peaks
+from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
+from models.trials.importers.mapping import BASE_MARKERS, MARKERS
 from models.trials.importers.series import Series, row_centre_m
 from models.trials.trial import Array
 
-COARSE_STEP_S: Final = 0.01
-"""Step of the first search over all offsets; the second one is continuous."""
 LONGEST_S: Final = 10_000.0
 """Longest recording whose offset is searched: a million coarse steps."""
 MIN_CORRELATION: Final = 0.9
 """Correlation below which two files do not show the same motion."""
+SYNC: Final = "sync_v"
+"""Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
+NEAR_FACTOR: Final = 3.0
+NEAR_FLOOR: Final = 0.01
+"""A second offset is near if its lack of correlation is below this multiple of the best one's plus
+the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset]."""
+NOMINAL_LINK_M: Final = (0.06, 0.95)
+"""Base offset and length of the nominal link: docs/sources.md, "The link"."""
 
 
 @dataclass(frozen=True)
@@ -38,59 +46,83 @@ class Synchronisation:
     offset_s : float
         To be added to the servo's times to get those of the motion capture.
     correlation : float
-        Of servo angle and direction of the link at that offset; 1 is perfect.
+        Of servo angle and direction of the link at that offset; 1 is perfect. NaN where the
+        motion did not give the offset.
+    error_s : float
+        Half width of the 95 % interval of the offset.
+    lag_s : float
+        Lag of the link's bend, which was left out of the offset.
+    second_offset_s, second_correlation : float
+        Best offset apart from the first; NaN where there is none.
+    by : {"motion", "sync", "option"}
+        What gave the offset: the motion, a hardware signal, or the user.
+    fit : OffsetFit or None
+        Residuals, for a picture.
     """
 
     offset_s: float
     correlation: float
+    error_s: float = 0.0
+    lag_s: float = 0.0
+    second_offset_s: float = np.nan
+    second_correlation: float = np.nan
+    by: Literal["motion", "sync", "option"] = "motion"
+    fit: OffsetFit | None = None
 
 
-def synchronise(servo: list[Series], mocap: list[Series], dof: int) -> Synchronisation:
-    """Offset between the clocks of two files, to a fraction of a sample.
-
-    A coarse cross-correlation over all offsets gives the start; the maximum of the correlation
-    coefficient around it is found in continuous time.
+def synchronise(
+    servo: list[Series],
+    mocap: list[Series],
+    dof: int,
+    link_m: tuple[float, float] = NOMINAL_LINK_M,
+) -> Synchronisation:
+    """Offset between the clocks of two files, with its error.
 
     Parameters
     ----------
     servo : list of Series
         With the joint angles.
     mocap : list of Series
-        With the first marker row or the tip.
+        With the first marker row or the tip; the second row shows the bend.
     dof : int
         Joints to compare.
+    link_m : tuple of float
+        Base offset and length of the link.
 
     Raises
     ------
     InputError
-        If a file lacks what is compared, or the correlation is below `MIN_CORRELATION`.
+        If a file lacks what is compared, the correlation is below `MIN_CORRELATION`, another sign
+        or order of the joints fits better, or a second offset fits nearly as well.
     """
-    angle_s, angle_rad = _angle(servo, dof)
-    seen_s, seen_rad = _direction(mocap, dof)
-    for own, time_s in ((servo, angle_s), (mocap, seen_s)):
+    by_edge = _by_edges(servo, mocap)
+    if by_edge is not None:
+        return by_edge
+    angle = _angle(servo, dof)
+    seen, bend, ratio = _direction(mocap, dof, nominal_bend_ratio(*link_m))
+    for own, time_s in ((servo, angle.time_s), (mocap, seen.time_s)):
         if time_s[-1] - time_s[0] > LONGEST_S:
             what = f"lasts {time_s[-1] - time_s[0]:.3g} s, more than {LONGEST_S:g} s"
             raise InputError(own[0].path, what, "check the unit of its times, or give --offset")
-    coarse_s = _coarse_offset_s(angle_s, angle_rad, seen_s, seen_rad)
-
-    def disagreement(offset_s: float) -> float:
-        return -_correlation(angle_s + offset_s, angle_rad, seen_s, seen_rad)
-
-    best = minimize_scalar(
-        disagreement,
-        bounds=(coarse_s - 2 * COARSE_STEP_S, coarse_s + 2 * COARSE_STEP_S),
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
-    found = Synchronisation(float(best.x), -float(best.fun))
-    if not found.correlation >= MIN_CORRELATION:
+    peaks = find_peaks(angle, seen)
+    mapped = [peak for peak in peaks if peak.reading.as_mapped]
+    _check_reading(servo, mocap, mapped, peaks)
+    fit = fit_offset(angle, seen, bend, ratio, mapped[0].offset_s)
+    if not fit.correlation >= MIN_CORRELATION:
+        raise _unlike(servo, mocap, fit.correlation, fit.offset_s)
+    second = _second(mapped, peaks)
+    if second is not None and _is_near(second.correlation, mapped[0].correlation):
         raise InputError(
             servo[0].path,
-            f"its angle and the motion in {mocap[0].path} correlate by {found.correlation:.2f} at "
-            f"best (at {found.offset_s:.3f} s)",
-            "check joint order, signs and [frame] in MAP.toml, or give --offset SECONDS",
+            f"its angle and the motion in {mocap[0].path} agree at {fit.offset_s:.3f} s and nearly "
+            f"as well at {second.offset_s:.3f} s (correlations {mapped[0].correlation:.4f} and "
+            f"{second.correlation:.4f}): the motion repeats itself, with too little rest to tell",
+            "record the rest before the motion in both files, or give --offset SECONDS",
         )
-    return found
+    return Synchronisation(
+        fit.offset_s, fit.correlation, fit.error_s, fit.lag_s,
+        second.offset_s if second else np.nan, second.correlation if second else np.nan, fit=fit,
+    )  # fmt: skip
 
 
 def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
@@ -106,58 +138,138 @@ def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
     return [replace(s, time_s=s.time_s + offset_s) for s in series]
 
 
-def _angle(servo: list[Series], dof: int) -> tuple[Array, Array]:
+def without_sync(series: list[Series]) -> list[Series]:
+    """Series without the synchronisation signal, which is no signal of the trial."""
+    return [
+        replace(s, columns={n: v for n, v in s.columns.items() if n != SYNC}) if SYNC in s.columns
+        else s
+        for s in series
+    ]  # fmt: skip
+
+
+def _by_edges(servo: list[Series], mocap: list[Series]) -> Synchronisation | None:
+    owners = [next((s for s in side if SYNC in s.columns), None) for side in (servo, mocap)]
+    if owners[0] is None or owners[1] is None:
+        return None
+    edges = [rising_edges_s(s.time_s, s.columns[SYNC]) for s in owners if s is not None]
+    found = edge_offset_s(edges[0], edges[1])
+    if found is None:
+        raise InputError(
+            owners[0].path,
+            f"its {SYNC} has {len(edges[0])} rising edges, that of {owners[1].path} "
+            f"{len(edges[1])}, and they do not fit together",
+            f"map the same signal in both files, or leave {SYNC} out",
+        )
+    steps_s = [float(np.median(np.diff(s.time_s))) for s in owners if s is not None]
+    sampling_s = float(np.linalg.norm(steps_s)) / np.sqrt(12 * max(min(map(len, edges)), 1))
+    return Synchronisation(
+        found[0], np.nan, float(np.hypot(found[1], 1.96 * sampling_s)), by="sync"
+    )
+
+
+def _angle(servo: list[Series], dof: int) -> ClockSignal:
     names = [f"angle_{j}_rad" for j in range(1, dof + 1)]
     for series in servo:
         if all(name in series.columns for name in names):
-            return _complete(series, np.column_stack([series.columns[n] for n in names]))
+            values = np.column_stack([series.columns[n] for n in names])
+            whole = _complete(series, values)
+            return ClockSignal(series.time_s[whole], values[whole])
     raise InputError(servo[0].path, f"has no {' and '.join(names)}", "map them under [columns]")
 
 
-def _direction(mocap: list[Series], dof: int) -> tuple[Array, Array]:
+def _direction(
+    mocap: list[Series], dof: int, ratio: BendRatio
+) -> tuple[ClockSignal, Array | None, BendRatio]:
+    """Direction of the link near its root, bend above it, and ratio of the bend below it."""
+    for series in mocap:
+        if all(f"{name}_z_m" in series.columns for name in BASE_MARKERS):  # it does not bend
+            b1, b2, b3, b4 = (series.position_m(name) for name in BASE_MARKERS)
+            normal = pointing_angles_rad(np.cross(b1 + b3 - b2 - b4, b1 + b2 - b3 - b4))[:, :dof]
+            whole = _complete(series, normal)
+            return ClockSignal(series.time_s[whole], normal[whole]), None, BendRatio(0.0, 0.0)
     for series in mocap:
         if all(f"{name}_z_m" in series.columns for name in MARKERS[:4]):
-            root_m = row_centre_m(np.array([series.position_m(name) for name in MARKERS[:4]]))
-            return _complete(series, pointing_angles_rad(root_m)[:, :dof])
+            rows_m = [
+                row_centre_m(np.array([series.position_m(name) for name in names]))
+                for names in (MARKERS[:4], MARKERS[4:8])
+                if all(f"{name}_z_m" in series.columns for name in names)
+            ]
+            root = pointing_angles_rad(rows_m[0])[:, :dof]
+            whole = _complete(series, root)
+            bend = None
+            if len(rows_m) > 1:
+                above = pointing_angles_rad(rows_m[1] - rows_m[0])[:, :dof] - root
+                bend = above[whole] if np.isfinite(above).all(axis=1).sum() > 100 else None
+            return ClockSignal(series.time_s[whole], root[whole]), bend, ratio
     for series in mocap:
         if "tip_z_m" in series.columns:
-            return _complete(series, pointing_angles_rad(series.position_m("tip"))[:, :dof])
+            tip = pointing_angles_rad(series.position_m("tip"))[:, :dof]
+            whole = _complete(series, tip)
+            return ClockSignal(series.time_s[whole], tip[whole]), None, ratio
     raise InputError(mocap[0].path, "has neither m01 … m04 nor the tip", "map them under [markers]")
 
 
-def _complete(series: Series, values: Array) -> tuple[Array, Array]:
-    """Times and values of the samples in which every value was measured."""
-    whole = np.all(np.isfinite(values), axis=1)
+def _complete(series: Series, values: Array) -> Array:
+    """Rows in which every value was measured."""
+    whole = np.asarray(np.all(np.isfinite(values), axis=1))
     if whole.sum() < 3:
         raise InputError(series.path, "shows too little to synchronise", "give --offset SECONDS")
-    return series.time_s[whole], values[whole]
+    return whole
 
 
-def _coarse_offset_s(angle_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array) -> float:
-    score: Array | float = 0.0
-    for a, b in zip(angle_rad.T, seen_rad.T, strict=True):
-        # Zero beyond the ends, where the link rests: a partial overlap must not win.
-        score = score + correlate(_even(seen_s, b), _even(angle_s, a), mode="full")
-    lag = int(np.argmax(score)) - (len(_even(angle_s, angle_rad[:, 0])) - 1)
-    return float(seen_s[0] - angle_s[0] + lag * COARSE_STEP_S)
-
-
-def _even(time_s: Array, values: Array) -> Array:
-    grid_s = np.arange(time_s[0], time_s[-1], COARSE_STEP_S)
-    return np.asarray(np.interp(grid_s, time_s, values) - values[0])
-
-
-def _correlation(angle_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array) -> float:
-    """Correlation coefficient of all joints together, each about its own mean."""
-    after = np.clip(np.searchsorted(seen_s, angle_s), 1, len(seen_s) - 1)
-    gap = seen_s[after] - seen_s[after - 1] > 3 * np.median(np.diff(seen_s))  # occluded
-    inside = (angle_s >= seen_s[0]) & (angle_s <= seen_s[-1]) & ~gap
-    if inside.sum() < 3:
-        return 0.0
-    angle = angle_rad[inside] - angle_rad[inside].mean(axis=0)
-    direction = np.column_stack(
-        [np.interp(angle_s[inside], seen_s, column) for column in seen_rad.T]
+def _check_reading(
+    servo: list[Series], mocap: list[Series], mapped: list[Peak], peaks: list[Peak]
+) -> None:
+    """Refuse angles that fit with other signs or in another order, or not at all."""
+    best = max((p.correlation for p in mapped), default=0.0)
+    other = max(
+        (p for p in peaks if not p.reading.as_mapped), key=lambda p: p.correlation, default=None
     )
-    direction = direction - direction.mean(axis=0)
-    size = np.sqrt(np.sum(angle**2) * np.sum(direction**2))
-    return float(np.sum(angle * direction) / size) if size > 0 else 0.0
+    at_s = mapped[0].offset_s if mapped else 0.0
+    if (
+        other is not None
+        and other.correlation >= MIN_CORRELATION
+        and 1 - other.correlation < (1 - best) / NEAR_FACTOR
+    ):
+        raise InputError(
+            servo[0].path,
+            f"{_other_reading(other)}: so read, it fits the motion in {mocap[0].path} with a "
+            f"correlation of {other.correlation:.4f}, as mapped with {best:.4f}",
+            "check joint order, signs (scale = -1.0) and [frame] in MAP.toml",
+        )
+    if not best >= MIN_CORRELATION:
+        raise _unlike(servo, mocap, best, at_s)
+
+
+def _other_reading(peak: Peak) -> str:
+    joints, signs = peak.reading
+    turned = [f"joint {j + 1}" for j, sign in zip(joints, signs, strict=True) if sign < 0]
+    said = []
+    if list(joints) != sorted(joints):
+        said.append("joints 1 and 2 are swapped")
+    if turned:
+        verb = "counts" if len(turned) == 1 else "count"
+        said.append(f"the servo of {' and '.join(turned)} {verb} the other way")
+    return ", and ".join(said)
+
+
+def _second(mapped: list[Peak], peaks: list[Peak]) -> Peak | None:
+    """Best peak at another offset, in any reading."""
+    first_s = mapped[0].offset_s
+    apart = [p for p in peaks if abs(p.offset_s - first_s) > SEPARATION_S]
+    return max(apart, key=lambda p: p.correlation, default=None)
+
+
+def _is_near(second: float, first: float) -> bool:
+    return 1 - second < NEAR_FACTOR * (1 - first) + NEAR_FLOOR
+
+
+def _unlike(
+    servo: list[Series], mocap: list[Series], correlation: float, offset_s: float
+) -> InputError:
+    return InputError(
+        servo[0].path,
+        f"its angle and the motion in {mocap[0].path} correlate by {correlation:.2f} at best "
+        f"(at {offset_s:.3f} s)",
+        "check joint order, signs and [frame] in MAP.toml, or give --offset SECONDS",
+    )

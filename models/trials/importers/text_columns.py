@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from array import array
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +16,8 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_lines
 from models.trials.trial import Array
 from models.trials.trial_columns import MOST_COLUMNS
+
+_DECIMAL_COMMA: Final = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
 def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[str], list[Array]]:
@@ -58,7 +62,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
             if len(row) != len(header):
                 raise InputError(
                     path, f"row {number} has {len(row)} cells, the header {len(header)}",
-                    "the file is truncated or damaged: export it again",
+                    cells_remedy(len(row), len(header)),
                 )  # fmt: skip
             if number * len(chosen) > MOST_CELLS:
                 raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
@@ -91,6 +95,30 @@ def refuse_doubled(path: Path, names: list[str]) -> None:
         seen.add(name)
 
 
+def cells_remedy(found: int, header: int) -> str:
+    """Remedy for a row of another length than the header; decimal commas nearly double it.
+
+    Parameters
+    ----------
+    found, header : int
+        Numbers of cells.
+    """
+    if found >= 1.5 * header:
+        return "it seems to have decimal commas: export it with decimal points"
+    return "the file is truncated or damaged: export it again"
+
+
+def has_decimal_comma(cell: object) -> bool:
+    """Whether a cell is a number with a decimal comma.
+
+    Examples
+    --------
+    >>> has_decimal_comma("-0,25"), has_decimal_comma("1,000,000"), has_decimal_comma("a,b")
+    (True, False, False)
+    """
+    return _DECIMAL_COMMA.fullmatch(str(cell).strip()) is not None
+
+
 def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
     """Sentence for a cell that is not a number.
 
@@ -105,10 +133,12 @@ def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
     cell : object
         Content.
     """
+    remedy = "correct the cell or leave it empty"
+    if has_decimal_comma(cell):
+        remedy = "the file has decimal commas: export it with decimal points"
     return InputError(
-        path, f"sample {sample}, column {column!r}: {str(cell)[:80]!r} is not a number",
-        "correct the cell or leave it empty",
-    )  # fmt: skip
+        path, f"sample {sample}, column {column!r}: {str(cell)[:80]!r} is not a number", remedy
+    )
 
 
 def _number(path: Path, sample: int, column: str, cell: str) -> float:

@@ -1,0 +1,1 @@
+"""Imports that are made right and wrong, and what the importer says of them."""

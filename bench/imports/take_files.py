@@ -1,0 +1,187 @@
+"""Takes as a user would record them, written from a trial: a Motive export and a servo log.
+
+The markers, which a trial without noise gives, are brought to the rate of the cameras by a cubic
+spline, get noise, are moved to the capture's own frame and clock, and written with y up. The
+servo's log is a table in degrees and milliamperes on its own clock. Every field that is not its
+default changes the take in one way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tomli_w
+from scipy.interpolate import CubicSpline
+
+from models.trials.importers.mapping import MARKERS
+from models.trials.trial import LINK_CONDITIONS, Array, Trial
+
+RATE_HZ: Final = 120.0
+NOISE_M: Final = 1.5e-4
+"""Noise of the markers, per coordinate and frame: docs/sources.md, "The link"."""
+ORIGIN_M: Final = np.array([1.2, -0.7, 0.42])
+"""Crossing of the joint axes in the capture's frame, z up."""
+TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@dataclass
+class WrittenTake:
+    """How a take is written and mapped.
+
+    Attributes
+    ----------
+    offset_s : float
+        Servo's clock plus this is the capture's.
+    epoch_s : float
+        Added to the servo's clock.
+    yaw_deg : float
+        Turn of the capture's frame, which the map knows.
+    files_up : {"y", "z"}
+        Upward axis of the file.
+    millimetres : bool
+        Whether the file is in millimetres.
+    align : str
+        As in the map.
+    names : dict of str to str
+        Marker of the contract to the one whose label it gets in the map.
+    absent : tuple of str
+        Markers that the map names and the file lacks.
+    signs : tuple of float
+        Of each servo's angle and goal in the log.
+    swap_joints : bool
+        Whether the log's joints are mapped crosswise.
+    wrong : dict
+        Keys of `[frame]` that the map gives wrongly.
+    first_s, last_s : float
+        Time from which and until which both files are written.
+    gap_s : tuple of float
+        Start and length of a gap in the servo's log, (0, 0) for none.
+    commas : bool
+        Whether the log has decimal commas.
+    lost : float
+        Fraction of the log's samples that are lost singly.
+    occluded : float
+        Fraction of marker cells that are blank.
+    scale : float
+        Of the file's positions.
+    """
+
+    offset_s: float = 0.0
+    epoch_s: float = 0.0
+    yaw_deg: float = 0.0
+    files_up: str = "y"
+    millimetres: bool = False
+    align: str = "none"
+    names: dict[str, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+    signs: tuple[float, ...] = (1.0, 1.0)
+    swap_joints: bool = False
+    wrong: dict[str, Any] = field(default_factory=dict)
+    first_s: float = 0.0
+    last_s: float = np.inf
+    gap_s: tuple[float, float] = (0.0, 0.0)
+    commas: bool = False
+    lost: float = 0.0
+    occluded: float = 0.0
+    scale: float = 1.0
+
+    def write(self, trial: Trial, directory: Path, seed: int) -> list[str]:
+        """Write the files; return the arguments of `python -m models import` without --out.
+
+        Parameters
+        ----------
+        trial : Trial
+            What happened.
+        directory : Path
+            For the files.
+        seed : int
+            Of losses and occlusions.
+        """
+        rng = np.random.default_rng(seed)
+        directory.mkdir(parents=True, exist_ok=True)
+        self._write_motive(trial, directory / "take.csv", rng)
+        columns = self._write_servo(trial, directory / "servo.csv", rng)
+        trial_table = {
+            key: value
+            for key, value in trial.meta.document().items()
+            if key in (*LINK_CONDITIONS, "dof", "payload_kg", "trial", "motion", "period_s")
+        }
+        frame: dict[str, Any] = {"align": self.align, "up": self.files_up}
+        if self.align == "none":
+            frame |= {"origin_m": ORIGIN_M.tolist(), "yaw_deg": self.yaw_deg}
+        markers = {name: f"Link:{self.names.get(name, name)}" for name in MARKERS}
+        document = {
+            "trial": trial_table, "frame": frame | self.wrong, "markers": markers,
+            "servo_columns": columns,
+        }  # fmt: skip
+        (directory / "map.toml").write_text(tomli_w.dumps(document))
+        return [
+            str(directory / "take.csv"), "--as", "motive", "--servo", str(directory / "servo.csv"),
+            "--map", str(directory / "map.toml"),
+        ]  # fmt: skip
+
+    def _write_motive(self, trial: Trial, path: Path, rng: np.random.Generator) -> None:
+        time_s = trial.time_s
+        last_s = min(self.last_s, time_s[-1])
+        frames_s = np.arange(max(self.first_s, time_s[0]), last_s, 1 / RATE_HZ)
+        places_m = CubicSpline(time_s, trial.markers_m)(frames_s)
+        places_m = places_m + NOISE_M * rng.standard_normal(places_m.shape)
+        turn = np.radians(-self.yaw_deg)
+        about_z = np.array(
+            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]]
+        )
+        in_file = places_m @ about_z.T + ORIGIN_M
+        in_file = self.scale * (in_file @ TO_Y_UP.T if self.files_up == "y" else in_file)
+        if self.millimetres:
+            in_file = 1e3 * in_file
+        in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
+        kept = [k for k, name in enumerate(MARKERS) if name not in self.absent]
+        labels = [f"Link:{MARKERS[k]}" for k in kept for _ in "XYZ"]
+        unit = "Millimeters" if self.millimetres else "Meters"
+        head = [
+            f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
+            "",
+            ",Type," + ",".join(["Marker"] * len(labels)),
+            ",Name," + ",".join(labels),
+            ",ID," + ",".join(labels),
+            ",," + ",".join(["Position"] * len(labels)),
+            "Frame,Time (Seconds)," + ",".join("XYZ"[i % 3] for i in range(len(labels))),
+        ]
+        cells = in_file[:, kept].reshape(len(frames_s), -1)
+        rows = [
+            f"{k},{k / RATE_HZ:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
+            for k, row in enumerate(cells.tolist())
+        ]
+        path.write_text("\n".join([*head, *rows]) + "\n")
+
+    def _write_servo(
+        self, trial: Trial, path: Path, rng: np.random.Generator
+    ) -> dict[str, dict[str, Any]]:
+        time_s = trial.time_s
+        kept = (time_s >= self.first_s) & (time_s <= self.last_s)
+        start_s, length_s = self.gap_s
+        kept &= (time_s <= start_s) | (time_s >= start_s + length_s)
+        kept &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
+        stamp_ms = 1e3 * (time_s - self.first_s - self.offset_s + self.epoch_s)
+        columns: dict[str, dict[str, Any]] = {"time_s": {"from": "stamp", "unit": "ms"}}
+        header, values = ["stamp"], [stamp_ms]
+        joints = range(1, trial.meta.dof + 1)
+        for j in joints:
+            header += [f"goal{j}", f"pos{j}", f"cur{j}"]
+            for signal in (trial.goal_rad[:, j - 1], trial.angle_rad[:, j - 1]):
+                values.append(np.degrees(signal) * self.signs[j - 1])
+            values.append(1e3 * trial.current_a[:, j - 1])
+            source = trial.meta.dof + 1 - j if self.swap_joints else j
+            columns |= {
+                f"goal_{j}_rad": {"from": f"goal{source}", "unit": "deg"},
+                f"angle_{j}_rad": {"from": f"pos{source}", "unit": "deg"},
+                f"current_{j}_a": {"from": f"cur{j}", "unit": "mA"},
+            }
+        table: Array = np.column_stack(values)[kept]
+        rows = [";".join(f"{v:.4f}" for v in row) for row in table.tolist()]
+        text = "\n".join([";".join(header), *rows]) + "\n"
+        path.write_text(text.replace(".", ",") if self.commas else text)
+        return columns

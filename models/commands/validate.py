@@ -1,0 +1,58 @@
+"""Validation of trials before anything is fitted to them.
+
+Every trial of the directory is checked as an import is: rest pose against the nominal link, names,
+signs, joints, clock, rest rows; then what they hold together: size of the link, trials to test on,
+joints that move apart. Trials of another plant are read and their columns checked.
+
+Exit 0 passed or warned, 1 a trial would be refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from firmware_py.console import DONE, NEGATIVE, emit
+from models.plant.plant import read_plant
+from models.trials.trial_files import read_trials
+from models.trials.verdict.trial_check import check_trial, check_trials
+from models.trials.verdict.verdict_page import write_verdict
+
+EXAMPLE = "python -m models validate trials --out build/validated"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
+    parser.add_argument(
+        "--plant", type=Path, help="plant document, of a plant that is not the link"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write a page for each trial")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check every trial and print what was found."""
+    signals = read_plant(args.plant).signals if args.plant else None
+    trials = read_trials(args.trials, signals)
+    if signals:
+        emit(args, {"verdict": "passed", "trials": {}}, f"{len(trials)} trials read")
+        return DONE
+    verdicts = [check_trial(trial) for trial in trials]
+    shared = check_trials(trials)
+    if args.out:
+        for verdict in verdicts:
+            write_verdict(verdict, args.out)
+    refused = any(v.refused for v in verdicts) or any(f.level == "refused" for f in shared)
+    warned = shared or any(v.warnings for v in verdicts)
+    result = {
+        "verdict": "refused" if refused else "warned" if warned else "passed",
+        "findings": [f._asdict() for f in shared],
+        "trials": {v.name: v.as_json() for v in verdicts},
+    }
+    lines = []
+    for verdict in verdicts:
+        lines.append(f"{verdict.name}: {verdict.as_json()['verdict']}")
+        lines += [f"  {f.level}: {f.text}; {f.remedy}" for f in verdict.findings]
+    lines += [f"all trials: {f.level}: {f.text}; {f.remedy}" for f in shared]
+    emit(args, result, "\n".join([*lines, f"{len(verdicts)} trials {result['verdict']}"]))
+    return NEGATIVE if refused else DONE

@@ -1,0 +1,1 @@
+"""Offset between two clocks that saw the same motion."""

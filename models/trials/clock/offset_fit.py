@@ -1,0 +1,193 @@
+"""Fit of the offset between two clocks in continuous time, without the lag of the link's bend.
+
+The direction c of the first marker row is the joint's angle q plus the bend below that row, and the
+bend lags. With the bend s between the first two rows,
+
+    c(t) - κ s(t) = a + g q(t - offset),
+
+where κ follows from the recording, with the nominal link as prior (`bending_lag`), and a and g take
+up what is in phase with the motion: offsets of the encoder and of the frame. The noise of the
+markers, which would lower κ (errors in variables), is taken from second differences.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+
+from models.trials.clock.bending_lag import RATIO_DEVIATION, BendRatio
+from models.trials.clock.offset_search import ClockSignal
+from models.trials.trial import Array
+
+GAIN_DEVIATION: Final = 0.01
+"""Standard deviation of g: the origin of the frame within 3 mm at a row 0.3 m away [assumed]."""
+LAG_DEVIATION: Final = 0.06
+"""Standard deviation of the correction, as a fraction of it: seen on the rig's structures default,
+test_a and test_b at 0 to 2 kg (docs/decisions.md)."""
+UNCORRECTED_DEVIATION_S: Final = 0.004
+"""The same where the bend is not measured: 1 to 9 ms on the rig at 0 to 2 kg."""
+FLOOR_S: Final = 1e-4
+"""Standard deviation of what is left without bend: steps of the encoder, play of the gear."""
+RANGE_S: Final = 0.03
+"""Distance from the coarse offset that is searched."""
+MODEL_ERROR_S: Final = 0.25
+"""Time over which an error of the model is alike: the period of the fastest motion, 4 Hz."""
+BLOCK_S: Final = 1.0
+"""Time over which residuals count as dependent."""
+
+
+class OffsetFit(NamedTuple):
+    """Offset, its error and its parts.
+
+    Attributes
+    ----------
+    offset_s : float
+        To be added to the servo's times.
+    error_s : float
+        Half width of the 95 % interval of the offset.
+    lag_s : float
+        What the bend would have added to the offset.
+    correlation : float
+        Of angle and direction at the offset.
+    residual : ndarray, shape (n, dof)
+        Direction without bend, minus angle, about its mean, at every compared sample; rad.
+    time_s : ndarray, shape (n,)
+        Of these samples, on the motion capture's clock.
+    """
+
+    offset_s: float
+    error_s: float
+    lag_s: float
+    correlation: float
+    residual: Array
+    time_s: Array
+
+
+def fit_offset(
+    angle: ClockSignal,
+    seen: ClockSignal,
+    bend: Array | None,
+    ratio: BendRatio,
+    start_s: float,
+) -> OffsetFit:
+    """Fit the offset around a first one.
+
+    Parameters
+    ----------
+    angle : ClockSignal
+        Joint angles on the servo's clock.
+    seen : ClockSignal
+        Direction of the first row on the motion capture's clock.
+    bend : ndarray, shape (n, dof) or None
+        Turn from the first row to the second one at the same samples; None where it was not
+        measured or the direction is that of the base, which does not bend.
+    ratio : BendRatio
+        Of the nominal link; `BendRatio(0, 0)` with a direction that does not bend.
+    start_s : float
+        First offset.
+    """
+    near = _Comparison(angle, seen, bend, start_s)
+    raw_s = offset_s = near.best(0.0)
+    if bend is not None:
+        for _ in range(2):
+            kappa = near.bend_ratio(offset_s, ratio)
+            offset_s = near.best(kappa * ratio.late / ratio.whole)
+        kappa = kappa * ratio.late / ratio.whole
+    else:
+        kappa = np.zeros(angle.values.shape[1])
+    residual, rate, kept, correlation = near.at(offset_s, kappa)
+    deviation_s = _standard_error_s(near.seen_s[kept], residual, rate)
+    if bend is not None:
+        deviation_s = np.hypot(deviation_s, LAG_DEVIATION * (raw_s - offset_s))
+    elif ratio.whole > 0:
+        deviation_s = np.hypot(deviation_s, UNCORRECTED_DEVIATION_S)
+    return OffsetFit(
+        offset_s,
+        float(1.96 * np.hypot(deviation_s, FLOOR_S)),
+        raw_s - offset_s,
+        correlation,
+        residual,
+        near.seen_s[kept],
+    )
+
+
+class _Comparison:
+    """Servo and link at offsets near a first one."""
+
+    def __init__(
+        self, angle: ClockSignal, seen: ClockSignal, bend: Array | None, start_s: float
+    ) -> None:
+        self.start_s, self._angle_s = start_s, angle.time_s
+        self._spline = CubicSpline(angle.time_s, angle.values)
+        self._gap_s = 3 * np.median(np.diff(angle.time_s))
+        shifted = seen.time_s - start_s
+        inside = (shifted >= angle.time_s[0] + RANGE_S) & (shifted <= angle.time_s[-1] - RANGE_S)
+        after = np.clip(np.searchsorted(angle.time_s, shifted), 1, len(angle.time_s) - 1)
+        inside &= angle.time_s[after] - angle.time_s[after - 1] <= self._gap_s
+        self.seen_s, self._seen = seen.time_s[inside], seen.values[inside]
+        self._bend = np.zeros_like(self._seen) if bend is None else bend[inside]
+
+    def best(self, kappa: Array | float) -> float:
+        """Offset with the least squares at a given ratio."""
+        found = minimize_scalar(
+            lambda offset_s: float(np.sum(self.at(offset_s, kappa)[0] ** 2)),
+            bounds=(self.start_s - RANGE_S, self.start_s + RANGE_S),
+            method="bounded",
+            options={"xatol": 1e-6},
+        )
+        return float(found.x)
+
+    def at(self, offset_s: float, kappa: Array | float) -> tuple[Array, Array, Array, float]:
+        """Residual, rate of the angle, kept samples and correlation at an offset."""
+        q = self._spline(self.seen_s - offset_s)
+        y = self._seen - kappa * self._bend
+        kept = np.all(np.isfinite(y), axis=1)
+        q, y = q[kept] - q[kept].mean(axis=0), y[kept] - y[kept].mean(axis=0)
+        power, shared = np.sum(q * q, axis=0), np.sum(q * y, axis=0)
+        gain = shared / np.maximum(power, 1e-30)
+        size = np.sqrt(power.sum() * np.sum(y * y))
+        rate = gain * self._spline(self.seen_s[kept] - offset_s, 1)
+        return y - gain * q, rate, kept, float(shared.sum() / size) if size > 0 else 0.0
+
+    def bend_ratio(self, offset_s: float, ratio: BendRatio) -> Array:
+        """Ratio of each joint, shape (dof,), by what the recording shows in phase.
+
+        The rate takes up what is not: an error of the offset, and the lag itself.
+        """
+        q = self._spline(self.seen_s - offset_s)
+        kept = np.all(np.isfinite(self._seen + self._bend), axis=1)
+        below, bend, q = (self._seen - q)[kept], self._bend[kept], q[kept]
+        rates = self._spline(self.seen_s[kept] - offset_s, 1)
+        noise_bend = _second_difference(bend, bend)
+        noise_shared = _second_difference(below, bend)
+        # What the model leaves, a tenth of the bend, is alike for a quarter of a second.
+        alike = max(MODEL_ERROR_S / float(np.median(np.diff(self.seen_s))), 1.0)
+        variance = alike * np.maximum(np.var(below, axis=0) * 1e-2, 1e-8)
+        ratios = []
+        for j in range(q.shape[1]):
+            x, s, r, y = (v[:, j] - v[:, j].mean() for v in (q, bend, rates, below))
+            design = np.column_stack([x, s, r])
+            matrix, right = design.T @ design, design.T @ y
+            matrix[1, 1] -= len(x) * noise_bend[j]
+            right[1] -= len(x) * noise_shared[j]
+            matrix = matrix / variance[j] + np.diag([GAIN_DEVIATION**-2, RATIO_DEVIATION**-2, 1e-9])
+            right = right / variance[j] + np.array([0.0, ratio.whole * RATIO_DEVIATION**-2, 0.0])
+            ratios.append(np.linalg.solve(matrix, right)[1])
+        low, high = ratio.whole - 3 * RATIO_DEVIATION, ratio.whole + 3 * RATIO_DEVIATION
+        return np.asarray(np.clip(ratios, max(low, 0.0), high))
+
+
+def _second_difference(a: Array, b: Array) -> Array:
+    """Covariance of the white noise of two signals, per column."""
+    return np.asarray(np.mean(np.diff(a, 2, axis=0) * np.diff(b, 2, axis=0), axis=0) / 6.0)
+
+
+def _standard_error_s(time_s: Array, residual: Array, rate: Array) -> float:
+    """Standard error of the offset, with residuals that depend on each other within a block."""
+    block = ((time_s - time_s[0]) / BLOCK_S).astype(int)
+    moment = np.bincount(block, np.sum(residual * rate, axis=1))
+    information = np.sum(rate**2)
+    return float(np.sqrt(np.sum(moment**2)) / max(information, 1e-30))

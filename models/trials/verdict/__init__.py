@@ -1,0 +1,1 @@
+"""Verdict on an import: what was checked, what is wrong and why, with a picture."""

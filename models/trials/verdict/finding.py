@@ -1,0 +1,77 @@
+"""Finding of a check, and the limits beyond which an import is warned of or refused.
+
+Each limit is a pair: beyond the first a warning, beyond the second a refusal. They are [assumed]
+with these reasons: markers are placed to about 1 mm by hand, the link leans by up to 1.5° at rest
+(prebend, payload), and a wrong frame shifts the tip by its offset, or by 17 mm per degree.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+Level = Literal["refused", "warning"]
+
+OFFSET_M: Final = (0.008, 0.025)
+"""Distance of the joint axes' crossing from the origin."""
+TILT_RAD: Final = (0.035, 0.087)
+"""Tilt of the link at rest: 2° and 5°."""
+YAW_RAD: Final = (0.035, 0.105)
+"""Turn about the vertical, by the corners or by the direction of motion: 2° and 6°."""
+SCALE: Final = (0.015, 0.05)
+"""Relative error of all distances."""
+SHAPE_M: Final = (0.006, 0.015)
+"""Distance of a single marker from its nominal place, after the best rigid motion."""
+REST_ROWS: Final = (20, 2)
+"""Rows at rest; fewer than the first warn, fewer than the second refuse."""
+REST_MOVE_M: Final = (0.003, 0.010)
+"""Motion of a marker within the rest rows."""
+GAP_S: Final = (0.035, 0.1)
+"""Longest time without a sample that is bridged: two periods; the motion is below 4 Hz."""
+UNSEEN: Final = (0.2, 0.8)
+"""Fraction of the rows in which a marker is occluded."""
+GAIN: Final = (0.15, 0.3)
+"""Deviation of the link's motion, relative to the angle's, from one; bend adds 0.1 at 2 kg."""
+CLOCK_ERROR_S: Final = (0.002, 0.02)
+"""Half width of the interval of the clock's offset: the study's tip moves 0.7 m/s."""
+COMMON_CLOCK_S: Final = (0.01, 0.05)
+"""Offset between markers and angles that one file gives on one clock."""
+
+
+class ImportFinding(NamedTuple):
+    """One thing that is wrong or doubtful.
+
+    Attributes
+    ----------
+    level : {"refused", "warning"}
+        Whether the import is refused.
+    cause : str
+        Kind of the cause, one word or two: `yaw`, `origin`, `swapped`, ….
+    text : str
+        What was seen, with its likely cause.
+    remedy : str
+        What the user can do, as an imperative.
+    """
+
+    level: Level
+    cause: str
+    text: str
+    remedy: str
+
+
+def level_of(value: float, limits: tuple[float, float]) -> Level | None:
+    """Level of a value by its limits, None where it is within both.
+
+    Parameters
+    ----------
+    value : float
+        Compared by its magnitude.
+    limits : tuple of float
+        Of the warning and of the refusal.
+
+    Examples
+    --------
+    >>> level_of(-0.05, YAW_RAD), level_of(1.0, YAW_RAD), level_of(0.01, YAW_RAD)
+    ('warning', 'refused', None)
+    """
+    size = abs(value)
+    return "refused" if size > limits[1] else "warning" if size > limits[0] else None

@@ -1,0 +1,111 @@
+"""Verdict on an import: findings and measures, filled in as the import proceeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_py.display_units import DURATION
+from firmware_py.errors import InputError
+from models.trials.importers.synchronisation import Synchronisation
+from models.trials.trial import Trial
+from models.trials.verdict.completeness import Gap
+from models.trials.verdict.finding import CLOCK_ERROR_S, ImportFinding
+from models.trials.verdict.rest_pose import RestPose
+
+
+@dataclass
+class ImportVerdict:
+    """What is known of an import, filled in as it proceeds.
+
+    Attributes
+    ----------
+    name : str
+        Of the trial.
+    findings : list of ImportFinding
+        Of every check.
+    pose : RestPose or None
+        At rest, before alignment.
+    clock : Synchronisation or None
+        Of two files, or of the signals of one file against each other.
+    gaps : list of Gap
+        Longest of each file.
+    trial : Trial or None
+        Assembled.
+    steps_s : dict of str to float
+        Usual step of each file before resampling.
+    """
+
+    name: str
+    findings: list[ImportFinding] = field(default_factory=list)
+    pose: RestPose | None = None
+    clock: Synchronisation | None = None
+    gaps: list[Gap] = field(default_factory=list)
+    trial: Trial | None = None
+    steps_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def refused(self) -> list[ImportFinding]:
+        """Findings for which the import is refused."""
+        return [f for f in self.findings if f.level == "refused"]
+
+    @property
+    def warnings(self) -> list[ImportFinding]:
+        """Findings of which the import only warns."""
+        return [f for f in self.findings if f.level == "warning"]
+
+    def check_clock(self) -> None:
+        """Add a finding where the clock's offset is uncertain."""
+        if self.clock is None:
+            return
+        low, high = CLOCK_ERROR_S
+        if self.clock.error_s > low:
+            self.findings.append(
+                ImportFinding(
+                    "refused" if self.clock.error_s > high else "warning", "clock",
+                    f"the clock's offset is known to ±{DURATION.text(self.clock.error_s)} only",
+                    "map m01 to m08, record more motion, or record a sync signal in both files",
+                )
+            )  # fmt: skip
+
+    def refuse(self, where: Path) -> None:
+        """Refuse the import if there is reason.
+
+        Parameters
+        ----------
+        where : Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            With the first reason, and the number of others.
+        """
+        reasons = self.refused
+        if reasons:
+            others = "".join(f"; also: {f.text}" for f in reasons[1:3])
+            raise InputError(where, reasons[0].text + others, reasons[0].remedy)
+
+    def as_json(self) -> dict[str, Any]:
+        """Verdict for machines."""
+        said: dict[str, Any] = {
+            "verdict": "refused" if self.refused else "warned" if self.warnings else "passed",
+            "findings": [f._asdict() for f in self.findings],
+        }
+        if self.pose is not None:
+            said["rest_pose"] = {
+                "offset_m": self.pose.offset_m.tolist(),
+                "tilt_rad": self.pose.tilt_rad,
+                "yaw_rad": self.pose.yaw_rad,
+                "scale": self.pose.scale,
+                "largest_misfit_m": float(self.pose.misfit_m.max()),
+                "row_heights_m": [
+                    None if np.isnan(v) else v for v in self.pose.row_heights_m.tolist()
+                ],
+            }
+        if self.gaps:
+            said["longest_gap_s"] = max(gap.length_s for gap in self.gaps)
+        return said

@@ -1,0 +1,218 @@
+"""Import of one recording with every check: read, judged, aligned, synchronised, assembled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.trials.importers import read_series
+from models.trials.importers.assembly import align_markers, assemble_trial, rest_count
+from models.trials.importers.mapping import BASE_MARKERS, MARKERS, RecordingMap
+from models.trials.importers.mocap_frame import to_world
+from models.trials.importers.series import Series, marker_columns
+from models.trials.importers.synchronisation import (
+    Synchronisation,
+    shift_clock,
+    synchronise,
+    without_sync,
+)
+from models.trials.trial import Array, Trial
+from models.trials.verdict.common_clock import check_common_clock
+from models.trials.verdict.completeness import (
+    judge_gaps,
+    judge_markers,
+    judge_rest,
+    longest_gaps,
+)
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.motion_findings import judge_motion
+from models.trials.verdict.pose_findings import judge_pose
+from models.trials.verdict.rest_pose import rest_pose
+
+_UP: Final = {"motive": "y"}
+"""Upward axis by format; z in all others."""
+_EPOCH_FROM_S: Final = 1e6
+"""Time beyond which a clock counts from an epoch: twelve days."""
+_LOST_DIGITS_S: Final = 2e-6
+"""Error of a time since 1970 in a double, with its conversion from another unit."""
+
+
+class Source(NamedTuple):
+    """What one import reads.
+
+    Attributes
+    ----------
+    file : Path
+        Recording.
+    kind : str
+        Its format, as for `--as`.
+    servo : Path or None
+        Second file with the servo's signals.
+    offset_s : float or None
+        Offset of the servo's clock; None to find it.
+    """
+
+    file: Path
+    kind: str
+    servo: Path | None = None
+    offset_s: float | None = None
+
+
+def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict) -> Trial:
+    """Import a recording; fill in the verdict as it proceeds.
+
+    Parameters
+    ----------
+    source : Source
+        Files.
+    mapping : RecordingMap
+        Names, units, frame and conditions.
+    verdict : ImportVerdict
+        Keeps what was found where the import is refused.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, or a check refuses the import.
+    """
+    series = read_series(source.file, source.kind, mapping)
+    if source.kind == "table":
+        series = [_table_to_world(s, mapping) for s in series]
+    servo = read_series(source.servo, None, mapping.for_servo()) if source.servo else []
+    epoch_s, servo_epoch_s = _epoch_s(series), _epoch_s(servo)
+    series, servo = _since(series, epoch_s), _since(servo, servo_epoch_s)
+    link = not mapping.signals
+    if link:
+        verdict.findings += judge_markers(series, mapping)
+        rest_rad = _first_angles([*servo, *series], mapping.dof)
+        _judge_rest_pose(series, mapping, verdict, rest_rad, _UP.get(source.kind, "z"))
+        verdict.refuse(source.file)
+        series = align_markers(series, mapping, rest_rad)
+    if servo:
+        apart_s = epoch_s - servo_epoch_s
+        try:
+            clock = _clock(servo, series, source, mapping, apart_s)
+        except InputError:
+            for side in (servo, series):  # a gap is the cause, not a motion that is not alike
+                verdict.gaps += longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
+            verdict.findings += judge_gaps(verdict.gaps)
+            verdict.refuse(source.file)
+            raise
+        series = [*series, *shift_clock(servo, clock.offset_s)]
+        verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s)
+        verdict.check_clock()
+    elif link:
+        meta = mapping.meta(0)
+        size_m = (meta.base_offset_m, meta.link_length_m)
+        check_common_clock(series, mapping.dof, size_m, verdict)
+    series = without_sync(_without_base(series))
+    verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
+    start_s = max(s.time_s[0] for s in series)
+    verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
+    verdict.findings += judge_gaps(verdict.gaps)
+    verdict.refuse(source.file)
+    trial = assemble_trial(series, mapping, verdict.name)
+    verdict.trial = trial
+    if link:
+        verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
+    verdict.refuse(source.file)
+    return trial
+
+
+def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
+    """Markers of a table in the world frame; the other readers do it themselves."""
+    names = [n for n in (*MARKERS, *BASE_MARKERS, "tip") if _has(series, n)]
+    frame = mapping.frame
+    if not names or (frame.up in (None, "z") and not frame.yaw_deg and not any(frame.origin_m)):
+        return series
+    world_m = to_world({n: series.position_m(n) for n in names}, mapping.frame, "z")
+    return Series(series.time_s, series.columns | marker_columns(world_m), series.path)
+
+
+def _has(series: Series, name: str) -> bool:
+    return all(f"{name}_{axis}_m" in series.columns for axis in "xyz")
+
+
+def _without_base(series: list[Series]) -> list[Series]:
+    """Series without the base's markers, which are no signals of a trial."""
+    drop = {f"{name}_{axis}_m" for name in BASE_MARKERS for axis in "xyz"}
+    return [
+        Series(s.time_s, {n: v for n, v in s.columns.items() if n not in drop}, s.path)
+        if drop & s.columns.keys()
+        else s
+        for s in series
+    ]
+
+
+def _epoch_s(series: list[Series]) -> float:
+    """Whole seconds from which the clock of a file counts; 0 if it starts near zero."""
+    first_s = min((float(s.time_s[0]) for s in series), default=0.0)
+    return float(np.floor(first_s)) if abs(first_s) > _EPOCH_FROM_S else 0.0
+
+
+def _since(series: list[Series], epoch_s: float) -> list[Series]:
+    """Series on a clock that counts from an epoch, with even steps where only digits were lost.
+
+    A double holds a time of day to a quarter of a microsecond.
+    """
+    if not epoch_s:
+        return series
+    return [replace(s, time_s=_even(s.time_s - epoch_s)) for s in series]
+
+
+def _even(time_s: Array) -> Array:
+    even_s = np.linspace(time_s[0], time_s[-1], len(time_s))
+    return even_s if np.max(np.abs(even_s - time_s)) < _LOST_DIGITS_S else time_s
+
+
+def _first_angles(series: list[Series], dof: int) -> Array | None:
+    """Joint angles in the first samples of a file, at rest."""
+    names = [f"angle_{j}_rad" for j in range(1, dof + 1)]
+    for s in series:
+        if all(name in s.columns for name in names):
+            first = np.array([np.nanmedian(s.columns[name][:5]) for name in names])
+            return first if np.isfinite(first).all() else None
+    return None
+
+
+def _judge_rest_pose(
+    series: list[Series],
+    mapping: RecordingMap,
+    verdict: ImportVerdict,
+    rest_rad: Array | None,
+    default_up: str,
+) -> None:
+    means: dict[str, Array] = {}
+    for s in series:
+        names = [n for n in MARKERS if _has(s, n)]
+        if not names:
+            continue
+        rest = rest_count(s, names)
+        for name in names:
+            rows = s.position_m(name)[:rest]
+            seen = np.isfinite(rows).all(axis=1)
+            means[name] = rows[seen].mean(axis=0) if seen.any() else np.full(3, np.nan)
+    if not means:
+        return
+    verdict.pose = rest_pose(means, mapping.meta(0), rest_rad)
+    if verdict.pose is not None:
+        verdict.findings += judge_pose(verdict.pose, mapping, default_up)
+
+
+def _clock(
+    servo: list[Series],
+    series: list[Series],
+    source: Source,
+    mapping: RecordingMap,
+    apart_s: float = 0.0,
+) -> Synchronisation:
+    """Offset after both clocks were set to start near zero, by `apart_s` differently."""
+    if source.offset_s is not None:
+        return Synchronisation(source.offset_s - apart_s, np.nan, by="option")
+    meta = mapping.meta(0)
+    size_m = (meta.base_offset_m, meta.link_length_m)
+    return synchronise(servo, series, mapping.dof, *([size_m] if size_m[1] > 0 else []))

@@ -1,0 +1,182 @@
+"""Findings on the motion of an assembled trial: direction, signs, joints, gain, goals, currents."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from firmware_py.display_units import ANGLE
+from models.shared.kinematics import base_rotation, pointing_angles_rad
+from models.trials.importers.series import row_centre_m
+from models.trials.trial import Array, Trial
+from models.trials.verdict.finding import GAIN, YAW_RAD, ImportFinding, Level, level_of
+
+LEAST_MOTION_RAD: Final = 0.03
+"""Standard deviation of an angle from which a motion can be judged."""
+LARGEST_RAD: Final = 6.3
+"""Angle beyond which it is no angle in rad."""
+ALIKE: Final = 0.9
+"""Correlation from which two signals show the same motion."""
+AMPLITUDE: Final = 0.3
+"""Relative difference of the goals' reach and the declared amplitude that is warned of."""
+MOVING_RAD_S: Final = 0.05
+"""Speed from which friction has its sign."""
+
+
+def judge_motion(trial: Trial) -> list[ImportFinding]:
+    """Findings on the motion of a trial of the link, the most likely cause first.
+
+    Parameters
+    ----------
+    trial : Trial
+        Assembled, all signals on one clock.
+    """
+    if np.nanmax(np.abs(trial.angle_rad)) > LARGEST_RAD:
+        return []  # degrees: the trial's own check says so
+    return [*_link_findings(trial), *_goal_findings(trial), *_current_findings(trial)]
+
+
+def link_direction(trial: Trial) -> Array | None:
+    """Direction of the first row (or the tip) from the joint axes, unit vectors (n, 3), or None."""
+    if "m01_x_m" not in trial.columns:
+        return None
+    markers_m = trial.markers_m
+    root_m = row_centre_m(np.moveaxis(markers_m[:, :4], 1, 0))
+    if np.isfinite(root_m).all(axis=1).mean() < 0.5:
+        root_m = trial.tip_m
+    if np.isfinite(root_m).all(axis=1).mean() < 0.5:
+        return None
+    return np.asarray(root_m / np.linalg.norm(root_m, axis=1, keepdims=True))
+
+
+def _link_findings(trial: Trial) -> list[ImportFinding]:
+    seen = link_direction(trial)
+    angle = trial.angle_rad
+    if seen is None or not np.isfinite(angle).all() or angle.std(axis=0).max() < LEAST_MOTION_RAD:
+        return []
+    kept = np.isfinite(seen).all(axis=1)
+    seen, angle = seen[kept], angle[kept]
+    rigid = base_rotation(angle)[:, :, 2]
+    moved, due = (v[:, :2] - v[:, :2].mean(axis=0) for v in (seen, rigid))
+    found = _reading(pointing_angles_rad(seen)[:, : trial.meta.dof], angle)
+    if found:
+        return found
+    along = np.sum(due * moved)
+    across = np.sum(due[:, 0] * moved[:, 1] - due[:, 1] * moved[:, 0])
+    yaw = float(np.arctan2(across, along))
+    level = level_of(yaw, YAW_RAD)
+    if level:
+        return [
+            ImportFinding(
+                level, "yaw",
+                f"the link moves {ANGLE.text(yaw)} beside the plane of joint 1",
+                "correct yaw_deg under [frame], or the order of the corners",
+            )
+        ]  # fmt: skip
+    gain = float(np.hypot(along, across) / np.sum(due * due))
+    level = level_of(gain - 1, GAIN)
+    if level:
+        return [
+            ImportFinding(
+                level, "gain", f"the link turns {gain:.2f} times as far as the angle says",
+                "check the angle's unit, the gear ratio and base_offset_m",
+            )
+        ]  # fmt: skip
+    return []
+
+
+def _reading(direction: Array, angle: Array) -> list[ImportFinding]:
+    """Signs and order of the joints, each direction against each angle."""
+    dof = angle.shape[1]
+    fit = np.array(
+        [[_correlation(direction[:, i], angle[:, j]) for j in range(dof)] for i in range(dof)]
+    )
+    found = [
+        ImportFinding(
+            "refused", "sign",
+            f"joint {j + 1} counts the other way: its angle and the link's direction correlate by "
+            f"{fit[j, j]:.2f}",
+            f"set scale = -1.0 for angle_{j + 1}_rad and its goal",
+        )
+        for j in range(dof)
+        if fit[j, j] < -ALIKE
+    ]  # fmt: skip
+    if found or dof == 1:
+        return found
+    own, other = min(fit[0, 0], fit[1, 1]), min(abs(fit[0, 1]), abs(fit[1, 0]))
+    if other > ALIKE and own < other - 0.1:
+        return [
+            ImportFinding(
+                "refused", "joints", "joints 1 and 2 are swapped",
+                "exchange them under [columns] or in 'joints' of MAP.toml",
+            )
+        ]  # fmt: skip
+    return []
+
+
+def _correlation(a: Array, b: Array) -> float:
+    if min(a.std(), b.std()) < LEAST_MOTION_RAD:
+        return 1.0
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def _goal_findings(trial: Trial) -> list[ImportFinding]:
+    found: list[ImportFinding] = []
+    goal, angle = trial.goal_rad, trial.angle_rad
+    for j in range(trial.meta.dof):
+        q, g = angle[:, j], goal[:, j]
+        if not np.isfinite(q).all() or min(q.std(), g.std()) < LEAST_MOTION_RAD:
+            continue
+        alike = float(np.corrcoef(q, g)[0, 1])
+        gain = float(q.std() / g.std())
+        if alike < -ALIKE or not 0.3 < gain < 3.0:
+            what = "run against each other" if alike < 0 else f"differ by a factor of {gain:.3g}"
+            found.append(
+                ImportFinding(
+                    "refused", "goal", f"goal and angle of joint {j + 1} {what}",
+                    f"correct the sign or unit of goal_{j + 1}_rad",
+                )
+            )  # fmt: skip
+    reach = float(np.max(np.abs(goal - goal[0])))
+    declared = trial.meta.amplitude_rad
+    if reach > LEAST_MOTION_RAD and abs(reach - declared) > AMPLITUDE * max(reach, declared):
+        found.append(
+            ImportFinding(
+                "warning", "amplitude",
+                f"the goals reach {ANGLE.significant(reach)}, amplitude_rad says "
+                f"{ANGLE.significant(declared)}",
+                "correct amplitude_rad under [trial]",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _current_findings(trial: Trial) -> list[ImportFinding]:
+    """Sign of each current.
+
+    Friction takes a current along the motion, an upright link's weight one against its lean. Both
+    must be turned before the current is said to be.
+    """
+    found: list[ImportFinding] = []
+    for j in range(trial.meta.dof):
+        current, q = trial.current_a[:, j], trial.angle_rad[:, j]
+        rate = np.gradient(q, trial.step_s)
+        if not np.isfinite(current + q).all() or np.std(rate) < MOVING_RAD_S:
+            continue
+        columns = [np.ones_like(q), np.sin(q), np.tanh(rate / MOVING_RAD_S)]
+        design = np.column_stack(columns)
+        terms, *_ = np.linalg.lstsq(design, current, rcond=None)
+        error = current - design @ terms
+        weight, friction = terms[1] * np.sin(q).std(), terms[2]
+        noise = max(0.2 * error.std(), 0.1 * current.std())
+        level: Level = "warning"
+        if friction < -noise and weight > noise:
+            found.append(
+                ImportFinding(
+                    level, "current",
+                    f"current {j + 1} brakes where it should drive: its sign is turned",
+                    f"set scale = -1.0 for current_{j + 1}_a",
+                )
+            )  # fmt: skip
+    return found

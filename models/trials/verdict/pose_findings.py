@@ -1,0 +1,130 @@
+"""Findings on the rest pose: wrong names, scale, upward axis, origin, yaw, and their remedies."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from firmware_py.display_units import ANGLE, LENGTH
+from models.trials.importers.mapping import RecordingMap
+from models.trials.importers.mocap_frame import world_rotation
+from models.trials.verdict.finding import (
+    OFFSET_M,
+    SCALE,
+    SHAPE_M,
+    TILT_RAD,
+    YAW_RAD,
+    ImportFinding,
+    level_of,
+)
+from models.trials.verdict.rest_pose import RestPose
+
+_LYING_RAD = np.radians(30.0)
+"""Tilt beyond which the upward axis is wrong and not the frame tilted."""
+
+
+def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
+    """Findings on a pose, the most likely cause first.
+
+    Parameters
+    ----------
+    pose : RestPose
+        Of the markers as the map puts them into the world, before they are aligned.
+    mapping : RecordingMap
+        With `[frame]`.
+    default_up : str
+        Upward axis of the format where the map does not give it.
+    """
+    found = _names(pose)
+    level = level_of(pose.scale - 1, SCALE)
+    if level and not found:
+        found.append(
+            ImportFinding(
+                level, "scale",
+                f"the markers' distances are {pose.scale:.3f} times those of the link",
+                "correct link_length_m and link_width_m, or the unit of length",
+            )
+        )  # fmt: skip
+    aligned = mapping.frame.align != "none"
+    if not aligned:
+        found += _frame(pose, mapping, default_up)
+    worst = int(np.argmax(pose.misfit_m))
+    level = level_of(pose.misfit_m[worst], SHAPE_M)
+    if level and not found:
+        found.append(
+            ImportFinding(
+                level, "shape",
+                f"{pose.names[worst]} is {LENGTH.text(pose.misfit_m[worst], 0)} from its place on "
+                "the link",
+                "check its name under [markers], its place, and the size of the link",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _names(pose: RestPose) -> list[ImportFinding]:
+    if not pose.order:
+        return []
+    return [ImportFinding("refused", "swapped", pose.order, "correct [markers] in MAP.toml")]
+
+
+def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
+    if pose.tilt_rad > _LYING_RAD:
+        return [_upward_axis(pose, mapping, default_up)]
+    found = []
+    level = level_of(pose.yaw_rad, YAW_RAD)
+    if level:
+        turn = (mapping.frame.yaw_deg - np.degrees(pose.yaw_rad) + 180.0) % 360.0 - 180.0
+        found.append(
+            ImportFinding(
+                level, "yaw",
+                f"the corners of the link are turned by {ANGLE.text(pose.yaw_rad)} about the "
+                "vertical",
+                f"set yaw_deg = {turn:.1f} under [frame], or correct the order of the corners",
+            )
+        )  # fmt: skip
+    level = level_of(pose.tilt_rad, TILT_RAD)
+    if level:
+        found.append(
+            ImportFinding(
+                level, "tilt",
+                f"the link leans by {ANGLE.text(pose.tilt_rad)} at rest",
+                "level the motion capture's frame, or align by the base's markers",
+            )
+        )  # fmt: skip
+    distance = float(np.linalg.norm(pose.offset_m))
+    level = level_of(distance, OFFSET_M)
+    if level:
+        x, y, z = pose.offset_m
+        where = []
+        if abs(z) > OFFSET_M[0] / 2:
+            where.append(f"{abs(z):.3f} m too {'low' if z > 0 else 'high'}")
+        if np.hypot(x, y) > OFFSET_M[0] / 2:
+            where.append(f"{np.hypot(x, y):.3f} m aside ({-x:+.3f}, {-y:+.3f})")
+        about_z = world_rotation(msgspec.structs.replace(mapping.frame, up="z"), "z")
+        new = np.array(mapping.frame.origin_m) + about_z.T @ pose.offset_m
+        place = ", ".join(f"{v:.3f}" for v in new)
+        found.append(
+            ImportFinding(
+                level, "origin", f"the origin is {' and '.join(where) or f'{distance:.3f} m off'}",
+                f"set origin_m = [{place}] under [frame], or correct base_offset_m",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _upward_axis(pose: RestPose, mapping: RecordingMap, default_up: str) -> ImportFinding:
+    now = mapping.frame.up or default_up
+    in_file = world_rotation(mapping.frame, default_up).T @ pose.axis
+    k = int(np.argmax(np.abs(in_file)))
+    axis, sign = "xyz"[k], "-" if in_file[k] < 0 else ""
+    if sign:
+        remedy = "hang the robot's axes the other way round, or correct base_offset_m and angles"
+    else:
+        remedy = f'set up = "{axis}" under [frame]'
+    return ImportFinding(
+        "refused", "up axis",
+        f"the file is {sign}{axis}-up: the link points along its {sign}{axis} axis, the map takes "
+        f"{now} for up",
+        remedy,
+    )  # fmt: skip

@@ -1,0 +1,214 @@
+"""Pose of the markers at rest against the nominal link: origin, tilt, yaw, scale, exchanged names.
+
+The measured markers are the nominal ones under a rigid motion (Kabsch 1976). What is left after the
+best motion tells exchanged names, mirrored corners and a wrong scale; the motion itself tells a
+wrong origin, upward axis and yaw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.shared.kinematics import base_rotation
+from models.trials.importers.mapping import MARKERS
+from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
+from models.trials.trial import Array, TrialMeta
+
+Order = NDArray[np.intp]
+
+LEAST_MARKERS: Final = 4
+"""Markers from which a pose can be told."""
+_BETTER: Final = 0.35
+"""Fraction to which another order of the names must bring the misfit to be believed [assumed]."""
+_FAR_M: Final = 0.015
+"""Misfit of a marker from which other orders of the names are tried."""
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """Pose of the link at rest.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Markers that were seen at rest, in the order of the contract.
+    measured_m, nominal_m : ndarray, shape (k, 3)
+        Means at rest, and nominal places at the angle of the rest.
+    offset_m : ndarray, shape (3,)
+        Crossing of the joint axes, as the markers show it.
+    tilt_rad, yaw_rad : float
+        Of the link against the nominal one; yaw about z.
+    axis : ndarray, shape (3,)
+        Direction of the link.
+    scale : float
+        Of the measured distances, relative to the nominal ones.
+    misfit_m : ndarray, shape (k,)
+        Distance of each marker from its nominal place after the best rigid motion.
+    row_heights_m : ndarray, shape (4,)
+        Mean height of each row; NaN where it was not seen.
+    order : str
+        Order of the names that fits, in words; "" if the names fit as they are.
+    """
+
+    names: tuple[str, ...]
+    measured_m: Array
+    nominal_m: Array
+    offset_m: Array
+    tilt_rad: float
+    yaw_rad: float
+    axis: Array
+    scale: float
+    misfit_m: Array
+    row_heights_m: Array
+    order: str
+
+
+def rest_pose(
+    markers_m: Mapping[str, Array], meta: TrialMeta, rest_rad: Array | None = None
+) -> RestPose | None:
+    """Pose from the mean place of each marker at rest.
+
+    Parameters
+    ----------
+    markers_m : mapping of str to ndarray, shape (3,)
+        Mean place at rest by contract name; NaN where the marker was not seen.
+    meta : TrialMeta
+        With the size of the link.
+    rest_rad : ndarray, shape (dof,), optional
+        Joint angles at rest; upright without it.
+
+    Returns
+    -------
+    RestPose or None
+        None where fewer than `LEAST_MARKERS` were seen.
+    """
+    names = tuple(n for n in MARKERS if n in markers_m and np.isfinite(markers_m[n]).all())
+    if len(names) < LEAST_MARKERS:
+        return None
+    measured = np.array([markers_m[n] for n in names])
+    upright = nominal_markers_m(meta)[[MARKERS.index(n) for n in names]]
+    turn = np.eye(3) if rest_rad is None else base_rotation(np.atleast_2d(rest_rad))[0]
+    nominal = upright @ turn.T
+    order, wording = _order(names, measured, nominal)
+    placed = nominal[order]
+    rotation, shift = fit_rigid_motion(placed, measured)  # measured = rotation nominal + shift
+    axis = rotation @ turn[:, 2]
+    tilt = float(np.arccos(np.clip(rotation[2] @ [0, 0, 1.0], -1, 1)))
+    rows = np.array([MARKERS.index(n) // 4 for n in names])
+    heights = [measured[rows == r, 2].mean() if (rows == r).any() else np.nan for r in range(4)]
+    return RestPose(
+        names,
+        measured,
+        nominal,
+        _origin_m(measured, placed, rotation, shift),
+        tilt,
+        float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])),
+        axis,
+        _scale(measured, placed),
+        np.linalg.norm(placed @ rotation.T + shift - measured, axis=1),
+        np.array(heights),
+        wording,
+    )
+
+
+def _scale(measured: Array, nominal: Array) -> float:
+    sizes = [np.sqrt(np.sum((p - p.mean(axis=0)) ** 2)) for p in (measured, nominal)]
+    return float(sizes[0] / sizes[1])
+
+
+def _origin_m(measured: Array, nominal: Array, rotation: Array, shift: Array) -> Array:
+    """Crossing of the joint axes; with the tilt taken out where it is small.
+
+    A link that leans by bending would put the crossing aside by lean times height. Within 5° the
+    lean is not told from a tilt of the frame, so only yaw is kept of the rotation.
+    """
+    if rotation[2, 2] < np.cos(np.radians(5.0)):
+        return shift
+    yaw = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+    lowest = nominal[:, 2] <= nominal[:, 2].min() + 0.05
+    apart = (measured - nominal @ about_z.T)[lowest].mean(axis=0)
+    up = (measured - nominal @ about_z.T)[:, 2].mean()
+    return np.array([apart[0], apart[1], up])
+
+
+def _misfit(measured: Array, nominal: Array) -> float:
+    rotation, shift = fit_rigid_motion(nominal, measured)
+    return float(np.sqrt(np.mean((nominal @ rotation.T + shift - measured) ** 2) * 3))
+
+
+def _order(names: Sequence[str], measured: Array, nominal: Array) -> tuple[Order, str]:
+    """Order of the nominal places that fits the measured ones, and its name.
+
+    Tried in turn: single markers exchanged, corners exchanged in all rows, rows exchanged. The
+    first that brings the misfit down to a third is taken.
+    """
+    same = np.arange(len(names))
+    rotation, shift = fit_rigid_motion(nominal, measured)
+    far = np.linalg.norm(nominal @ rotation.T + shift - measured, axis=1)
+    misfit = _misfit(measured, nominal)
+    if far.max() < _FAR_M:
+        return same, ""
+    found = _exchanged_pairs(names, measured, nominal, misfit)
+    if found is not None:
+        return found
+    index = {name: k for k, name in enumerate(names)}
+    for kind in ("corner", "row"):  # corners first: reversed rows look like mirrored corners
+        best = (misfit, same, "")
+        for order in permutations(range(4)):
+            moved = _permuted(names, index, order, kind)
+            if moved is None or order == tuple(range(4)):
+                continue
+            now = _misfit(measured, nominal[moved])
+            # Corners turned all together are a yaw, which the rigid motion tells.
+            if now < best[0] - 1e-6 and not (kind == "corner" and misfit - now < 1e-3):
+                listed = ", ".join(str(o + 1) for o in order)
+                best = (now, moved, f"{kind}s are named in the order {listed}")
+        if best[0] < _BETTER * misfit and best[0] < _FAR_M:
+            return best[1], best[2]
+    return same, ""
+
+
+def _permuted(
+    names: Sequence[str], index: Mapping[str, int], order: Sequence[int], kind: str
+) -> Order | None:
+    moved = []
+    for name in names:
+        row, corner = divmod(MARKERS.index(name), 4)
+        row, corner = (order[row], corner) if kind == "row" else (row, order[corner])
+        other = MARKERS[4 * row + corner]
+        if other not in index:
+            return None
+        moved.append(index[other])
+    return np.array(moved)
+
+
+def _exchanged_pairs(
+    names: Sequence[str], measured: Array, nominal: Array, misfit: float
+) -> tuple[Order, str] | None:
+    """Up to three pairs of exchanged names."""
+    order, now = np.arange(len(names)), misfit
+    said: list[str] = []
+    for _ in range(3):
+        least, pair = now, (-1, -1)
+        for i, j in combinations(range(len(names)), 2):
+            trial = order.copy()
+            trial[[i, j]] = trial[[j, i]]
+            value = _misfit(measured, nominal[trial])
+            if value < least:
+                least, pair = value, (i, j)
+        if least > 0.9 * now:
+            break
+        i, j = pair
+        order[[i, j]] = order[[j, i]]
+        said.append(f"{names[i]} and {names[j]} are swapped")
+        now = least
+        if now < _BETTER * misfit and now < _FAR_M / 2:
+            return order, ", ".join(said)
+    return None

@@ -1,0 +1,97 @@
+"""Checks of trials that exist already: each against the nominal link, and all together."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from models.trials.importers.mapping import MARKERS, RecordingMap
+from models.trials.importers.series import Series
+from models.trials.trial import Trial, TrialSet
+from models.trials.verdict.common_clock import check_common_clock
+from models.trials.verdict.completeness import judge_markers, judge_rest
+from models.trials.verdict.finding import ImportFinding
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.motion_findings import judge_motion
+from models.trials.verdict.pose_findings import judge_pose
+from models.trials.verdict.rest_pose import rest_pose
+
+__all__ = ["check_trial", "check_trials"]
+
+COLLINEAR: Final = 0.98
+"""Correlation of two angles from which their effects cannot be told apart."""
+
+
+def check_trial(trial: Trial) -> ImportVerdict:
+    """Verdict on one trial of the link.
+
+    Parameters
+    ----------
+    trial : Trial
+        As it was read.
+    """
+    verdict = ImportVerdict(trial.name, trial=trial)
+    columns = {n: v for n, v in trial.columns.items() if n != "time_s"}
+    series = [Series(trial.time_s, columns, trial.path)]
+    markers_m = trial.markers_m
+    if np.isfinite(markers_m).any():
+        verdict.findings += judge_markers(series, RecordingMap())
+        rest = markers_m[: max(trial.meta.rest_samples, 1)]
+        seen = np.isfinite(rest)
+        total = np.where(seen, rest, 0.0).sum(axis=0)
+        means = np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan)
+        rest_rad = trial.angle_rad[: max(trial.meta.rest_samples, 1)].mean(axis=0)
+        named = {name: means[k] for k, name in enumerate(MARKERS)}
+        verdict.pose = rest_pose(named, trial.meta, rest_rad)
+        if verdict.pose is not None:
+            verdict.findings += judge_pose(verdict.pose, RecordingMap(), "z")
+        size_m = (trial.meta.base_offset_m, trial.meta.link_length_m)
+        check_common_clock(series, trial.meta.dof, size_m, verdict)
+    verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
+    return verdict
+
+
+def check_trials(trials: TrialSet) -> list[ImportFinding]:
+    """Findings on trials that are fitted together: sizes, held-out trials, joints.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        Of the link.
+    """
+    found: list[ImportFinding] = []
+    for key in ("link_length_m", "link_width_m", "base_offset_m"):
+        values = sorted({getattr(t.meta, key) for t in trials})
+        if len(values) > 1:
+            listed = ", ".join(f"{v:g}" for v in values)
+            found.append(
+                ImportFinding(
+                    "refused", "size", f"{key} differs between the trials: {listed}",
+                    "keep the trials of each link in a directory of their own",
+                )
+            )  # fmt: skip
+    _, held_out = trials.split()
+    if not len(held_out):
+        found.append(
+            ImportFinding(
+                "warning", "held out", "no trial is left to test on",
+                "record a second trial of each payload",
+            )
+        )  # fmt: skip
+    two = [t for t in trials if t.meta.dof == 2]
+    if two and all(_collinear(t) for t in two):
+        found.append(
+            ImportFinding(
+                "warning", "joints", "both joints move together in every trial",
+                "record a trial in which one joint leads the other",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _collinear(trial: Trial) -> bool:
+    angle = trial.angle_rad
+    first, second = (column - column.mean() for column in angle.T)
+    size = np.linalg.norm(first) * np.linalg.norm(second)
+    return bool(abs(first @ second) >= COLLINEAR * size)

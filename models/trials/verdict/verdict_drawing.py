@@ -1,0 +1,147 @@
+"""Drawings of a verdict as SVG: rest pose from two sides, clocks, what is left between them.
+
+Written directly, without a plotting library: an import draws in milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from models.shared.palette import ALARM, GRID, INK, MEASURED, MUTED, SIMULATED
+from models.trials.trial import Array
+
+WIDTH: Final = 420
+HEIGHT: Final = 300
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 10, 12, 40
+_POINTS: Final = 600
+"""Most points of a curve: more than there are pixels."""
+
+
+class Curve(NamedTuple):
+    """Points joined by a line, or dots where `dots` is true."""
+
+    x: Array
+    y: Array
+    colour: str
+    dots: bool = False
+    label: str = ""
+
+
+def chart(curves: Sequence[Curve], x_label: str, y_label: str, equal: bool = False) -> str:
+    """A chart of curves with axes.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Those without finite points are left out.
+    x_label, y_label : str
+        Of the axes.
+    equal : bool
+        Whether both axes have one scale.
+    """
+    shown = [c for c in curves if np.isfinite(c.x + c.y).any()]
+    low_x, high_x = _range([c.x for c in shown])
+    low_y, high_y = _range([c.y for c in shown])
+    wide, high = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
+    if equal:
+        scale = max((high_x - low_x) / wide, (high_y - low_y) / high)
+        middle_x, middle_y = (low_x + high_x) / 2, (low_y + high_y) / 2
+        low_x, high_x = middle_x - scale * wide / 2, middle_x + scale * wide / 2
+        low_y, high_y = middle_y - scale * high / 2, middle_y + scale * high / 2
+
+    def at(x: Array, y: Array) -> tuple[Array, Array]:
+        across = _LEFT + (x - low_x) / (high_x - low_x) * wide
+        return across, _TOP + (high_y - y) / (high_y - low_y) * high
+
+    parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" font-size="11" fill="{INK}">']
+    for value in _ticks(low_x, high_x):
+        x = at(np.array(value), np.array(low_y))[0]
+        parts.append(_line(float(x), _TOP, float(x), _TOP + high))
+        parts.append(_text(float(x), _TOP + high + 14, f"{value:g}", "middle"))
+    for value in _ticks(low_y, high_y):
+        y = at(np.array(low_x), np.array(value))[1]
+        parts.append(_line(_LEFT, float(y), _LEFT + wide, float(y)))
+        parts.append(_text(_LEFT - 5, float(y) + 4, f"{value:g}", "end"))
+    parts += [_drawn(curve, *at(curve.x, curve.y)) for curve in shown]
+    parts.append(_text(_LEFT + wide / 2, HEIGHT - 6, x_label, "middle"))
+    turn = f'transform="rotate(-90 12 {_TOP + high / 2:.0f})"'
+    parts.append(_text(12, _TOP + high / 2, y_label, "middle", turn))
+    return "".join(parts) + "</svg>"
+
+
+def side_view(measured_m: Array, nominal_m: Array, axis: int, labels: Sequence[str]) -> str:
+    """The markers at rest from one side, measured ones as dots and nominal ones as rings.
+
+    Parameters
+    ----------
+    measured_m, nominal_m : ndarray, shape (k, 3)
+        Places.
+    axis : {0, 1}
+        Horizontal axis: x or y.
+    labels : sequence of str
+        Names of those that are far from their place; "" for the others.
+    """
+    far = np.array([bool(label) for label in labels])
+    curves = [
+        Curve(np.zeros(1), np.zeros(1), MUTED, True, "origin"),
+        Curve(nominal_m[:, axis], nominal_m[:, 2], SIMULATED, True),
+        Curve(measured_m[~far, axis], measured_m[~far, 2], MEASURED, True),
+        *(
+            Curve(measured_m[[k], axis], measured_m[[k], 2], ALARM, True, labels[k])
+            for k in np.flatnonzero(far).tolist()
+        ),
+    ]
+    return chart(curves, f"{'xy'[axis]} in m", "z in m", equal=True)
+
+
+def _range(values: Sequence[Array]) -> tuple[float, float]:
+    finite = [v[np.isfinite(v)] for v in values]
+    joined = np.concatenate(finite) if finite else np.zeros(1)
+    if not len(joined):
+        return 0.0, 1.0
+    low, high = float(joined.min()), float(joined.max())
+    margin = 0.05 * (high - low) or 0.5
+    return low - margin, high + margin
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    step = 10.0 ** np.floor(np.log10((high - low) / 2))
+    for factor in (1.0, 2.0, 5.0):
+        if (high - low) / (step * factor) <= 6:
+            step *= factor
+            break
+    first, last = np.ceil(low / step), np.floor(high / step)
+    return [float(round(k * step, 12)) for k in np.arange(first, last + 1)]
+
+
+def _drawn(curve: Curve, x: Array, y: Array) -> str:
+    if curve.dots:
+        dots = "".join(
+            f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{curve.colour}" fill-opacity="0.75"/>'
+            for a, b in zip(x, y, strict=True)
+            if np.isfinite(a + b)
+        )
+        return dots + (
+            _text(float(x[0]) + 6, float(y[0]) + 4, curve.label, "start") if curve.label else ""
+        )
+    every = max(len(x) // _POINTS, 1)
+    pieces, pen = [], "M"
+    for a, b in zip(x[::every], y[::every], strict=True):
+        if np.isfinite(a + b):
+            pieces.append(f"{pen}{a:.1f} {b:.1f}")
+            pen = "L"
+        else:
+            pen = "M"
+    return f'<path d="{"".join(pieces)}" fill="none" stroke="{curve.colour}" stroke-width="1.2"/>'
+
+
+def _line(x1: float, y1: float, x2: float, y2: float) -> str:
+    return f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{GRID}"/>'
+
+
+def _text(x: float, y: float, text: str, anchor: str, more: str = "") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" {more}>{escape(text)}</text>'

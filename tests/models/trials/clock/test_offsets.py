@@ -1,0 +1,85 @@
+"""Offsets are found without the lag of the bend; signs, second peaks and edges are told."""
+
+import numpy as np
+import pytest
+
+from models.trials.clock.bending_lag import (
+    BENDING_STIFFNESS_N_M2,
+    ROOT_STIFFNESS_NM_RAD,
+    SHEAR_STIFFNESS_N,
+    nominal_bend_ratio,
+)
+from models.trials.clock.offset_fit import fit_offset
+from models.trials.clock.offset_search import ClockSignal, find_peaks
+from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
+
+LENGTH_M, BASE_M = 0.95, 0.06
+
+
+def swing(time_s):
+    """Rest, two cycles of 4 s with a smooth start, rest."""
+    t = np.clip(time_s - 1.0, 0, 8.0)
+    return 0.5 * np.sin(np.pi / 2 * t) * np.clip(t / 2, 0, 1) ** 2
+
+
+def bent(time_s, angle, force_n, late_s):
+    """Direction of row 1 and turn to row 2 of a beam whose bend, not its shear, lags."""
+
+    def across(z_m, force, late):
+        whole = LENGTH_M / ROOT_STIFFNESS_NM_RAD * z_m
+        whole += (LENGTH_M * z_m**2 / 2 - z_m**3 / 6) / BENDING_STIFFNESS_N_M2
+        return late * whole + force * z_m / SHEAR_STIFFNESS_N
+
+    force = force_n * angle
+    late = np.interp(time_s - late_s, time_s, force)
+    first, second = (across(z, force, late) for z in (LENGTH_M / 4, LENGTH_M / 2))
+    below = first / (BASE_M + LENGTH_M / 4)
+    return angle + below, (second - first) / (LENGTH_M / 4) - below
+
+
+@pytest.mark.parametrize("force_n", [5.0, 25.0])
+def test_the_lag_of_the_bend_is_left_out(force_n):
+    time_s = np.arange(0, 11, 1 / 240)
+    rng = np.random.default_rng(2)
+    seen, bend = bent(time_s, swing(time_s), force_n, 0.08)
+    seen = seen + 2e-4 * rng.standard_normal(len(time_s))
+    bend = bend + 4e-4 * rng.standard_normal(len(time_s))
+    servo_s = np.arange(0, 11, 0.017)
+    angle = ClockSignal(servo_s - 1.3, swing(servo_s)[:, None])
+    fit = fit_offset(
+        angle, ClockSignal(time_s, seen[:, None]), bend[:, None],
+        nominal_bend_ratio(BASE_M, LENGTH_M), 1.305,
+    )  # fmt: skip
+    assert fit.offset_s == pytest.approx(1.3, abs=5e-4)
+    assert abs(fit.offset_s - 1.3) < 1.5 * fit.error_s < 3e-3  # an interval of 95 %
+    assert fit.lag_s > 0.5 * 0.08 * force_n * 3e-3  # it would have been taken for clock
+
+
+def test_a_turned_sign_is_better_than_a_shift_by_half_a_period():
+    time_s = np.arange(0, 11, 0.01)
+    angle = ClockSignal(time_s, -swing(time_s)[:, None])
+    peaks = find_peaks(angle, ClockSignal(time_s + 0.7, swing(time_s)[:, None]))
+    best = max(peaks, key=lambda p: p.correlation)
+    assert not best.reading.as_mapped and best.offset_s == pytest.approx(0.7, abs=0.011)
+    mapped = max((p for p in peaks if p.reading.as_mapped), key=lambda p: p.correlation)
+    assert mapped.correlation < 0.97
+
+
+def test_a_motion_without_rest_has_a_second_peak():
+    time_s = np.arange(0, 16, 0.01)
+    value = np.sin(np.pi / 2 * time_s)[:, None]
+    peaks = find_peaks(ClockSignal(time_s, value), ClockSignal(time_s, value))
+    mapped = [p for p in peaks if p.reading.as_mapped]
+    assert len(mapped) == 2 and mapped[1].correlation > 0.99
+
+
+def test_edges_give_the_offset_and_miss_no_run():
+    time_s = np.arange(0, 10, 0.01)
+    level = np.where((time_s % 2.0 > 1.0) ^ (time_s > 7.3), 3.3, 0.0)
+    edges_s = rising_edges_s(time_s, level)
+    offset_s, error_s = edge_offset_s(edges_s - 4.2, edges_s)
+    assert offset_s == pytest.approx(4.2) and error_s < 1e-9
+    offset_s, _ = edge_offset_s(edges_s[2:] - 4.2, edges_s)
+    assert offset_s == pytest.approx(4.2)
+    assert edge_offset_s(np.zeros(0), edges_s) is None
+    assert edge_offset_s(np.array([1.0]), edges_s) is None  # which of them?

@@ -1,0 +1,65 @@
+"""Goals belong to the samples that they follow; epochs keep their step; bases align frames."""
+
+import numpy as np
+import pytest
+
+from models.trials.importers.assembly import align_markers, assemble_trial
+from models.trials.importers.mapping import BASE_MARKERS, MARKERS, MocapFrame, RecordingMap
+from models.trials.importers.series import Series, marker_columns
+from models.trials.trial_files import read_trial
+
+META = {
+    "dof": 1, "payload_kg": 1.0, "pressure_pa": 41300.0, "trial": 1, "motion": "step",
+    "period_s": 1.0, "amplitude_rad": 0.5, "base_offset_m": 0.06, "link_length_m": 0.95,
+    "link_width_m": 0.15,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.002, 0.010, 0.016])
+def test_a_goal_within_a_period_after_a_sample_belongs_to_its_row(late_s, tmp_path):
+    sampled_s = 0.017 * np.arange(40)
+    goals = np.arange(40) / 100
+    measured = Series(sampled_s, {"angle_1_rad": goals, "current_1_a": goals}, tmp_path)
+    sent = Series(sampled_s + late_s, {"goal_1_rad": goals}, tmp_path)
+    trial = assemble_trial([measured, sent], RecordingMap(trial=META), "take")
+    row = np.round(trial.angle_rad[:, 0] * 100).astype(int)
+    kept = slice(0, -1)
+    assert np.round(trial.goal_rad[kept, 0] * 100).astype(int).tolist() == row[kept].tolist()
+
+
+def test_a_time_since_an_epoch_keeps_its_step(make_trial, swing_rad, write_map, run, tmp_path):
+    trial = make_trial(swing_rad)
+    columns = {"time_s": trial.time_s + 1.7e9} | {
+        name: values for name, values in trial.columns.items() if name != "time_s"
+    }
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    code, _, err = run(tmp_path / "log.csv", "--as", "table", "--map", write_map(2))
+    assert code == 0, err
+    back = read_trial(tmp_path / "trials" / "log.csv")
+    assert np.diff(back.time_s) == pytest.approx(0.017, abs=2e-8)  # digits lost at both ends
+    assert np.ptp(np.diff(back.time_s)) < 1e-12
+    assert len(back) == len(trial)
+
+
+def test_the_base_aligns_the_frame_and_keeps_the_prebend(rigid_markers, tmp_path):
+    still = np.zeros((30, 2))
+    link_m = rigid_markers(still)
+    bent_m = link_m + np.multiply.outer((link_m[..., 2] - 0.06) ** 2, [0.02, 0, 0])
+    base_m = np.broadcast_to(
+        [(sx * 0.075, sy * 0.075, 0.06) for sy in (1, -1) for sx in (1, -1)], (30, 4, 3)
+    )
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    named = {n: bent_m[:, k] for k, n in enumerate(MARKERS)}
+    named |= {n: base_m[:, k] for k, n in enumerate(BASE_MARKERS)}
+    moved = {n: p @ turn.T + [0.3, 0.2, 0.42] for n, p in named.items()}
+    series = Series(np.arange(30) / 120, marker_columns(moved), tmp_path)
+    by = {}
+    for align in ("base", "rest"):
+        mapping = RecordingMap(trial=META, frame=MocapFrame(align=align))
+        (aligned,) = align_markers([series], mapping)
+        by[align] = np.stack([aligned.position_m(n)[0] for n in MARKERS])
+    assert by["base"] == pytest.approx(bent_m[0], abs=1e-9)
+    tip_x_m = by["rest"][12:, 0].mean()
+    assert abs(tip_x_m) < 0.5 * bent_m[0, 12:, 0].mean()  # the prebend is laid on the axis

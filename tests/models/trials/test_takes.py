@@ -1,0 +1,56 @@
+"""One map serves a folder of takes: conditions by name or table, a servo file for each."""
+
+import pytest
+
+from firmware_py.errors import InputError
+from models.trials.importers.mapping import RecordingMap, TakeRules
+from models.trials.takes import find_takes
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("load0.5_take1.csv", "load1_take2.csv", "load1_take2_servo.csv"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "load0.5_take1_servo.csv").write_text("x")
+    return tmp_path
+
+
+def test_conditions_come_from_the_names(folder):
+    rules = TakeRules(pattern="load{payload_kg}_take{trial}", servo="{name}_servo.csv")
+    takes = find_takes([folder], "motive", RecordingMap(takes=rules, trial={"dof": 1}))
+    assert [t.file.name for t in takes] == ["load0.5_take1.csv", "load1_take2.csv"]
+    assert [t.mapping.trial for t in takes] == [
+        {"dof": 1, "payload_kg": 0.5, "trial": 1},
+        {"dof": 1, "payload_kg": 1.0, "trial": 2},
+    ]
+    assert [t.servo.name for t in takes] == ["load0.5_take1_servo.csv", "load1_take2_servo.csv"]
+
+
+def test_conditions_come_from_a_table(folder):
+    (folder / "takes.csv").write_text(
+        "file,payload_kg,trial,servo,offset_s\nload0.5_take1,0.5,3,a.mcap,1.5\n"
+    )
+    rules = TakeRules(table="takes.csv")
+    mapping = RecordingMap(takes=rules, path=str(folder / "map.toml"))
+    (take,) = find_takes([folder], "motive", mapping)
+    assert take.mapping.trial == {"payload_kg": 0.5, "trial": 3}
+    assert (take.servo, take.offset_s) == (folder / "a.mcap", 1.5)
+    with pytest.raises(InputError, match="has no row for load1_take2"):
+        find_takes([folder / "load1_take2.csv"], "motive", mapping)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "what"),
+    [("run{trial}", "does not fit"), ("load{mass}_take{trial}", "is no condition"),
+     ("{motion}_take{trial}x", "does not fit"), ("load{trial}_{motion}", "no number")],
+)  # fmt: skip
+def test_a_wrong_pattern_is_refused_in_one_sentence(folder, pattern, what):
+    with pytest.raises(InputError, match=what):
+        find_takes(
+            [folder / "load0.5_take1.csv"], "motive", RecordingMap(takes=TakeRules(pattern=pattern))
+        )
+
+
+def test_a_folder_without_takes_is_refused(tmp_path):
+    with pytest.raises(InputError, match="holds no take"):
+        find_takes([tmp_path], "c3d", RecordingMap())

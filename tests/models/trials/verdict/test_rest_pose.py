@@ -1,0 +1,109 @@
+"""The pose at rest tells what is wrong with names, frame and size, and passes what is right."""
+
+import numpy as np
+import pytest
+
+from models.trials.importers.mapping import MARKERS, MocapFrame, RecordingMap
+from models.trials.importers.mocap_frame import nominal_markers_m
+from models.trials.trial import TrialMeta
+from models.trials.verdict.pose_findings import judge_pose
+from models.trials.verdict.rest_pose import rest_pose
+
+META = TrialMeta(
+    dof=1, payload_kg=1.0, trial=1, motion="step", source="measured", period_s=1.0,
+    base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=1,
+)  # fmt: skip
+PLACES_M = nominal_markers_m(META)
+
+
+def about_z(degrees):
+    turn = np.radians(degrees)
+    return np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]]
+    )
+
+
+def judged(places_m, frame=None, names=MARKERS):
+    pose = rest_pose(dict(zip(names, places_m, strict=True)), META)
+    return [
+        (f.level, f.cause, f.text)
+        for f in judge_pose(pose, RecordingMap(frame=frame or MocapFrame()), "z")
+    ]
+
+
+def noisy(places_m, size_m=0.001):
+    """Markers are placed by hand."""
+    return places_m + size_m * np.random.default_rng(1).standard_normal(places_m.shape)
+
+
+def test_a_right_pose_has_no_findings():
+    lean = PLACES_M + np.outer(PLACES_M[:, 2] ** 2, [0.01, 0, 0])  # prebend
+    assert judged(noisy(lean)) == []
+    missing = np.array(noisy(PLACES_M))
+    missing[[2, 9]] = np.nan
+    assert judged(missing) == []
+
+
+@pytest.mark.parametrize(("degrees", "level"), [(3, "warning"), (-29, "refused"), (90, "refused")])
+def test_a_yaw_is_named_with_its_size(degrees, level):
+    ((found, cause, text),) = judged(noisy(PLACES_M) @ about_z(degrees).T)
+    assert (found, cause) == (level, "yaw")
+    assert abs(float(text.split("by ")[1].split("\xa0")[0]) - degrees) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "words"),
+    [((0, 0, 0.42), "0.42 m too low"), ((0, 0, -0.05), "m too high"), ((0.1, 0, 0), "m aside")],
+)
+def test_a_wrong_origin_is_named(shift_m, words):
+    ((level, cause, text),) = judged(PLACES_M + np.array(shift_m))
+    assert (level, cause) == ("refused", "origin")
+    assert words in text.replace("0.420", "0.42")
+
+
+def test_the_remedy_for_the_origin_is_right_under_a_yaw():
+    frame = MocapFrame(yaw_deg=40.0, origin_m=(1.0, 2.0, 0.5))
+    true = np.array([1.1, 1.8, 0.9])
+    seen = PLACES_M @ about_z(-40.0).T + true  # in the file
+    world = seen @ about_z(40.0).T - about_z(40.0) @ np.array(frame.origin_m)
+    pose = rest_pose(dict(zip(MARKERS, world, strict=True)), META)
+    (finding,) = judge_pose(pose, RecordingMap(frame=frame), "z")
+    stated = [float(v) for v in finding.remedy.split("[")[1].split("]")[0].split(",")]
+    assert stated == pytest.approx(true, abs=1e-3)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_wrong_upward_axis_is_named(axis):
+    order = {"x": [2, 0, 1], "y": [1, 2, 0]}[axis]
+    ((level, cause, text),) = judged(PLACES_M[:, order])
+    assert (level, cause) == ("refused", "up axis")
+    assert f"is {axis}-up" in text
+
+
+@pytest.mark.parametrize("pair", [(4, 5), (0, 2), (1, 13), (12, 15)])
+def test_swapped_markers_are_named(pair):
+    swapped = noisy(PLACES_M)
+    swapped[list(pair)] = swapped[list(reversed(pair))]
+    ((level, cause, text),) = judged(swapped)
+    assert (level, cause) == ("refused", "swapped")
+    assert text == f"{MARKERS[pair[0]]} and {MARKERS[pair[1]]} are swapped"
+
+
+def test_rows_and_mirrored_corners_are_named():
+    rows = noisy(PLACES_M).reshape(4, 4, 3)
+    assert "rows are named in the order" in judged(rows[[0, 2, 1, 3]].reshape(16, 3))[0][2]
+    assert "corners are named in the order" in judged(rows[:, [1, 0, 3, 2]].reshape(16, 3))[0][2]
+
+
+def test_a_wrong_scale_is_named_also_where_the_pose_is_aligned():
+    aligned = MocapFrame(align="rest")
+    assert judged(1.1 * PLACES_M, aligned)[0][:2] == ("refused", "scale")
+    assert judged(PLACES_M @ about_z(29).T, aligned) == []
+
+
+def test_a_link_that_rests_at_an_angle_is_no_tilt():
+    angle = np.array([0.2])
+    turn = np.array([[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]])
+    named = dict(zip(MARKERS, PLACES_M @ turn.T, strict=True))
+    assert judge_pose(rest_pose(named, META, angle), RecordingMap(), "z") == []
+    assert judge_pose(rest_pose(named, META), RecordingMap(), "z")[0].cause == "tilt"
