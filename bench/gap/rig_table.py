@@ -114,7 +114,7 @@ def _probabilities(r: Result) -> dict[str, float]:
         return {}
     sets, gain, least = zip(*r["hypotheses"], strict=True)
     size = np.array([len(effects) for effects in sets])
-    rows = set_probabilities(size, np.subtract(gain, least), len(CATALOGUE))
+    rows = set_probabilities(size, np.array(gain), np.array(least), len(CATALOGUE))
     found: dict[str, float] = defaultdict(float)
     for effects, probability in zip(sets, rows, strict=True):
         for effect in effects:

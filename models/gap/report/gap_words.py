@@ -101,10 +101,7 @@ def probabilities_in_words(document: GapDocument) -> str:
     if not likely or not any(row.kept for row in document.named):
         return ""
     rows = ", ".join(f"{e.replace('_', ' ')} {min(p, 0.99):.0%}" for e, p in likely.items())
-    return (
-        "Probability of being missing, if what is missing is in the catalogue (not calibrated): "
-        f"{rows}."
-    )
+    return f"Probability of being missing, if what is missing is in the catalogue: {rows}."
 
 
 def next_step_in_words(document: GapDocument) -> str:
