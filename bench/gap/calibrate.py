@@ -161,7 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="directory of results")
     parser.add_argument("--rigs", type=int, default=16, help="drawn rigs for the patterns")
-    parser.add_argument("--null", type=int, default=8, help="further rigs for the null")
+    parser.add_argument("--null", type=int, default=18, help="further rigs for the null")
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     args = parser.parse_args()
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")

@@ -25,11 +25,12 @@ written only where other motions were left out and it passed there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.gap_verdict import consistencies_of_named
+from models.gap.gap_verdict import GapVerdict, consistencies_of_named
 from models.gap.improved_plant import written_values
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
@@ -45,6 +46,14 @@ from models.gap.search.refused_effect import (
     values_at_bounds,
 )
 from models.gap.settings import GapSettings
+
+STAND_IN_FOR_ANOTHER: Final = (
+    "it stands in for an effect that the catalogue lacks, and no other motion was left out that "
+    "could show whether it holds there"
+)
+STAND_IN_FOR_OWN_ERROR: Final = (
+    "it leaves most of a gap that is no larger than the plant's own error on a link that changed"
+)
 
 
 @dataclass(frozen=True)
@@ -96,21 +105,24 @@ class Acceptance:
             self._refuse(fits[0], failing[0])
         return self._as_given()
 
-    def without_stand_ins(self, accepted: AcceptedFit) -> AcceptedFit:
-        """Plant as given in place of a fit whose effects stand in for another.
+    def without_stand_ins(self, accepted: AcceptedFit, verdict: GapVerdict) -> AcceptedFit:
+        """Plant as given in place of a fit whose effects stand in for something else.
 
         Parameters
         ----------
         accepted : AcceptedFit
-            Of the verdict "not in the catalogue".
+            As tested.
+        verdict : {"not in the catalogue", "no gap"}
+            What they stand in for: an effect that the catalogue lacks, or the plant's own error.
         """
-        if not self.search.learned or "motions" in self.held_out.folds:
+        outside = verdict == "not in the catalogue"
+        if not self.search.learned or (outside and "motions" in self.held_out.folds):
             return accepted
+        reason = STAND_IN_FOR_ANOTHER if outside else STAND_IN_FOR_OWN_ERROR
         self.result.refused += [
             RefusedEffect(
                 effect=effect, kind="stand-in", name="", value=0.0, limit=0.0, unit="1",
-                reason="it stands in for an effect that the catalogue lacks, and no other motion "
-                "was left out that could show whether it holds there",
+                reason=reason,
             )
             for effect in self.result.named
         ]  # fmt: skip

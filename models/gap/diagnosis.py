@@ -207,9 +207,9 @@ def diagnose(
     report("tested on what was left out")
     consistencies = consistencies_of_named(search, result)
     verdict, left = gap_verdict(search, result, consistencies)
-    if verdict == "not in the catalogue":
-        accepted = acceptance.without_stand_ins(accepted)
-        left = left if result.named else 1.0
+    if verdict in ("not in the catalogue", "no gap"):
+        accepted = acceptance.without_stand_ins(accepted, verdict)
+        left = left if result.named else float(verdict != "no gap")
     located, remaining = (
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
         for p in (result.before, result.after)

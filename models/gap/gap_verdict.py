@@ -48,9 +48,10 @@ def gap_verdict(
 
     A named effect is a stand-in where its strength would have to differ from one payload, signal or
     band to the next, where most of the gap is left, or where the gap went into the variation
-    between trials. What is left does not count where a named effect takes out of that variation
-    what had gone into it. Without a learned noise floor nobody knows what noise is: then neither
-    "no gap" nor "closed" nor "reduced" can be said, and the verdict is "no floor".
+    between trials. Where most is left of a residual that the plant's own error reaches, they say
+    nothing: the verdict is "no gap". What is left does not count where a named effect takes out of
+    that variation what had gone into it. Without a learned noise floor nobody knows what noise is:
+    then neither "no gap" nor "closed" nor "reduced" can be said, and the verdict is "no floor".
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def gap_verdict(
     consistencies : mapping of str to StrengthConsistency
         Of the named effects.
     """
-    settings = search.settings
+    settings, explained = search.settings, search.null_distribution.explained
     before, after = (
         _power_beyond_noise(search, point.rows) for point in (result.before, result.after)
     )
@@ -73,16 +74,15 @@ def gap_verdict(
         if gap:
             return "not in the catalogue", 1.0
         return ("no gap", 0.0) if search.learned else ("no floor", 1.0)
-    residual_before, residual_after = map(search.mean_residual, (result.before, result.after))
-    clearly = residual_after > (1 + settings.unusual_residual) / 2
-    unclosed = residual_before > settings.unusual_residual
-    unclosed = unclosed and left > settings.gap_left_limit_fraction
     several = len(result.named) > 1 or any(r.kind == "inconsistent" for r in result.refused)
-    if several:
-        unclosed = left > settings.gap_left_limit_fraction_of_several
+    fractions = settings.gap_left_limit_fraction, settings.gap_left_limit_fraction_of_several
+    unclosed = left > fractions[several] and not relieved
+    unclosed = unclosed and search.mean_residual(result.after) > (1 + explained) / 2
     differing = not all(c.holds for c in consistencies.values())
-    if biased or differing or (clearly and unclosed and not relieved):
+    if biased or differing or (unclosed and search.has_gap(result.before)):
         return "not in the catalogue", left
+    if unclosed and search.learned:
+        return "no gap", left
     if not search.learned:
         return "no floor", left
     return ("reduced" if search.has_gap(result.after) else "closed"), left

@@ -154,6 +154,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """`further_effect_fraction` where the strength of the further effect is not consistent.
     Measured on single hidden effects: stand-ins for an equation's error reached 0.25 of the
     first."""
+    open_residual: float = 2.0
+    """Mean squared residual, in noise floors, above which fits from further strengths and pairs of
+    effects are tried [assumed]."""
     restart_bound_fractions: tuple[float, ...] = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
     """Fractions of its bounds from which a chosen effect is fitted again where much is left
     [assumed]."""
@@ -212,9 +215,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     # Null distribution
     null_quantile: float = 0.98
     """Fraction of data sets without an effect whose residual counts as noise [assumed]."""
-    least_residual_limit: float = 2.0
-    """Least such limit, a mean square. Measured: that of 190 data sets without an effect, the
-    calibration's 40 among them. These alone gave 1.7, and 4 of the other 150 lay above 1.5."""
     least_threshold: float = 4.5
     """Least d′ of a named effect, in standard deviations of its d′ without a gap. Measured: at 4.0,
     which Gaussian noise of 25 effects would pass in one of 500 data sets, 4 of 105 without an
@@ -226,9 +226,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
     # Verdict
-    unusual_residual: float = 1.5
-    """Mean square of a residual that the plant's own error passes on 2 to 3 % of links; 6 % pass
-    half as much beyond one. Measured on 190 data sets without an effect."""
     gap_left_limit_fraction: float = 0.75
     """Largest fraction of a gap (in amplitude) that may be left once one effect is named [assumed].
     """

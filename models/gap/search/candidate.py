@@ -9,6 +9,8 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.refused_effect import RefusedEffect
+from models.gap.settings import GapSettings
+from models.plant.effects import EFFECTS
 
 
 @dataclass
@@ -57,6 +59,18 @@ class Candidate:
     def separation(self) -> float:
         """Its d′: root of twice the fall of the cost."""
         return float(np.sqrt(max(2 * self.gain, 0.0)))
+
+    def missed_fraction(self, settings: GapSettings) -> float:
+        """Fraction of d′ that the equations of the effects may miss.
+
+        Parameters
+        ----------
+        settings : GapSettings
+            Tuned numbers.
+        """
+        by_port = settings.further_effect_fraction_by_port
+        general = settings.further_effect_fraction
+        return max(by_port.get(EFFECTS[e].port, general) for e in self.effects)
 
 
 @dataclass

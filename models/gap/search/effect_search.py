@@ -107,7 +107,7 @@ class EffectSearch:
             refitted.sort(key=lambda c: c.score, reverse=True)
             found.rounds.append(refitted)
             choice = self._accept(refitted, here, found)
-            if choice is None and (self.has_gap(here) or not (self.learned or found.named)):
+            if choice is None and (self._is_open(here) or not (self.learned or found.named)):
                 choice = self._pairs(here, found)
             if choice is None:
                 break
@@ -203,7 +203,7 @@ class EffectSearch:
         """
         settings, steps = self.settings, self.settings.nuisance_fit_steps
         best = self.estimator.fit(choice.point, free, steps)
-        if not self.has_gap(best):
+        if not self._is_open(best):
             return best
         ends = [best]
         for effect, fraction in itertools.product(choice.effects, settings.restart_bound_fractions):
@@ -261,7 +261,7 @@ class EffectSearch:
         equations before does not shift every trial in the same way: a candidate that removes a
         nuisance bias need not stand out beside it.
         """
-        missed = sum((self._missed(c) * c.separation) ** 2 for c in found.chosen)
+        missed = sum((c.missed_fraction(self.settings) * c.separation) ** 2 for c in found.chosen)
         linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
         doubt = self.settings.inconsistent_further_effect_fraction
         doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
@@ -278,12 +278,6 @@ class EffectSearch:
         own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
         return all(strength_consistency_of(*fit, *row).holds for row in own)
 
-    def _missed(self, chosen: Candidate) -> float:
-        """Fraction of a choice's d′ that its equations may miss."""
-        by_port = self.settings.further_effect_fraction_by_port
-        general = self.settings.further_effect_fraction
-        return max(by_port.get(EFFECTS[e].port, general) for e in chosen.effects)
-
     def nuisance_bias(self, point: FitPoint) -> dict[str, float]:
         """Kinds of trial variation that are biased, see `models.gap.estimation.nuisance_bias`."""
         return excessive_nuisance_bias(self.fit_parameters, point, self.settings)
@@ -299,6 +293,11 @@ class EffectSearch:
     def has_gap(self, point: FitPoint) -> bool:
         """Whether more is left than noise explains."""
         return self.mean_residual(point) > self.null_distribution.explained
+
+    def _is_open(self, point: FitPoint) -> bool:
+        """Whether so much is left that more starts and pairs are tried."""
+        limit = min(self.null_distribution.explained, self.settings.open_residual)
+        return self.mean_residual(point) > limit
 
     def _pairs(self, here: FitPoint, found: SearchResult) -> Candidate | None:
         """Best pair of effects, by the prediction of derivatives, then refitted."""

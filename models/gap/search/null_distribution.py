@@ -14,6 +14,7 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from scipy.stats import norm
 
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
@@ -31,7 +32,10 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     threshold : float
         Least d′ of a named effect, in standard deviations of its d′ here.
     explained : float
-        Mean squared residual, in noise floors, up to which nothing counts as left.
+        Mean squared residual, in noise floors, up to which nothing counts as left, on a link that
+        changed by one.
+    explained_growth : float
+        Growth of its logarithm with the change of the link.
     standard_deviation : dict of str to float
         Root mean square of d′ by effect on a link that changed by one, at least 1; 1 for effects
         that are not listed.
@@ -40,6 +44,7 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sets: int = 0
     threshold: float
     explained: float
+    explained_growth: float = 0.0
     standard_deviation: dict[str, float] = {}
 
     def for_link_change(self, change: float) -> NullDistribution:
@@ -53,6 +58,7 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         """
         return msgspec.structs.replace(
             self,
+            explained=self.explained * float(np.exp(self.explained_growth * (change - 1))),
             standard_deviation={
                 e: float(np.sqrt(1 + change**2 * (s**2 - 1)))
                 for e, s in self.standard_deviation.items()
@@ -103,7 +109,8 @@ def calibrated_null_distribution(
     """Null distribution from data sets without an effect.
 
     d′ counts in roots of the residual, as in the search. The largest of each effect is left out:
-    one rig that no plant describes would set the size for all effects.
+    one rig that no plant describes would set the size for all effects. The residual is log-normal,
+    its mean logarithm linear in the change of the link.
 
     Parameters
     ----------
@@ -125,11 +132,14 @@ def calibrated_null_distribution(
         kept = np.argsort(own / np.hypot(1.0, change))[:-1] if len(own) > 1 else slice(None)
         beyond = max(float(np.mean(own[kept] ** 2 - 1)), 0.0)
         deviation[effect] = float(np.sqrt(1 + beyond / np.mean(change[kept] ** 2)))
+    logarithm, at = np.log(left), np.column_stack([np.ones_like(change), change])
+    line, *_ = np.linalg.lstsq(at, logarithm, rcond=None)
+    scatter = float(np.std(logarithm - at @ line, ddof=min(2, len(left) - 1)))
+    quantile = float(norm.ppf(settings.null_quantile))
     return NullDistribution(
         sets=len(separations),
         threshold=settings.least_threshold,
-        explained=round(
-            max(settings.least_residual_limit, float(np.quantile(left, settings.null_quantile))), 3
-        ),
+        explained=round(float(np.exp(line.sum() + quantile * scatter)), 3),
+        explained_growth=round(float(line[1]), 3),
         standard_deviation={e: round(s, 3) for e, s in deviation.items()},
     )
