@@ -62,9 +62,10 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     )
     _check_complete(where, list(source), [signal.name for signal in needed])
     used = list({id(s): s for s in source.values()}.values())
-    grid_s = _grid_s(used, mapping.step_s, MOST_CELLS // (len(source) + len(needed)))
-    columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
     contract = [signal.name for signal in columns_of(mapping.dof, mapping.signals)[1:]]
+    width = 1 + len({*contract, *source})  # of the trial, what was not measured included
+    grid_s = _grid_s(used, mapping.step_s, MOST_CELLS // width)
+    columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
     goals = [n for n in (*contract, *source) if _is_goal(n, mapping)]
     for column in dict.fromkeys([*contract, *source]):
         if column not in source:
