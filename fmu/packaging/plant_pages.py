@@ -26,7 +26,7 @@ __all__ = ["plant_sections"]
 _HELD: Final[dict[Kind, str]] = {
     "twin": "A goal is taken at the begin of a communication step and holds over it, as a servo "
     "holds the goal that it was sent last. A host that samples a moving goal delays it by half a "
-    "step on average: the angle is off by 0.44 mrad for each ms of the step at the fastest point "
+    "step on average: the angle is off by 0.39 mrad for each ms of the step at the fastest point "
     "of the study's motion. Choose the robot's 17 ms to see the robot's delay, 1 ms or less to see "
     "the link alone. The current follows a changed goal directly, within the same "
     "communication point.",
