@@ -261,12 +261,11 @@ class ControlLoop:
 
         goals.heed(estimate, step_s)
         correction = self._correction
-        before_rad = goals.at(slot - 1) + correction.value_rad if missed else None
+        if missed:
+            supervisor.rebase(goals.at(slot - 1) + correction.value_rad)
         desired_rad = goals.at(slot) + correction.update(
             slot, step_s, status.fresh, bus.current_a, estimate, prediction
         )
-        if before_rad is not None:
-            supervisor.rebase(before_rad)
         command_ns = now()
 
         supervisor.check(

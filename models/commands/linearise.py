@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     # CasADi and python-control are loaded here, so that a wrong option is refused at once.
     import numpy as np
 
-    from models.plan.feedback_loops import design_feedback
-    from models.plan.linear_twin import LinearTwins, modes
+    from models.plan.feedback.feedback_loops import design_feedback
+    from models.plan.feedback.linear_twin import LinearTwins, modes
 
     twins = LinearTwins(plant, args.dof, args.period)
     system = twins.at(args.payload, np.radians(angles_deg), sliding=not args.at_rest)

@@ -14,12 +14,12 @@ from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import Columns, PayloadPlan, TipPlan
 from firmware_py.safety.limits import Limits
+from models.plan.feedback.planned_feedback import with_feedback
 from models.plan.inversion import Inverse, Inverter
 from models.plan.moves.point_moves import rate_limited, shaped, zvd_impulses
 from models.plan.moves.vibration_mode import first_modes
 from models.plan.path_shapes import DesiredPath
 from models.plan.plan_timeline import Timeline, timeline
-from models.plan.planned_feedback import with_feedback
 from models.plan.reach import check_reach
 from models.plan.twin_sensitivity import TipTwin
 from models.plant.plant import Plant

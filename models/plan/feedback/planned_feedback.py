@@ -10,9 +10,9 @@ from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.limits import Limits
-from models.plan.feedback_loops import design_feedback, keeps_margins
+from models.plan.feedback.feedback_loops import design_feedback, keeps_margins
+from models.plan.feedback.stiffness_slopes import stiffness_slopes
 from models.plan.inversion import Inverse, Inverter
-from models.plan.stiffness_slopes import stiffness_slopes
 from models.plan.twin_sensitivity import TipTwin
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.goals.feedback_design import Columns, StiffnessSlopes
+from models.plan.feedback.linear_twin import DRY_FRICTION, STIFFNESS
 from models.plan.inversion import Inverse, Inverter
-from models.plan.linear_twin import DRY_FRICTION, STIFFNESS
 from models.plan.twin_sensitivity import TipTwin
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.goals.feedback_design import Columns, FeedbackDesign, LoopMargins, RateFilter
-from models.plan.linear_twin import LinearTwins, frequency_response, modes, tip_part
-from models.plan.loop_margins import (
+from models.plan.feedback.linear_twin import LinearTwins, frequency_response, modes, tip_part
+from models.plan.feedback.loop_margins import (
     LEAST_GAIN_DB,
     LEAST_PHASE_RAD,
     Response,

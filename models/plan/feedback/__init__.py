@@ -1,0 +1,1 @@
+"""Feedback of the estimated tip: linearised twin, shaped loops, margins, slopes by stiffness."""
