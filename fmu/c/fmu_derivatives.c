@@ -133,10 +133,17 @@ int fmu_forward(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint3
 #endif
 #if WITH_REVERSE
 
-static void add_gradient(Fmu *fmu, const double *term, size_t first)
+/* What one known contributes through the start. No adjoint of the start is written: it is needed
+ * once a run, and the code would be a tenth of the FMU. */
+static double through_start(Fmu *fmu, int place)
 {
-    for (size_t i = first; i < N_ALL; i++)
-        fmu->direction[i] += term[i - first];
+    double sum = 0.0;
+    memset(fmu->gradient, 0, sizeof fmu->gradient);
+    fmu->gradient[place] = 1.0;
+    differentiate(fmu, model_initial_forward, 0, fmu->gradient + N_STATES, fmu->next);
+    for (size_t i = 0; i < N_STATES; i++)
+        sum += fmu->next[i] * (fmu->direction[i] + fmu->slope[FIRST_STATE + i]);
+    return sum;
 }
 
 int fmu_reverse(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
@@ -154,20 +161,18 @@ int fmu_reverse(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint3
         if (!any_within(unknown, unknowns, relation->first, relation->end))
             continue;
         differentiate(fmu, relation->reverse, 1, fmu->slope + relation->first, fmu->gradient);
-        add_gradient(fmu, fmu->gradient, 0);
+        for (size_t i = 0; i < N_ALL; i++)
+            fmu->direction[i] += fmu->gradient[i];
     }
-    if (initial) {
-        for (size_t i = 0; i < N_STATES; i++)
-            fmu->next[i] = fmu->direction[i] + fmu->slope[FIRST_STATE + i];
-        differentiate(fmu, model_initial_reverse, 0, fmu->next, fmu->gradient);
-        add_gradient(fmu, fmu->gradient, N_STATES);
-    }
-    for (size_t i = 0; i < knowns; i++)
-        if (known[i] && !isfinite(fmu->direction[place_of(known[i])]))
+    for (size_t i = 0; i < knowns; i++) {
+        sensitivity[i] = 0.0;
+        if (known[i])
+            sensitivity[i] = fmu->direction[place_of(known[i])] +
+                             (initial ? through_start(fmu, place_of(known[i])) : 0.0);
+        if (!isfinite(sensitivity[i]))
             return fmu_refuse(fmu, "A derivative by %s is not a finite number.",
                               VARIABLES[known[i]].name);
-    for (size_t i = 0; i < knowns; i++)
-        sensitivity[i] = known[i] ? fmu->direction[place_of(known[i])] : 0.0;
+    }
     return 1;
 }
 

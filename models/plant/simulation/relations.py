@@ -9,8 +9,9 @@ The relations are functions of state, inputs and parameters (x, u, p)::
     initial     states at the start, of (u, p) only
 
 Each has a derivative along a direction, NAME_forward, with the argument (dx, du, dp) behind, and an
-adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp). CasADi
-derives them from the expression graph, by the forward and the reverse mode [Andersson et al. 2019].
+adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp); `initial` has
+the former only. CasADi derives them from the expression graph, by the forward and the reverse mode
+[Andersson et al. 2019].
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relatio
         derived = {**functions, "output": model.output, "initial": model.initial, "sample": sample}
         for name, function in derived.items():
             functions[f"{name}_forward"] = _forward(function)
-            if derivatives == "both":
+            if derivatives == "both" and name != "initial":
                 functions[f"{name}_reverse"] = _reverse(function)
     if model.rate is not None and continuous:  # in C the function that the flow calls
         x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
