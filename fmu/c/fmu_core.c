@@ -269,10 +269,17 @@ int fmu_check_token(Fmu *fmu, const char *token, const char *what)
     return fmu_refuse(fmu, "The %s is of another FMU.", what);
 }
 
+int fmu_check_time(Fmu *fmu, double time_s, const char *what)
+{
+    return fabs(time_s) <= LATEST_S ||
+           fmu_refuse(fmu, "The %s of %g s is not a number within %g s of zero.", what, time_s,
+                      LATEST_S);
+}
+
 int fmu_start_at(Fmu *fmu, double start_s, int stop_defined, double stop_s)
 {
-    if (!isfinite(start_s))
-        return fmu_refuse(fmu, "The start time is not a finite number.");
+    if (!fmu_check_time(fmu, start_s, "start time"))
+        return 0;
     if (stop_defined && !(stop_s >= start_s))
         return fmu_refuse(fmu, "The stop time of %.9g s is before the start time of %.9g s.",
                           stop_s, start_s);

@@ -42,6 +42,7 @@ enum {
 
 /* Hosts add their steps up and come to times with rounding; FMPy compares them to 1e-9. */
 #define TIME_TOLERANCE 1e-9
+#define LATEST_S 1e12 /* 30,000 years: a double still resolves 0.1 ms there */
 
 /* What is older than the values that it follows from. */
 enum { STALE_OUTPUTS = 1, STALE_RATES = 2, STALE_INDICATORS = 4, STALE = 7 };
@@ -128,6 +129,7 @@ int fmu_all_finite(const double *value, size_t count);
 int fmu_refresh(Fmu *fmu);
 int fmu_refresh_rates(Fmu *fmu);
 int fmu_refresh_indicators(Fmu *fmu);
+int fmu_check_time(Fmu *fmu, double time_s, const char *what);
 int fmu_check_value(Fmu *fmu, const Variable *variable, double value);
 
 void fmu_reset(Fmu *fmu);

@@ -93,8 +93,8 @@ static int check_count(Fmu *fmu, size_t count, size_t expected, const char *what
 
 int fmu_set_time(Fmu *fmu, double time_s)
 {
-    if (!isfinite(time_s))
-        return fmu_refuse(fmu, "The time is not a finite number.");
+    if (!fmu_check_time(fmu, time_s, "time"))
+        return 0;
     fmu->memory.value[0] = time_s; /* nothing depends on the time but through the states */
     return 1;
 }

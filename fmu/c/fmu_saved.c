@@ -36,7 +36,7 @@ static int check_saved(Fmu *fmu, const void *bytes, size_t size)
     int mode = memory->mode;
     if (memcmp(saved.token, FMU_TOKEN, sizeof FMU_TOKEN) != 0)
         return fmu_refuse(fmu, "The saved state comes from another FMU.");
-    if (saved.hash != hash_of(&saved) || isnan(memory->stop_s) || !isfinite(memory->start_s) ||
+    if (saved.hash != hash_of(&saved) || isnan(memory->stop_s) || !(fabs(memory->start_s) <= LATEST_S) ||
         !(memory->samples >= 0.0 && memory->samples <= MOST_SAMPLES) || !is_mode(mode))
         return fmu_refuse(fmu, "The saved state is damaged.");
     if (mode & (fmu->exchange ? STEPPING : EVENT | CONTINUOUS))

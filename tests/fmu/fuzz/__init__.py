@@ -1,0 +1,1 @@
+"""Fuzzer of the FMU's calls, in C under sanitizers."""

@@ -1,0 +1,55 @@
+"""Build and run of the fuzzer: the FMU's C and `fuzz_calls.c` in one program with sanitizers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from fmu.fmu_builder import HEADERS, WRAPPER, core_sources
+from fmu.interface import interface_of
+from fmu.variables_c import write_variables
+from models.plant.simulation.model_c import write_model_c
+from models.plant.step_model import StepModel
+
+SANITIZERS = (
+    "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
+    "-fno-omit-frame-pointer",
+)  # fmt: skip
+
+
+class FuzzResult(NamedTuple):
+    """Calls made, those that returned OK, and what a sanitizer or a rule objects to."""
+
+    calls: int
+    accepted: int
+    objection: str
+
+
+def build_fuzzer(model: StepModel, fmi: Literal[2, 3], directory: Path) -> Path:
+    """Compile the fuzzer with the FMU of a model; the system's gcc has all sanitizers."""
+    interface = interface_of(model, "both" if fmi == 3 else "forward")
+    model_c = write_model_c(model, directory, interface.relations.functions)
+    variables_c = write_variables(model, interface, "{fuzz}", directory)
+    program = directory / f"fuzz_fmi{fmi}"
+    sources = [Path(__file__).with_name("fuzz_calls.c"), *core_sources(fmi), model_c, variables_c]
+    subprocess.run(
+        [
+            os.environ.get("CC", "gcc"), "-std=c99", "-O1", "-g", "-ffp-contract=off", *SANITIZERS,
+            f"-DFMI={fmi}", *(f"-I{path}" for path in (WRAPPER, directory, HEADERS)),
+            *map(str, sources), "-o", str(program), "-lm",
+        ],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    return program
+
+
+def fuzz(program: Path, *, seed: int, seconds: float, calls: int = 2**63) -> FuzzResult:
+    """Run the fuzzer; a leak, undefined behaviour or a wrong access ends it with a report."""
+    done = subprocess.run(
+        [str(program), str(seed), str(seconds), str(calls)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    made, accepted = (int(text) for text in (done.stdout.split() or ["0", "0"]))
+    return FuzzResult(made, accepted, done.stderr[-4000:] if done.returncode else "")
