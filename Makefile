@@ -44,7 +44,7 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  faults fuzz mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
+  faults fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -71,6 +71,7 @@ help:
 	@echo "make fuzz       mutates valid files of every reader for ten minutes: each is used or refused in one"
 	@echo "                sentence, within 500 MB and 10 s; counts for each reader"
 	@echo "make mutate     changes every comparison of the safety supervisor; a test has to fail"
+	@echo "make fuzz-fmu   random sequences of calls to FMUs under sanitizers, ten minutes"
 	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT"
 	@echo "make hitl-emulated  the same tests on an emulated servo"
 	@echo "make claims     measures the figures that the documentation states and prints them beside"
@@ -78,6 +79,7 @@ help:
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
 	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
 	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
+	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
 	@echo "make lock       renews requirements/ from pyproject.toml"
@@ -355,6 +357,13 @@ bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.sdk_loop --bundle build/bundle_2dof --fmu $<
 
 # Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
+fuzz-fmu: $(READY)
+	$(BIN)/python -m tests.fmu.fuzz --seconds 600
+
+bench-fmu: $(READY)
+	$(BIN)/python -m bench.fmu_host --dof 1
+	$(BIN)/python -m bench.fmu_host --dof 2
+
 bench-live: build/twin_2dof.fmu
 	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $<
 
