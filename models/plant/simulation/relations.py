@@ -9,9 +9,9 @@ The relations are functions of state, inputs and parameters (x, u, p)::
     initial     states at the start, of (u, p) only
 
 Each has a derivative along a direction, NAME_forward, with the argument (dx, du, dp) behind, and an
-adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp); `initial`
-has the former only. CasADi derives them from the expression graph, by the forward and the reverse mode
-[Andersson et al. 2019].
+adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp). There is no
+adjoint of `initial`. CasADi derives them from the expression graph, by the forward and the reverse
+mode [Andersson et al. 2019].
 """
 
 from __future__ import annotations
