@@ -156,11 +156,13 @@ def rest_count(series: Series, names: Sequence[str]) -> int:
     names : sequence of str
         Markers to look at.
     """
-    places_m = np.concatenate([series.position_m(n) for n in names], axis=1)
-    first = np.argmax(np.isfinite(places_m), axis=0)
-    moved_m = np.abs(places_m - places_m[first, np.arange(places_m.shape[1])])
-    moved = np.flatnonzero(np.any(moved_m > REST_RANGE_M, axis=1))  # NaN is no motion
-    return max(int(moved[0]), 1) if len(moved) else len(places_m)
+    rest = len(series.time_s)
+    for column in (series.columns[f"{name}_{axis}_m"][:rest] for name in names for axis in "xyz"):
+        seen = np.isfinite(column)
+        first_m = column[int(np.argmax(seen))]
+        moved = np.flatnonzero(np.abs(column - first_m) > REST_RANGE_M)  # NaN is no motion
+        rest = int(moved[0]) if len(moved) else rest
+    return max(rest, 1)
 
 
 def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:

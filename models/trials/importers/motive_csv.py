@@ -65,11 +65,11 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     time = labels["Frame"].index("Time (Seconds)")
     used = [time, *(k for axes in positions.values() for k in axes)]
     samples = _samples(path, rows, line, len(labels["Frame"]), used)
-    markers_m = {
-        name: metres * samples[:, 1 + 3 * i : 4 + 3 * i] for i, name in enumerate(positions)
-    }
-    world_m = to_world(markers_m, mapping.frame, default_up="y")
-    return [Series(samples[:, 0].copy(), marker_columns(world_m), path)]
+    columns: dict[str, Array] = {}
+    for i, name in enumerate(positions):  # one by one: a long capture is held once, not four times
+        in_file_m = metres * samples[:, 1 + 3 * i : 4 + 3 * i]
+        columns |= marker_columns(to_world({name: in_file_m}, mapping.frame, default_up="y"))
+    return [Series(samples[:, 0].copy(), columns, path)]
 
 
 def _rows(path: Path) -> Iterator[list[str]]:

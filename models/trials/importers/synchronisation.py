@@ -30,9 +30,10 @@ MIN_CORRELATION: Final = 0.9
 SYNC: Final = "sync_v"
 """Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
 NEAR_FACTOR: Final = 3.0
-NEAR_FLOOR: Final = 0.01
+NEAR_FLOOR: Final = 0.001
 """A second offset is near if its lack of correlation is below this multiple of the best one's plus
-the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset]."""
+the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset, ten
+minutes of a motion that nearly repeats itself 0.003]."""
 NOMINAL_LINK_M: Final = (0.06, 0.95)
 """Base offset and length of the nominal link: docs/sources.md, "The link"."""
 
