@@ -6,7 +6,7 @@ import sqlite3
 import tomllib
 import zipfile
 import zlib
-from argparse import Namespace
+from argparse import ArgumentParser
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -50,11 +50,12 @@ def importing(kind, name, servo=None):
     def read(folder):
         from models.commands import import_
 
-        import_.run(Namespace(
-            file=folder / name, kind=kind, servo=servo and folder / servo,
-            offset=0.0 if servo else None, map=folder / "map.toml", name="trial",
-            out=folder / "out", json=True,
-        ))  # fmt: skip
+        parser = ArgumentParser()
+        import_.configure(parser)
+        parser.add_argument("--json", action="store_true")
+        more = ["--servo", str(folder / servo), "--offset", "0"] if servo else []
+        argv = [str(folder / name), "--as", kind, "--map", str(folder / "map.toml"), *more]
+        import_.run(parser.parse_args([*argv, "--name", "trial", "--out", str(folder / "out")]))
 
     return read
 

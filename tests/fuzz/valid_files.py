@@ -11,15 +11,25 @@ import scipy.io
 import tomli_w
 
 ROOT = Path(__file__).resolve().parents[2]
-ROWS, STEP_S = 24, 0.017
+ROWS, REST, STEP_S = 60, 30, 0.017
 CONDITIONS = {
     "dof": 1, "payload_kg": 1.0, "pressure_pa": 41300.0, "trial": 1, "motion": "sinusoid",
-    "period_s": 4.352, "amplitude_rad": 0.5236, "base_offset_m": 0.06, "link_length_m": 0.95,
+    "period_s": 4.352, "amplitude_rad": 0.3, "base_offset_m": 0.06, "link_length_m": 0.95,
     "link_width_m": 0.15,
 }  # fmt: skip
 TIME_S = STEP_S * np.arange(ROWS)
-WAVE = 0.3 * np.sin(TIME_S)
-MARKERS = {f"m{i:02d}": np.column_stack([0.01 * i + WAVE, WAVE, 1 + WAVE]) for i in range(1, 17)}
+WAVE = 0.3 * np.sin(3 * np.maximum(TIME_S - REST * STEP_S, 0.0))
+
+
+def _marker_m(number):
+    """Marker of the straight link that turns by WAVE about y, shape (ROWS, 3)."""
+    row, corner = divmod(number - 1, 4)
+    x, y, z = (0.075, -0.075)[corner % 2], (0.075, -0.075)[corner // 2], 0.06 + 0.95 * (row + 1) / 4
+    c, s = np.cos(WAVE), np.sin(WAVE)
+    return np.column_stack([c * x + s * z, np.full(ROWS, y), c * z - s * x])
+
+
+MARKERS = {f"m{i:02d}": _marker_m(i) for i in range(1, 17)}
 
 
 def trial():
@@ -44,7 +54,7 @@ def table():
     }  # fmt: skip
     document = {
         "step_s": STEP_S, "trial": CONDITIONS, "columns": sources,
-        "frame": {"up": "z", "align": "none", "origin_m": [0.0, 0.0, 0.1], "yaw_deg": 5.0},
+        "frame": {"up": "z", "align": "none", "origin_m": [0.0, 0.0, 0.0], "yaw_deg": 0.0},
         "topics": {"/joints": "joints", "/goals": "goals"}, "joints": ["base"], "effort_unit": "mA",
     }  # fmt: skip
     return columns, tomli_w.dumps(document).encode()
