@@ -2,10 +2,11 @@
 
     python -m bench.plans speeds --build build --out build/bench_plans
 
-`speeds`: circle and figure eight of 0.3 m in 8 and 4 s, rigid kinematics, payload known, and
-payload estimated in the second run. `learning`: five runs with motion capture on rigs with a fifth
-more stiffness or damping than the plant believes, 1.8 kg. `moves`: 25° with 2 kg, from rest to
-rest: as fast as the limits permit with a rigid link, ZVD shaping, the shortest inverted move.
+Plans are open loop. `speeds`: circle and figure eight of 0.3 m in 8 and 4 s, rigid kinematics,
+payload known, and payload estimated in the second run. `learning`: five runs with motion capture on
+rigs with a fifth more stiffness or damping than the plant believes, 1.8 kg. `moves`: 25° with 2 kg,
+from rest to rest: as fast as the limits permit with a rigid link, ZVD shaping, the shortest
+inverted move.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def _plan(
     files = read_bundle_files(_bundle(build, dof))
     period_s = files.manifest.period_s
     request = PlanRequest(
-        _plant(build), dof, period_s, LIMITS, payloads_kg, files.manifest_sha256, method
+        _plant(build), dof, period_s, LIMITS, payloads_kg, files.manifest_sha256, method, False
     )
     if fastest:
         move_s = shortest_move_s(

@@ -75,6 +75,11 @@ def run_on_rig(
         Whether the robot is told the payload.
     runs : int
         Times to run the plan.
+
+    Raises
+    ------
+    RuntimeError
+        If the robot stopped before.
     """
     with tempfile.TemporaryDirectory(prefix="dropstitch-plans-") as scratch:
         options = SilOptions(
@@ -84,8 +89,10 @@ def run_on_rig(
         )  # fmt: skip
         result = run_sil(options)
         tip = tip_of_runs_m(result.records, result.outcome.truth, plan)
-        error = path_errors(result.records, result.outcome.truth, plan)[-1]
-        return RigRun(error.rms_m, move_figures(tip[-1], plan), as_trial(result, options))
+        errors = path_errors(result.records, result.outcome.truth, plan)
+        if not errors:
+            raise RuntimeError(f"the plan was not run to its end: {result.summary.reason}")
+        return RigRun(errors[-1].rms_m, move_figures(tip[-1], plan), as_trial(result, options))
 
 
 def larger_rig(what: str, directory: Path) -> Path:

@@ -86,11 +86,12 @@ def run(args: argparse.Namespace) -> int:
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
     method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
-    steps = 2 - args.open_loop + len(payloads) if method == "inverse" else 1
+    feedback = not (args.open_loop or path.moves)
+    steps = 1 + feedback + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
     request = PlanRequest(
         plant, manifest.dof, manifest.period_s, limits, payloads,
-        files.manifest_sha256, method, not args.open_loop,
+        files.manifest_sha256, method, feedback,
     )  # fmt: skip
     if args.fastest:
         if method != "inverse" or not path.moves:
