@@ -49,7 +49,7 @@ def build_fmu(
     files: Mapping[str, bytes] | None = None,
     sections: Sequence[Section] = (),
 ) -> Path:
-    """Build an FMU from a step model.
+    """Build an FMU from a step model; returns its path.
 
     Parameters
     ----------
@@ -71,11 +71,6 @@ def build_fmu(
         Further files, by their path in the FMU.
     sections : sequence of Section
         Further sections of the documentation.
-
-    Returns
-    -------
-    Path
-        `output`.
     """
     resources = resources or {}
     interface = interface_of(model, _offered(derivatives, fmi))

@@ -161,13 +161,6 @@ def test_gains_that_are_declared_are_compared(servos, config, capsys):
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
 
 
-def test_an_unsigned_bundle_is_refused_where_keys_are_trusted(config, capsys):
-    key = "ed25519:" + 43 * "A" + "="
-    config.write_text(f'{config.read_text()}[trust]\nkeys = ["{key}"]\n')
-    code, output = call(capsys, "run", "--config", config)
-    assert code == 2 and "is not signed, and [trust] keys are given" in output.err
-
-
 def test_a_trip_is_reported_and_is_a_negative_verdict(servos, config, capsys):
     config.write_text(
         config.read_text().replace("hold_s = 0.05", "hold_s = 0.05\ntip_max_m = [1.2, 1.2, 0.1]")
@@ -213,6 +206,7 @@ def test_a_servo_that_does_not_confirm_torque_off_is_a_negative_verdict(
         (("[motion]", "[[servos]]\nid = 2\nmodel = 'H54-200-S500-R'\n[motion]"), "is for 1 joints"),
         (('bundle = "', 'bundle = "/no'), "is missing"),
         (("[bus]", "period_s = 0.02\n[bus]"), "lagged estimator"),
+        (("[motion]", f"[trust]\nkeys = ['ed25519:{43 * 'A'}=']\n[motion]"), "is not signed, and"),
     ],
 )
 def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, change, words):
