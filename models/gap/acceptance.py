@@ -52,7 +52,7 @@ STAND_IN_FOR_ANOTHER: Final = (
     "could show whether it holds there"
 )
 STAND_IN_FOR_OWN_ERROR: Final = (
-    "it leaves most of a gap that is no larger than the plant's own error on a link that changed"
+    "it stands in for the plant's own error, which is as large on a link that changed as much"
 )
 
 

@@ -48,9 +48,9 @@ def gap_verdict(
 
     A named effect is a stand-in where its strength would have to differ from one payload, signal or
     band to the next, where most of the gap is left, or where the gap went into the variation
-    between trials. Where most is left of a residual that the plant's own error reaches, they say
-    nothing: the verdict is "no gap". What is left does not count where a named effect takes out of
-    that variation what had gone into it. Without a learned noise floor nobody knows what noise is:
+    between trials. A stand-in in a residual that the plant's own error reaches says nothing: the
+    verdict is "no gap". What is left does not count where a named effect takes out of that
+    variation what had gone into it. Without a learned noise floor nobody knows what noise is:
     then neither "no gap" nor "closed" nor "reduced" can be said, and the verdict is "no floor".
 
     Parameters
@@ -62,7 +62,7 @@ def gap_verdict(
     consistencies : mapping of str to StrengthConsistency
         Of the named effects.
     """
-    settings, explained = search.settings, search.null_distribution.explained
+    settings = search.settings
     before, after = (
         _power_beyond_noise(search, point.rows) for point in (result.before, result.after)
     )
@@ -70,18 +70,18 @@ def gap_verdict(
     biased = bool(search.nuisance_bias(result.after))
     relieved = bool(search.nuisance_bias(result.before)) and not biased
     if not result.named:
-        gap = biased or search.has_gap(result.before)
-        if gap:
+        if biased or search.has_gap(result.before):
             return "not in the catalogue", 1.0
         return ("no gap", 0.0) if search.learned else ("no floor", 1.0)
     several = len(result.named) > 1 or any(r.kind == "inconsistent" for r in result.refused)
     fractions = settings.gap_left_limit_fraction, settings.gap_left_limit_fraction_of_several
     unclosed = left > fractions[several] and not relieved
-    unclosed = unclosed and search.mean_residual(result.after) > (1 + explained) / 2
+    unclosed = unclosed and search.mean_residual(result.after) > settings.noise_residual
     differing = not all(c.holds for c in consistencies.values())
-    if biased or differing or (unclosed and search.has_gap(result.before)):
+    gap = search.has_gap(result.before)
+    if biased or (unclosed and gap) or (differing and (gap or not search.learned)):
         return "not in the catalogue", left
-    if unclosed and search.learned:
+    if search.learned and (unclosed or differing):
         return "no gap", left
     if not search.learned:
         return "no floor", left
