@@ -82,6 +82,8 @@ CPU_TIME: Final = DisplayUnit("µs", 1e-3, 0)
 """Of short durations in nanoseconds: what a computation takes."""
 FILE_SIZE: Final = DisplayUnit("kB", 1e-3, 0)
 """Of sizes in bytes."""
+DATA_SIZE: Final = DisplayUnit("MB", 1e-6, 0)
+"""Of limits in bytes: what a reader takes."""
 BAUD_RATE: Final = DisplayUnit("Mbaud", 1e-6, 0)
 """Of baud rates in bits per second."""
 

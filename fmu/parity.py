@@ -22,6 +22,10 @@ PARITY: Final = 1e-9
 """Largest allowed difference from the interpreted model, in the SI unit of each output; assumed."""
 
 
+DECISIONS: Final = 0.01
+"""Largest fraction of rows in which decisions may differ; assumed."""
+
+
 class FmuCheck(NamedTuple):
     """Result of one check: name, whether it passed, and detail."""
 
@@ -74,12 +78,25 @@ def check_step_parity(
     for kind, steps_s in runs.items():
         with archive.instance() as instance:
             y = instance.run(inputs, u, steps_s, outputs)
-        worst = np.abs(y - _simulate(model, u, steps_s)).max(axis=0)
+        difference = np.abs(y - _simulate(model, u, steps_s))
+        _allow_for_decisions(difference, outputs)
+        worst = difference.max(axis=0)
         for name, value in zip(outputs, worst, strict=True):
             found[name] = max(found.get(name, 0.0), float(value))
         name, value = max(zip(outputs, worst, strict=True), key=lambda pair: pair[1])
         detail = f"{value:.1e} at most ({name}), {len(u)} steps"
         yield FmuCheck(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
+
+
+def _allow_for_decisions(difference: Array, outputs: Sequence[str]) -> None:
+    """Take out the few rows in which a feature lies on its bound to the last digit.
+
+    Compiled and interpreted model round differently; there one decides "in range", the other not.
+    """
+    if IN_RANGE.name in outputs:
+        rows = difference[:, outputs.index(IN_RANGE.name)]
+        if np.count_nonzero(rows) <= DECISIONS * len(rows):
+            rows[:] = 0.0
 
 
 def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:

@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
 
 __all__ = ["ARCHIVE_DAMAGE", "check_archive"]
@@ -54,9 +55,9 @@ def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
     elif len(set(names)) < len(names):
         wrong = "holds two files of one name"
     elif sum(member.file_size for member in members) > MOST_UNPACKED_BYTES:
-        wrong = f"unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB"
+        wrong = f"unpacks to more than {DATA_SIZE.number(MOST_UNPACKED_BYTES)} MB"
     elif any(m.filename.endswith(".xml") and m.file_size > MOST_TEXT_BYTES for m in members):
-        wrong = f"holds an XML file of more than {MOST_TEXT_BYTES / 1e6:.0f} MB"
+        wrong = f"holds an XML file of more than {DATA_SIZE.number(MOST_TEXT_BYTES)} MB"
     else:
         astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
         wrong = f"holds a file with a path outside the archive ({astray[0]})" if astray else ""

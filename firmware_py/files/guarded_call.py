@@ -22,6 +22,7 @@ from typing import Final, NoReturn
 
 import msgspec
 
+from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
 
 __all__ = ["MEMORY_BYTES", "SECONDS", "guarded_call"]
@@ -91,7 +92,9 @@ def guarded_call(
     if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         raise InputError(where, f"takes more than {seconds:g} s to read", remedy)
     if kind == _MEMORY:
-        raise InputError(where, f"takes more than {memory_bytes / 1e6:.0f} MB to read", remedy)
+        raise InputError(
+            where, f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read", remedy
+        )
     raise InputError(where, "is damaged: the program that reads it has crashed", remedy)
 
 

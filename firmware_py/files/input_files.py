@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Final, TypeVar
 
 import msgspec
 
+from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
 
 __all__ = [
@@ -84,7 +85,7 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
         os.close(descriptor)
         if wrong:
             raise InputError(path, wrong, remedy)
-        what = f"is larger than {most / 1e6:g} MB"
+        what = f"is larger than {DATA_SIZE.number(most)} MB"
         raise InputError(path, what, "shorten it or divide it")
     return os.fdopen(descriptor, "rb")
 
@@ -108,7 +109,9 @@ def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
     if len(data) > most:
-        raise InputError(path, f"is larger than {most / 1e6:g} MB", "shorten it or divide it")
+        raise InputError(
+            path, f"is larger than {DATA_SIZE.number(most)} MB", "shorten it or divide it"
+        )
     return data
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from firmware_py.errors import InputError
 
 MEMORY_BYTES = 500_000_000
-"""Memory of a child beyond what the fork server holds, and its largest resident size."""
+"""Memory of a child beyond what the fork server holds: address space, and resident size."""
 SECONDS = 10
 """Processor time of a case, of its own children included."""
 WALL_S = 120.0
@@ -55,6 +55,7 @@ def run_case(work, scratch):
 def _in_one_child(works, scratch):
     """Verdicts on the first of some functions, up to the one that ended the child."""
     reader, writer = os.pipe()
+    shared_bytes = _memory_bytes(1)
     child = os.fork()
     if child == 0:
         os.close(reader)
@@ -76,7 +77,7 @@ def _in_one_child(works, scratch):
             with contextlib.suppress(ProcessLookupError):
                 end(child, signal.SIGKILL)
     _, status, used = os.wait4(child, 0)
-    peak = 1024 * used.ru_maxrss
+    peak = max(1024 * used.ru_maxrss - shared_bytes, 0)
     if len(verdicts) < len(works):  # it ended in the next one
         late |= os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU
         verdicts.append(Verdict("hang" if late else "crash", f"status {status}", peak, 0.0))
@@ -108,8 +109,7 @@ def _live(works, writer, scratch):
         for stream in (0, 1, 2):
             os.dup2(nowhere, stream)
         tempfile.tempdir = str(scratch)
-        with open("/proc/self/statm", encoding="ascii") as file:
-            most = int(file.read().split()[0]) * resource.getpagesize() + MEMORY_BYTES
+        most = _memory_bytes(0) + MEMORY_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         for work in works:
@@ -132,6 +132,12 @@ def _end_of(work):
     except BaseException:
         return "traceback", traceback.format_exc(limit=-6)
     return "used", ""
+
+
+def _memory_bytes(column):
+    """Own address space (column 0) or resident size (column 1)."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[column]) * resource.getpagesize()
 
 
 def _used_s():

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.display_units import FILE_SIZE
 from firmware_py.inference.bundle import ModelBundle
 from hil.faults.campaign import cases_of
 from hil.faults.cases.case_robot import CaseRobot, RunTap, case_config
@@ -148,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             runs.append(run)
     write_runs(args.out, runs)
-    print(f"{args.out}: {len(runs)} runs, {args.out.stat().st_size / 1000:.0f} kB")
+    print(f"{args.out}: {len(runs)} runs, {FILE_SIZE.number(args.out.stat().st_size)} kB")
     return 0
 
 

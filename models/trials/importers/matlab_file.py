@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_bytes
 
@@ -110,7 +111,7 @@ def _check_unpacked(path: Path, data: bytes) -> None:
         if kind == _COMPRESSED:
             total += _unpacked_bytes(memoryview(data)[at + 8 : at + 8 + size], total)
         if total > MOST_UNPACKED_BYTES:
-            what = f"unpacks to more than {MOST_UNPACKED_BYTES / 1e6:.0f} MB"
+            what = f"unpacks to more than {DATA_SIZE.number(MOST_UNPACKED_BYTES)} MB"
             raise InputError(path, what, "save only the variables that are needed")
         at += 8 + size
 
