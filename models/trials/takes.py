@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -11,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_lines
+from firmware_py.files.input_files import read_text
 from models.trials.importers.mapping import RecordingMap
 from models.trials.trial import TrialMeta
 
@@ -26,8 +28,12 @@ _KINDS: Final = {
     for field in msgspec.structs.fields(TrialMeta)
     if field.name != "conditions"
 }
+_NAME: Final = "{name}"
+"""Part of the name of a servo file that stands for the name of the take."""
 _OWN: Final = ("file", "servo", "offset_s")
 """Columns of a table of takes that are no conditions."""
+_MOST_TABLE_BYTES: Final = 1_000_000
+"""Size of the largest table of takes: people write it [assumed]."""
 
 
 class Take(NamedTuple):
@@ -69,22 +75,19 @@ def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[
         If a folder holds no take, a name does not fit the pattern, or the table lacks a take.
     """
     rules = mapping.takes
-    table = _table(Path(mapping.path).parent / rules.table) if rules.table else {}
+    table_path = Path(mapping.path).parent / rules.table
+    table = _table(table_path) if rules.table else {}
     takes = []
     for file in _files(files, kind, mapping, table):
-        row = dict(table.get(file.name) or table.get(file.stem) or {})
+        row = table.get(file.name) or table.get(file.stem) or {}
         if rules.table and not row:
-            raise InputError(
-                Path(mapping.path).parent / rules.table, f"has no row for {file.name}", "add it"
-            )
-        named = _by_name(file, mapping) if rules.pattern else {}
-        conditions = named | {
-            k: _value(mapping, k, v) for k, v in row.items() if k not in _OWN and v
-        }
+            raise InputError(table_path, f"has no row for {file.name}", "add it")
+        conditions = _by_name(file, mapping) if rules.pattern else {}
+        conditions |= {k: _value(mapping, k, v) for k, v in row.items() if k not in _OWN and v}
         own = msgspec.structs.replace(mapping, trial=mapping.trial | conditions)
-        servo = row.get("servo") or (rules.servo.format(name=file.stem) if rules.servo else "")
-        offset = float(row["offset_s"]) if row.get("offset_s") else None
-        takes.append(Take(file, own, file.parent / servo if servo else None, offset))
+        servo = row.get("servo") or rules.servo.replace(_NAME, file.stem)
+        offset_s = _offset_s(table_path, row["offset_s"]) if row.get("offset_s") else None
+        takes.append(Take(file, own, file.parent / servo if servo else None, offset_s))
     return takes
 
 
@@ -96,14 +99,13 @@ def _files(
         if not path.is_dir() or kind == "rosbag":
             found.append(path)
             continue
-        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES[kind])
+        try:
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES[kind])
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})", "name the files") from None
         if table:
             inside = [p for p in inside if p.name in table or p.stem in table]
-        servo = (
-            {mapping.takes.servo.format(name=p.stem) for p in inside}
-            if mapping.takes.servo
-            else set()
-        )
+        servo = {mapping.takes.servo.replace(_NAME, p.stem) for p in inside}
         inside = [p for p in inside if p.name not in servo and p.name != mapping.takes.table]
         if not inside:
             raise InputError(path, f"holds no take of the format {kind}", "name the files")
@@ -112,20 +114,31 @@ def _files(
 
 
 def _by_name(file: Path, mapping: RecordingMap) -> dict[str, Any]:
-    """Conditions in the name of a file, by the map's pattern."""
+    """Conditions in the name of a file, by the map's pattern.
+
+    Each condition takes as little of the name as it can, and one character at least. The first
+    place of the text behind it is the right one wherever there is one, so nothing is tried twice.
+    """
     pattern = mapping.takes.pattern
-    parts = re.split(r"\{(\w+)\}", pattern)
-    expression = "".join(
-        re.escape(part) if k % 2 == 0 else rf"(?P<{part}>.+?)" for k, part in enumerate(parts)
-    )
-    match = re.fullmatch(expression, file.stem)
-    if match is None:
+    first, *parts = re.split(r"\{(\w+)\}", pattern)
+    names, behind = parts[::2], parts[1::2]
+    if len(set(names)) < len(names):
+        raise InputError(
+            mapping.path, f"[takes]: {pattern!r} names a condition twice", "correct it"
+        )
+    rest, found = file.stem.removeprefix(first), {}
+    fits = file.stem.startswith(first) and (bool(names) or not rest)
+    for k, (name, text) in enumerate(zip(names, behind, strict=True), start=1):
+        end = rest.find(text, 1) if k < len(names) else len(rest) - len(text)
+        fits = fits and end >= 1 and rest.startswith(text, end)
+        found[name], rest = rest[:end], rest[end + len(text) :]
+    if not fits:
         raise InputError(
             file,
             f"does not fit the pattern {pattern!r} of {mapping.path}",
             "rename it or correct [takes]",
         )
-    return {name: _value(mapping, name, text) for name, text in match.groupdict().items()}
+    return {name: _value(mapping, name, text) for name, text in found.items()}
 
 
 def _value(mapping: RecordingMap, name: str, text: str) -> Any:
@@ -140,11 +153,38 @@ def _value(mapping: RecordingMap, name: str, text: str) -> Any:
         ) from None
 
 
-def _table(path: Path) -> dict[str, dict[str, str]]:
+def _offset_s(path: Path, text: str) -> float:
     try:
-        rows = list(csv.DictReader(read_lines(path, "correct 'table' in the map")))
+        offset_s = float(text)
+    except ValueError:
+        offset_s = math.nan
+    if not math.isfinite(offset_s):
+        raise InputError(path, f"offset_s is {text!r}, no number", "correct it")
+    return offset_s
+
+
+def _table(path: Path) -> dict[str, dict[str, str]]:
+    """Rows of a table of takes by the name of their file."""
+    remedy = "correct 'table' in the map"
+    try:
+        header, *rows = csv.reader(read_text(path, remedy, _MOST_TABLE_BYTES).splitlines() or [""])
     except csv.Error as error:
-        raise InputError(path, f"cannot be read ({error})", "correct 'table' in the map") from None
-    if not rows or "file" not in rows[0]:
-        raise InputError(path, "has no column 'file'", "name the file of each take in it")
-    return {row["file"]: row for row in rows}
+        raise InputError(path, f"cannot be read ({error})", remedy) from None
+    if "file" not in header or not any(rows):
+        raise InputError(
+            path, "has no column 'file' with a row", "name the file of each take in it"
+        )
+    _check_single(path, "column", header)
+    for number, row in enumerate(rows, start=2):
+        if row and len(row) != len(header):
+            what = f"line {number} has {len(row)} cells, the header {len(header)}"
+            raise InputError(path, what, "correct it")
+    takes = [dict(zip(header, row, strict=True)) for row in rows if row]
+    _check_single(path, "take", [take["file"] for take in takes])
+    return {take["file"]: take for take in takes}
+
+
+def _check_single(path: Path, what: str, names: Sequence[str]) -> None:
+    doubled = next((n for n, count in Counter(names).items() if count > 1), None)
+    if doubled is not None:
+        raise InputError(path, f"the {what} {doubled[:80]!r} stands twice", "remove one of the two")

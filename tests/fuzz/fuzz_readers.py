@@ -138,6 +138,20 @@ def of_bag(rng, files):
     return {base: file.serialize()}
 
 
+def of_takes(rng, files):
+    """Changed table of takes, or changed rules in the map."""
+    if rng.random() < 0.5:
+        return {"takes.csv": of_text(rng, files["takes.csv"])}
+    return {"map.toml": toml_file(rng, files["map.toml"])}
+
+
+def takes_of_folder(folder):
+    from models.trials.importers.mapping import read_mapping
+    from models.trials.takes import find_takes
+
+    find_takes([folder], "table", read_mapping(folder / "map.toml"))
+
+
 def every_reader(bundle=None):
     """Every reader; those of a bundle have no valid files where no directory of one is given.
 
@@ -189,6 +203,7 @@ def _recordings():
         one("a.mcap", lambda rng, own: of_log(rng, own, metadata, messages)),
         importing("recording", "a.mcap"),
     )  # fmt: skip
+    yield FuzzReader("takes", valid_files.takes(), of_takes, takes_of_folder)
     yield FuzzReader(
         "map", {"a.csv": csv, "map.toml": map_}, one("map.toml", toml_file),
         importing("table", "a.csv"),

@@ -60,6 +60,19 @@ def table():
     return columns, tomli_w.dumps(document).encode()
 
 
+def takes():
+    """Two takes with their conditions in names and table."""
+    map_ = (
+        b'[trial]\ndof = 1\n[takes]\npattern = "load{payload_kg}_take{trial}"\n'
+        b'table = "takes.csv"\nservo = "{name}_servo.csv"\n'
+    )
+    table = (
+        b"file,pressure_pa,servo,offset_s\nload0.5_take1,41300,,0.1\nload1_take2.csv,41300,a.csv,\n"
+    )
+    files = {"load0.5_take1.csv": b"", "load1_take2.csv": b"", "load1_take2_servo.csv": b""}
+    return files | {"takes.csv": table, "map.toml": map_}
+
+
 def csv_of(columns):
     rows = np.column_stack([*columns.values()])
     return "\n".join([",".join(columns), *(",".join(map(repr, row.tolist())) for row in rows)])

@@ -42,13 +42,44 @@ def test_conditions_come_from_a_table(folder):
 @pytest.mark.parametrize(
     ("pattern", "what"),
     [("run{trial}", "does not fit"), ("load{mass}_take{trial}", "is no condition"),
-     ("{motion}_take{trial}x", "does not fit"), ("load{trial}_{motion}", "no number")],
+     ("{motion}_take{trial}x", "does not fit"), ("load{trial}_{motion}", "no number"),
+     ("load{trial}_take{trial}", "names a condition twice"), ("load", "does not fit"),
+     ("load0.5_take1{notes}", "does not fit")],
 )  # fmt: skip
 def test_a_wrong_pattern_is_refused_in_one_sentence(folder, pattern, what):
     with pytest.raises(InputError, match=what):
         find_takes(
             [folder / "load0.5_take1.csv"], "motive", RecordingMap(takes=TakeRules(pattern=pattern))
         )
+
+
+def test_a_name_that_fits_in_many_ways_is_taken_apart_at_once(tmp_path):
+    names = ("notes", "motion", "source", "trial", "dof", "rest_samples", "payload_kg")
+    pattern = "".join(f"{{{name}}}" for name in names) + "x"
+    file = tmp_path / ("1" * 200)
+    with pytest.raises(InputError, match="does not fit"):
+        find_takes([file], "motive", RecordingMap(takes=TakeRules(pattern=pattern)))
+
+
+@pytest.mark.parametrize(
+    ("table", "what"),
+    [("file,trial,trial\na,1,2\n", "column 'trial' stands twice"),
+     ("file,trial\na,1\na,2\n", "take 'a' stands twice"),
+     ("file,trial\na,1,2\n", "line 2 has 3 cells, the header 2"),
+     ("file,offset_s\na,soon\n", "offset_s is 'soon'"), ("file,offset_s\na,inf\n", "'inf'"),
+     ("", "has no column 'file'"), ("file\n", "with a row"), ("file\n" + "a\n" * 10**6, "MB")],
+)  # fmt: skip
+def test_a_wrong_table_is_refused_in_one_sentence(tmp_path, table, what):
+    (tmp_path / "takes.csv").write_text(table)
+    mapping = RecordingMap(takes=TakeRules(table="takes.csv"), path=str(tmp_path / "map.toml"))
+    with pytest.raises(InputError, match=what):
+        find_takes([tmp_path / "a"], "motive", mapping)
+
+
+def test_only_the_name_stands_for_something_in_the_name_of_a_servo_file(folder):
+    rules = TakeRules(servo="{name}_{x:>999999999}.csv")
+    (take,) = find_takes([folder / "load1_take2.csv"], "motive", RecordingMap(takes=rules))
+    assert take.servo.name == "load1_take2_{x:>999999999}.csv"
 
 
 def test_a_folder_without_takes_is_refused(tmp_path):
