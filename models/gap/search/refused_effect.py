@@ -50,6 +50,9 @@ def values_at_bounds(
 ) -> list[OffendingValue]:
     """Fitted values of nuisance and effects that ended at a bound away from the plant as given.
 
+    The strength of an effect that the plant lacks counts at zero too, where that is its bound: the
+    fit found none of it.
+
     Parameters
     ----------
     plant : Plant
@@ -70,7 +73,9 @@ def values_at_bounds(
         if q.trial is not None or not free[k] or not np.isfinite(q.high - q.low):
             continue
         near = settings.at_bound_fraction * (q.high - q.low)
-        if abs(value) <= near or min(value - q.low, q.high - value) > near:
+        vanished = _is_strength(q) and value <= q.low == 0.0
+        unmoved = abs(value) <= near and not vanished
+        if unmoved or min(value - q.low, q.high - value) > near:
             continue
         bound, side = (q.low, "lower") if value - q.low <= near else (q.high, "upper")
         name = next(iter(q.parameters), q.name)
@@ -83,6 +88,11 @@ def values_at_bounds(
         )
         found.append(OffendingValue((k,), q.name, unit, start + weight * value, limit, said))
     return found
+
+
+def _is_strength(q: FitParameter) -> bool:
+    """Whether it is the strength of an effect: only those have no prior."""
+    return bool(q.effect) and np.isinf(q.standard_deviation)
 
 
 def impossible_values(

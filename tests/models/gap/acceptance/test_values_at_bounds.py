@@ -1,0 +1,29 @@
+"""Fitted values at their bounds."""
+
+import numpy as np
+import pytest
+
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.residuals.fit_parameters import effect_fit_parameters, nuisance_fit_parameters
+from models.gap.search.refused_effect import values_at_bounds
+from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.plant import read_plant
+
+
+def found_at(parameters, values):
+    free = np.ones(len(parameters), bool)
+    point = FitPoint(np.array(values), 0.0, [])
+    return values_at_bounds(read_plant(), parameters, point, free, DEFAULT_SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("strength", "names"), [(0.0, ["hardening_share"]), (0.02, []), (3.0, ["hardening_share"])]
+)
+def test_a_strength_that_fell_to_zero_or_reached_its_bound_is_found(strength, names):
+    parameters = effect_fit_parameters(read_plant(), "stiffness_hardening", 1)
+    assert [row.name for row in found_at(parameters, [strength])] == names
+
+
+def test_nuisance_that_did_not_move_is_not_at_a_bound():
+    parameters = nuisance_fit_parameters(read_plant(), 1)
+    assert found_at(parameters, [0.0] * len(parameters)) == []
