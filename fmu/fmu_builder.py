@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Final
 
 import fmpy
@@ -43,11 +44,12 @@ def build_fmu(
     *,
     fmi: FmiVersion = 3,
     description: str = "",
-    resources: Mapping[str, bytes] | None = None,
+    resources: Mapping[str, bytes] = MappingProxyType({}),
     derivatives: bool = True,
     platforms: Sequence[str] = (HOST,),
-    files: Mapping[str, bytes] | None = None,
+    files: Mapping[str, bytes] = MappingProxyType({}),
     sections: Sequence[Section] = (),
+    example: Sequence[float] = (),
 ) -> Path:
     """Build an FMU from a step model; returns its path.
 
@@ -60,9 +62,9 @@ def build_fmu(
     fmi : {2, 3}
         Version of the standard.
     description : str
-        One sentence that describes the FMU.
+        One sentence.
     resources : mapping of str to bytes, optional
-        Files to embed under resources/.
+        To embed under resources/.
     platforms : sequence of str
         Keys of `PLATFORMS`, and `SOURCE_CODE` for the sources.
     derivatives : bool
@@ -71,9 +73,10 @@ def build_fmu(
         Further files, by their path in the FMU.
     sections : sequence of Section
         Further sections of the documentation.
+    example : sequence of float
+        For each input the amplitude of the example motion (`fmu/c/fmu_example.c`); empty for none.
     """
-    resources = resources or {}
-    interface = interface_of(model, _offered(derivatives, fmi))
+    interface = interface_of(model, _offered(derivatives, fmi), example)
     epoch_s = build_time_s()
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
@@ -85,7 +88,7 @@ def build_fmu(
         listed = [path.name for path in sources] if SOURCE_CODE in platforms else []
         dated = date_and_time(epoch_s)
         xml = model_description_xml(interface, fmi, token, description, dated, listed)
-        content = {"modelDescription.xml": xml, **(files or {})}
+        content = {"modelDescription.xml": xml, **files}
         content |= _documents(interface, description, resources, sections)
         include = [WRAPPER, directory, HEADERS]
         if SOURCE_CODE in platforms:
@@ -155,6 +158,7 @@ def _token(
 ) -> str:
     """A GUID that is a hash of everything that the FMU consists of."""
     digest = hashlib.sha256(model_description_xml(interface, fmi, "", description, ""))
+    digest.update(repr(interface.example).encode())
     for path in (model_c, *sorted(WRAPPER.glob("*.[ch]"))):
         digest.update(path.read_bytes())
     for name in sorted(resources):

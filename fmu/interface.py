@@ -2,7 +2,8 @@
 
 Value references number the variables in this order: time, inputs, parameters, outputs, states,
 derivatives of the continuous states, event indicators. A parameter of the model is named
-`parameters.NAME`, a state `states.NAME`, its derivative `der(states.NAME)`.
+`parameters.NAME`, a state `states.NAME`, its derivative `der(states.NAME)`. An FMU with an example
+motion has one parameter more, the last, which is not the model's: `example.scale`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,12 @@ from models.plant.step_model import StepModel, Variable
 Causality = Literal["independent", "input", "parameter", "output", "local"]
 
 _BOOLEANS = {signals.IN_RANGE.name}
+
+_EXAMPLE_SCALE = Variable(
+    "example.scale", "1", 1.0, "Size of the motion that the FMU makes by itself until the host "
+    "sets one of its moving inputs; 0: it rests", 0.0, 1.0,
+)  # fmt: skip
+
 _INITIAL = {"parameter": "exact", "output": "calculated", "local": "calculated"}
 
 Dependencies = dict[int, tuple[int, ...]]
@@ -91,6 +98,8 @@ class Interface:
     initial_dependencies : dict of int to tuple of int
         For each output, state and derivative the references of the inputs and parameters on which
         it depends in initialization mode.
+    example : tuple of float
+        For each input the amplitude of the example motion; empty where there is none.
     """
 
     name: str
@@ -98,6 +107,7 @@ class Interface:
     relations: Relations
     dependencies: Dependencies
     initial_dependencies: Dependencies
+    example: tuple[float, ...] = ()
 
     def of(self, causality: Causality) -> tuple[FmiVariable, ...]:
         """Variables of one causality, in order."""
@@ -124,7 +134,9 @@ class Interface:
         return self.variables[len(self.variables) - self.relations.indicators :]
 
 
-def interface_of(model: StepModel, derivatives: Derivatives = "both") -> Interface:
+def interface_of(
+    model: StepModel, derivatives: Derivatives = "both", example: Sequence[float] = ()
+) -> Interface:
     """Derive the variable table and the dependencies of a model.
 
     Parameters
@@ -133,11 +145,13 @@ def interface_of(model: StepModel, derivatives: Derivatives = "both") -> Interfa
         Its name becomes the model identifier.
     derivatives : str
         Derivatives that the FMU offers, see `models.plant.simulation.relations`.
+    example : sequence of float
+        For each input the amplitude of the example motion; empty for none.
     """
     relations = relations_of(model, derivatives)
-    variables = tuple(_number(model, relations))
+    variables = tuple(_number(model, relations, with_example=bool(example)))
     first_parameter = 1 + len(model.inputs)
-    first_output = first_parameter + len(model.parameters)
+    first_output = first_parameter + len(model.parameters) + bool(example)
     first_state = first_output + len(model.outputs)
     known = [
         {k: first_state + k for k in relations.continuous},
@@ -159,10 +173,12 @@ def interface_of(model: StepModel, derivatives: Derivatives = "both") -> Interfa
         initial |= _dependencies(composed, row, known[1:])
     state = _dependencies(model.initial, first_state, known[1:])
     initial |= {first_state + k: state[first_state + k] for k in relations.continuous}
-    return Interface(model.name, variables, relations, now, dict(sorted(initial.items())))
+    return Interface(
+        model.name, variables, relations, now, dict(sorted(initial.items())), tuple(example)
+    )
 
 
-def _number(model: StepModel, relations: Relations) -> Iterator[FmiVariable]:
+def _number(model: StepModel, relations: Relations, *, with_example: bool) -> Iterator[FmiVariable]:
     """Variables in the order of their references."""
     time = Variable(signals.TIME.name.removesuffix("_s"), "s", description="simulation time")
     states = [
@@ -176,10 +192,11 @@ def _number(model: StepModel, relations: Relations) -> Iterator[FmiVariable]:
         for k, v in enumerate(model.outputs)
     ]
     rates = [states[k] for k in relations.continuous]
+    parameters = [replace(v, name=f"parameters.{v.name}") for v in model.parameters]
     groups: tuple[tuple[Causality, Sequence[Variable]], ...] = (
         ("independent", [time]),
         ("input", model.inputs),
-        ("parameter", [replace(v, name=f"parameters.{v.name}") for v in model.parameters]),
+        ("parameter", [*parameters, *([_EXAMPLE_SCALE] if with_example else [])]),
         ("output", outputs),
         ("local", states),
         ("local", [Variable(f"der({v.name})", _per_second(v.unit)) for v in rates]),

@@ -6,6 +6,7 @@ import math
 from itertools import accumulate
 from pathlib import Path
 
+from firmware_py.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
 from models.plant.simulation.model_c import FUNCTIONS
 from models.plant.simulation.relations import SAMPLE_S, Relations
@@ -40,8 +41,8 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
     relations = interface.relations
     first = list(
         accumulate(
-            [1, len(model.inputs), len(model.parameters), len(model.outputs), len(model.states),
-             len(relations.continuous)]
+            [1, *(len(interface.of(group)) for group in ("input", "parameter", "output")),
+             len(model.states), len(relations.continuous)]
         )
     )  # fmt: skip
     groups = ("INPUT", "PARAMETER", "OUTPUT", "STATE", "DERIVATIVE", "INDICATOR")
@@ -50,6 +51,7 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
         "N_STATES": len(model.states),
         **{f"FIRST_{group}": place for group, place in zip(groups, first, strict=True)},
         "SAMPLED": int(relations.sampled),
+        "WITH_EXAMPLE": int(bool(interface.example)),
         "WITH_FORWARD": int(relations.derivatives != "none"),
         "WITH_REVERSE": int(relations.derivatives == "both"),
         **_work(relations),
@@ -62,6 +64,7 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
         f'#define FMU_TOKEN "{token}"',
         f"#define MAX_SUBSTEP_S {_number(model.max_substep_s)}",
         f"#define SAMPLE_S {_number(SAMPLE_S)}",
+        f"#define EXAMPLE_PERIOD_S {_number(STUDY_PERIOD_S)}",
         *(f"#define {name} {value}" for name, value in sizes.items()),
         "",
         "#endif",
@@ -91,6 +94,7 @@ def _table(interface: Interface) -> str:
         for v in interface.variables
     ]
     places = interface.relations.continuous or (0,)
+    example = interface.example or (0.0,) * max(1, len(interface.of("input")))
     nominals = [v.nominal for v in interface.continuous_states] or [1.0]
     return "\n".join(
         [
@@ -106,6 +110,7 @@ def _table(interface: Interface) -> str:
             "",
             f"const int CONTINUOUS_STATES[{len(places)}] = {{{', '.join(map(str, places))}}};",
             f"const double NOMINALS[{len(nominals)}] = {{{', '.join(map(_number, nominals))}}};",
+            f"const double EXAMPLE[{len(example)}] = {{{', '.join(map(_number, example))}}};",
             "",
         ]
     )

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _TICK: Final = "dropstitch_tick"
-"""Function beyond the standard, see fmu/c/fmi3_tick.h."""
+"""Function beyond the standard, see fmu/c/fmi3.c."""
 _FMI_WARNING: Final = 1
 """A call has failed where its status is above this."""
 

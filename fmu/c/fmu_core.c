@@ -194,6 +194,7 @@ int fmu_set_float64(Fmu *fmu, const uint32_t reference[], size_t count, const do
     for (size_t i = 0; i < count; i++)
         if (!check_set(fmu, &VARIABLES[reference[i]], value[i]))
             return 0;
+    fmu_end_example(fmu, reference, count);
     for (size_t i = 0; i < count; i++)
         fmu->memory.value[reference[i]] = value[i];
     fmu->memory.stale = STALE;
@@ -259,6 +260,7 @@ void fmu_reset(Fmu *fmu)
         fmu->memory.value[i] = VARIABLES[i].start;
     fmu->memory.stop_s = INFINITY;
     fmu->memory.mode = INSTANTIATED;
+    fmu->memory.driven = !WITH_EXAMPLE;
     fmu->memory.stale = STALE;
 }
 
@@ -315,6 +317,7 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (time_s + step_s > memory->stop_s + 1e-6 * step_s + TIME_TOLERANCE * fabs(memory->stop_s))
         return fmu_refuse(fmu, "The step to %.9g s leads beyond the stop time of %.9g s.",
                           time_s + step_s, memory->stop_s);
+    fmu_follow_example(fmu, SAMPLED ? time_s + step_s : time_s); /* a sample is that of the end */
     fmu_advance_step(fmu, step_s);
     memory->value[0] = time_s + step_s;
     memory->stale = STALE;

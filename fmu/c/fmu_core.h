@@ -70,6 +70,7 @@ enum {
 extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value reference */
 extern const int CONTINUOUS_STATES[ROOM(N_CONTINUOUS)]; /* their places among the states */
 extern const double NOMINALS[ROOM(N_CONTINUOUS)];
+extern const double EXAMPLE[ROOM(N_INPUTS)]; /* amplitudes of the example motion */
 
 /* Content of a saved state. */
 typedef struct {
@@ -80,6 +81,8 @@ typedef struct {
     double samples; /* taken in Model Exchange; the next one is due at start + samples * SAMPLE_S */
     int32_t mode;
     int32_t stale;
+    int32_t driven; /* whether the host moves the inputs, or the FMU has no example motion */
+    int32_t unused; /* so that every byte has a value */
 } Memory;
 
 typedef struct {
@@ -131,6 +134,9 @@ int fmu_refresh_rates(Fmu *fmu);
 int fmu_refresh_indicators(Fmu *fmu);
 int fmu_check_time(Fmu *fmu, double time_s, const char *what);
 int fmu_check_value(Fmu *fmu, const Variable *variable, double value);
+
+void fmu_follow_example(Fmu *fmu, double time_s);
+void fmu_end_example(Fmu *fmu, const uint32_t reference[], size_t count);
 
 void fmu_reset(Fmu *fmu);
 int fmu_check_token(Fmu *fmu, const char *token, const char *what);

@@ -67,6 +67,7 @@ int fmu_update(Fmu *fmu, Update *update)
     double time_s = memory->value[0];
     update->states_changed = 0;
     if (time_s >= next_sample_s(memory) - tolerance_s(time_s)) {
+        fmu_follow_example(fmu, time_s);
         if (!sample(fmu)) {
             *memory = before;
             return fmu_refuse(fmu, "The sample at %.9g s gave values that are not finite numbers.",

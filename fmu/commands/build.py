@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         build_fmu(
             model, output, fmi=args.fmi, description=parts.description(),
             resources=parts.resources(), platforms=platforms, files=contents.files,
-            sections=contents.sections,
+            sections=contents.sections, example=contents.example,
         )  # fmt: skip
     size = output.stat().st_size
     data = {

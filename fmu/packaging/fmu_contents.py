@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
 from fmu.fmu_models import FmuParts
@@ -21,13 +24,26 @@ PAYLOAD_KG: Final = 1.0
 """Payload of the reference run, the middle of the study's."""
 STEPS: Final = 256
 """Steps of the reference run: one cycle of the study's motion."""
+SMALLEST: Final = 1e-9
+"""What is smaller is rounding."""
 
 
 class FmuContents(NamedTuple):
-    """Files by their path in the FMU, and sections of its documentation."""
+    """Documents of an FMU.
+
+    Attributes
+    ----------
+    files : dict of str to bytes
+        Files by their path in the FMU.
+    sections : list of Section
+        Of its documentation.
+    example : tuple of float
+        For each input the amplitude of its example motion.
+    """
 
     files: dict[str, bytes]
     sections: list[Section]
+    example: tuple[float, ...]
 
 
 def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuContents:
@@ -53,4 +69,14 @@ def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuCo
         related["resources/plant.json"] = "model"
     files = reference_files(reference_run(model, u, PERIOD_S), related)
     files |= terminal_files(interface_of(model), fmi)
-    return FmuContents(files, plant_sections(parts))
+    return FmuContents(files, plant_sections(parts), _amplitudes(u[:STEPS]))
+
+
+def _amplitudes(u: NDArray[np.float64]) -> tuple[float, ...]:
+    """For each input the amplitude of the sine of the motion's period, by least squares.
+
+    What does not swing with the motion, like a payload, gets zero.
+    """
+    sine = np.sin(2 * np.pi * np.arange(len(u)) / len(u))
+    amplitude = 2.0 / len(u) * (sine @ u)
+    return tuple(float(a) if abs(a) > SMALLEST else 0.0 for a in amplitude)

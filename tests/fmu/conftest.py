@@ -20,6 +20,8 @@ from models.plant.step_model import names
 from tests.fmu.toy import pendulum
 
 GOAL_AMPLITUDE_RAD = math.radians(30.0)
+TORQUE_NM = 2.0
+"""Amplitude of the toy's example motion."""
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +32,10 @@ def toy():
 @pytest.fixture(scope="session", params=[2, 3], ids=["fmi2", "fmi3"])
 def toy_fmu(request, toy, tmp_path_factory):
     path = tmp_path_factory.mktemp("toy") / f"pendulum_fmi{request.param}.fmu"
-    return build_fmu(toy, path, fmi=request.param, description="A pendulum & <a counter>.")
+    return build_fmu(
+        toy, path, fmi=request.param, description="A pendulum & <a counter>.",
+        example=(TORQUE_NM, 0.0),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def test_variables_have_the_public_names_and_causalities(built):
     assert found == {"input": set(inputs), "output": set(outputs)}
     parameters = {v.name for v in variables if v.causality == "parameter"}
     expected = set() if parts.plant is None else set(names(parts.model().parameters))
-    assert parameters == {f"parameters.{name}" for name in expected}
+    assert parameters == {"example.scale", *(f"parameters.{name}" for name in expected)}
     units = {v.name: v.unit for v in variables}
     for name, unit in {"tip_z_m": "m", "di": "1", "payload_kg": "kg", "current_1_a": "A"}.items():
         assert units.get(name, unit) == unit

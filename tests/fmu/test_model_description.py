@@ -8,6 +8,7 @@ from fmpy.validation import validate_fmu
 from firmware_py.display_units import VALUE_UNITS
 from fmu.interface import interface_of
 from fmu.model_description import model_description_xml
+from tests.fmu.conftest import TORQUE_NM
 
 
 def test_fmpy_finds_no_problem(toy_fmu):
@@ -18,7 +19,7 @@ def test_variables_are_those_of_the_table(toy_fmu, toy):
     """What FMPy reads back is what the interface table says, value by value."""
     description = fmpy.read_model_description(str(toy_fmu))
     read = {v.name: v for v in description.modelVariables}
-    table = interface_of(toy).variables
+    table = interface_of(toy, example=(TORQUE_NM, 0.0)).variables
     assert list(read) == [v.name for v in table]
     for v in table:
         found = read[v.name]

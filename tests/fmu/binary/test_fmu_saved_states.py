@@ -95,5 +95,5 @@ def test_a_state_with_a_fitting_hash_is_held_to_finite_values_and_bounds(
 
 def test_a_state_without_a_mode_is_refused(instance):
     data = _serialized(instance)
-    content = data[8:-8] + struct.pack("<ii", 3, 0)
+    content = data[8:-16] + struct.pack("<iiii", 3, 0, 1, 0)
     assert "saved state" in _refused(instance, struct.pack("<Q", _hash(content)) + content)
