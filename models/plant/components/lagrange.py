@@ -1,46 +1,53 @@
-"""Equations of motion of point masses in generalised coordinates (Lagrange, second kind).
+"""Equations of motion of coupled point masses in generalised coordinates (Lagrange, second kind).
 
-M(c) a + h(c, v) = tau,   M = sum m J'J,   h = sum m J'(dJ/dt v - g),   J = dr/dc
+Kinetic energy T = ½ Σ mᵢⱼ vᵢ·vⱼ of the nodes' velocities v = J ċ, with J = dr/dc::
+
+    M(c) a + h(c, v) = tau,   M = Σ mᵢⱼ Jᵢ'Jⱼ,   h = Σ mᵢⱼ Jᵢ'(dJⱼ/dt v - g)
+
+A point mass has the entry (i, i). A uniform slender rod between two nodes has m/3 on both and m/6
+between them, the consistent mass matrix of a bar (Przemieniecki, Theory of Matrix Structural
+Analysis, 1968, chapter 11).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
 from models.plant.scope import Expr
 
-PointMass = tuple[Expr, Expr]
-"""Mass in kg and position (3,) in m of a point."""
+Masses = Mapping[tuple[int, int], Expr]
+"""Mass mᵢⱼ = mⱼᵢ in kg of each pair i ≤ j of nodes that has one."""
 
 
-def rod_points(mass_kg: Expr, start_m: Expr, end_m: Expr) -> list[PointMass]:
-    """Point masses with the mass, centre and inertia of a uniform slender rod (Simpson's rule).
+def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
+    """Add a uniform slender rod between two nodes.
 
     Parameters
     ----------
+    masses : dict of (int, int) to SX
+        Masses of the nodes, changed in place.
     mass_kg : SX
         Mass of the rod.
-    start_m, end_m : SX, shape (3,)
-        Its ends.
+    start, end : int
+        Nodes at its ends, start < end.
     """
-    return [
-        (mass_kg / 6, start_m),
-        (mass_kg * 2 / 3, (start_m + end_m) / 2),
-        (mass_kg / 6, end_m),
-    ]
+    for pair, fraction in (((start, start), 3), ((start, end), 6), ((end, end), 3)):
+        masses[pair] = masses.get(pair, 0) + mass_kg / fraction
 
 
 def lagrange_equations(
-    points: Sequence[PointMass], coordinates: Expr, rates: Expr, gravity_m_s2: Expr
+    nodes_m: Sequence[Expr], masses: Masses, coordinates: Expr, rates: Expr, gravity_m_s2: Expr
 ) -> tuple[Expr, Expr]:
     """Mass matrix and force of velocity and gravity terms.
 
     Parameters
     ----------
-    points : sequence of (SX, SX)
-        Mass and position of each point.
+    nodes_m : sequence of SX, shape (3,)
+        Positions r of the nodes.
+    masses : mapping of (int, int) to SX
+        See `Masses`.
     coordinates, rates : SX, shape (n,)
         c and v.
     gravity_m_s2 : SX, shape (3,)
@@ -52,14 +59,25 @@ def lagrange_equations(
     force : SX, shape (n,)
     """
     count = coordinates.numel()
+    jacobians = [ca.jacobian(r, coordinates) for r in nodes_m]
+    # Twice along the motion: fewer operations than the derivative of the Jacobian.
+    fall = [
+        ca.jtimes(ca.jtimes(r, coordinates, rates), coordinates, rates) - gravity_m_s2
+        for r in nodes_m
+    ]
     mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
-    for mass_kg, position_m in points:
-        jacobian = ca.jacobian(position_m, coordinates)
-        velocity = jacobian @ rates
-        bias = ca.jtimes(velocity, coordinates, rates)
-        mass_matrix += mass_kg * (jacobian.T @ jacobian)
-        force += mass_kg * (jacobian.T @ (bias - gravity_m_s2))
-    return mass_matrix, force
+    for i, jacobian in enumerate(jacobians):
+        coupled = [
+            (masses[pair], j)
+            for j in range(len(nodes_m))
+            if (pair := (min(i, j), max(i, j))) in masses
+        ]
+        momentum = sum((m * jacobians[j] for m, j in coupled), start=ca.SX(3, count))
+        force += jacobian.T @ sum((m * fall[j] for m, j in coupled), start=ca.SX(3, 1))
+        for row in range(count):  # the upper half is the lower one
+            for column in range(row + 1):
+                mass_matrix[row, column] += ca.dot(jacobian[:, row], momentum[:, column])
+    return ca.tril2symm(ca.tril(mass_matrix)), force
 
 
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:

@@ -24,9 +24,8 @@ from typing import ClassVar, Final
 import casadi as ca
 
 from models.plant.components.lagrange import (
-    PointMass,
+    add_rod,
     lagrange_equations,
-    rod_points,
     symbolic_base_rotation,
 )
 from models.plant.parameter import Parameter
@@ -149,7 +148,7 @@ class Link:
         """Mass matrix and force over the joints' coordinates and the bends."""
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return lagrange_equations(
-            self._points(scope),
+            *self._nodes(scope),
             ca.vertcat(*scope.angle.values(), *scope.bend.values()),
             ca.vertcat(*rates, *scope.bend_rate.values()),
             ca.vertcat(0, 0, -scope.p("gravity_m_s2")),
@@ -219,17 +218,21 @@ class Link:
         tip_m = hinge_m + section @ ca.vertcat(0, 0, (1 - position) * length_m)
         return plate_m, hinge_m, tip_m, section
 
-    def _points(self, scope: Scope) -> list[PointMass]:
+    def _nodes(self, scope: Scope) -> tuple[list[Expr], dict[tuple[int, int], Expr]]:
+        """Base plate, span hinge, tip and payload, and their masses."""
         plate_m, hinge_m, tip_m, section = self._frames(scope, self._load_angles(scope), scope.bend)
+        nodes = [plate_m, hinge_m, tip_m]
+        masses = {(0, 0): scope.p("base_mass_kg"), (2, 2): scope.p("tip_mass_kg")}
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
-        payload_m = tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0)
-        return [
-            (scope.p("base_mass_kg"), plate_m),
-            *rod_points(mass_kg * position, plate_m, hinge_m),
-            *rod_points(mass_kg * (1 - position), hinge_m, tip_m),
-            (scope.p("tip_mass_kg"), tip_m),
-            (scope.payload_kg, payload_m),
-        ]
+        add_rod(masses, mass_kg * position, 0, 1)
+        add_rod(masses, mass_kg * (1 - position), 1, 2)
+        offset_m = ca.SX(scope.payload_offset_m)
+        if offset_m.is_zero():
+            masses[2, 2] += scope.payload_kg
+        else:
+            masses[3, 3] = scope.payload_kg
+            nodes.append(tip_m + section @ ca.vertcat(offset_m, 0, 0))
+        return nodes, masses
 
     def _deformation_index(
         self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
