@@ -128,7 +128,7 @@ class TickLog:
 
     def bus_faults(self) -> dict[str, int]:
         """Ticks by status of the bus, OK left out."""
-        return {s.name.lower(): n for s, n in self._statuses.items() if s != BusStatus.OK}
+        return {s.name.lower(): n for s, n in self._statuses.items()}
 
     def start(self) -> None:
         """Count the kernel's delays from now on."""
@@ -146,8 +146,8 @@ class TickLog:
 
     def append(self, tick: Tick) -> None:
         """Add the record of a tick; `close` completes it."""
-        run_delay_ns = self._counters.run_delay_ns()
-        self._delays_ns = run_delay_ns - self._run_delay_ns, self._counters.steal_ns()
+        run_delay_ns, steal_ns = self._counters.delays_ns()
+        self._delays_ns = delays_ns = (run_delay_ns - self._run_delay_ns, steal_ns)
         self._run_delay_ns = run_delay_ns
         stages_ns = tuple(map(sub, tick.marks_ns[1:], tick.marks_ns))
         joints = zip(
@@ -159,10 +159,11 @@ class TickLog:
             estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
             *prediction.half_width_m.tolist(), in_range, tick.state, tick.trust,
             tick.status, tick.stale_ticks, tick.alert, *stages_ns, 0, 0, tick.bus_wait_ns,
-            stages_ns[0], *self._delays_ns, tick.missed,
+            stages_ns[0], *delays_ns, tick.missed,
         ))  # fmt: skip
-        self._statuses[tick.status] += 1
-        self.held_up += not tick.status.fresh and sum(self._delays_ns) > _HELD_UP_NS
+        if tick.status is not BusStatus.OK:
+            self._statuses[tick.status] += 1
+            self.held_up += not tick.status.fresh and sum(delays_ns) > _HELD_UP_NS
         self.out_of_range += not in_range
         self._stages_ns, self._tick = stages_ns, tick
 

@@ -8,7 +8,7 @@ from dynamixel_sdk.robotis_def import BROADCAST_ID, COMM_SUCCESS, INST_SYNC_WRIT
 from numpy import float64
 from numpy.typing import NDArray
 
-from firmware_py.bus.port import DeadlinePort, PacketHandler
+from firmware_py.bus.port import HEADER, INSTRUCTION, DeadlinePort, PacketHandler
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import Model
@@ -38,18 +38,19 @@ class GoalWriter:
         self._models = list(models.values())
         self._cell = self._models[0].table[Register.GOAL_POSITION]
         address, size = self._cell[:2]
-        length = _FIRST - 7 + len(models) * (1 + size) + _CRC
-        # Only the goals change; the packet handler fills in header and CRC.
-        self._instruction = [
+        length = _FIRST - INSTRUCTION + len(models) * (1 + size) + _CRC
+        instruction = [
             *(0, 0, 0, 0), BROADCAST_ID, length & 0xFF, length >> 8, INST_SYNC_WRITE,
             address & 0xFF, address >> 8, size & 0xFF, size >> 8,
         ]  # fmt: skip
         self._goals: list[slice] = []
         for servo_id in models:
-            start = len(self._instruction) + 1
+            start = len(instruction) + 1
             self._goals.append(slice(start, start + size))
-            self._instruction += (servo_id, *bytes(size))
-        self._instruction += bytes(_CRC)
+            instruction += (servo_id, *bytes(size))
+        # Only goals and CRC change.
+        self._packet = bytearray(packets.finished([*instruction, *bytes(_CRC)]))
+        self._crc_before = packets.updateCRC(0, self._packet, _FIRST)
 
     def put(self, goal_rad: NDArray[float64]) -> BusStatus:
         """Send the goals.
@@ -66,10 +67,16 @@ class GoalWriter:
         OSError
             If the port is gone.
         """
-        encode, instruction = self._cell.encode, self._instruction
+        encode, packet, packets = self._cell.encode, self._packet, self._packets
         for model, place, angle_rad in zip(
             self._models, self._goals, goal_rad.tolist(), strict=True
         ):
-            instruction[place] = encode(model.position_raw(angle_rad))
-        result = self._packets.tell(self._port, instruction)
+            packet[place] = encode(model.position_raw(angle_rad))
+        if packet.find(HEADER, INSTRUCTION, -_CRC) >= 0:
+            result = packets.tell(self._port, packets.finished(list(packet)))
+        else:
+            goals = packet[_FIRST:-_CRC]
+            crc = packets.updateCRC(self._crc_before, goals, len(goals))
+            packet[-_CRC:] = crc.to_bytes(_CRC, "little")
+            result = packets.tell(self._port, bytes(packet))
         return BusStatus.OK if result == COMM_SUCCESS else BusStatus.TIMEOUT

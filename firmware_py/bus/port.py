@@ -45,9 +45,10 @@ _READ_SIZE: Final = 1024
 """Bytes of one read, which are examined without a look at the clock: about 1 ms at worst."""
 _MAX_PACKET: Final = 1024
 _LONGEST_WAIT_NS: Final = 1_000_000_000
-_HEADER: Final = b"\xff\xff\xfd"
-_STUFFED: Final = _HEADER + b"\xfd"
-_RESERVED, _ID, _LENGTH, _INSTRUCTION = 3, 4, 5, 7
+HEADER: Final = b"\xff\xff\xfd"
+"""Begin of a packet, which no body may hold: stuffing breaks it."""
+_STUFFED: Final = HEADER + b"\xfd"
+_RESERVED, _ID, _LENGTH, INSTRUCTION = 3, 4, 5, 7
 _STATUS: Final = 0x55
 _SHORTEST: Final = 11
 """Bytes of a status packet without data."""
@@ -181,18 +182,18 @@ _CRC_TABLE: Final = _crc_table()
 def _begins_status(packet: bytes, highest_id: int) -> bool:
     """Whether a status packet may begin with these bytes."""
     return (
-        packet.startswith(_HEADER)
+        packet.startswith(HEADER)
         and packet[_RESERVED] == 0
         and packet[_ID] <= highest_id
         and packet[_LENGTH] | packet[_LENGTH + 1] << 8 <= _MAX_PACKET
-        and packet[_INSTRUCTION] == _STATUS
+        and packet[INSTRUCTION] == _STATUS
     )
 
 
 def _next_header(packet: bytes) -> int:
     """Return the offset behind the first byte at which the next header may begin."""
-    start = packet.find(_HEADER, 1)
-    return start if start > 0 else max(1, len(packet) - len(_HEADER))
+    start = packet.find(HEADER, 1)
+    return start if start > 0 else max(1, len(packet) - len(HEADER))
 
 
 class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is untyped
@@ -234,7 +235,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
             if not _begins_status(packet, highest_id):
                 packet, wanted = packet[_next_header(packet) :], _SHORTEST
                 continue
-            wanted = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8)
+            wanted = INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8)
             if len(packet) < wanted:
                 continue
             crc = packet[wanted - 2] | packet[wanted - 1] << 8
@@ -251,7 +252,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
 
         Header and CRC are not changed: `txPacket` fills them in.
         """
-        body = bytes(packet[_INSTRUCTION:-2]).replace(_HEADER, _HEADER + b"\xfd")
+        body = bytes(packet[INSTRUCTION:-2]).replace(HEADER, HEADER + b"\xfd")
         length = len(body) + 2
         return [*packet[:_LENGTH], length & 0xFF, length >> 8, *body, 0, 0]
 
@@ -259,7 +260,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         """Return a received packet without stuffing, length corrected."""
         if _STUFFED not in packet:
             return packet
-        body = packet[_INSTRUCTION:-2].replace(_STUFFED, _HEADER)
+        body = packet[INSTRUCTION:-2].replace(_STUFFED, HEADER)
         return packet[:_LENGTH] + (len(body) + 2).to_bytes(2, "little") + body + packet[-2:]
 
     def txPacket(self, port: DeadlinePort, txpacket: list[int]) -> int:
@@ -275,7 +276,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
             Instruction; header, stuffing and CRC are filled in, the list is not changed.
         """
         packet = self.addStuffing(txpacket)
-        packet[:4] = (*_HEADER, 0)
+        packet[:4] = (*HEADER, 0)
         crc = self.updateCRC(0, packet, len(packet) - 2)
         packet[-2:] = (crc & 0xFF, crc >> 8)
         return bytes(packet)
@@ -299,22 +300,22 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
             port.clearPort()
         return self._write(port, packet)
 
-    def tell(self, port: DeadlinePort, txpacket: list[int]) -> int:
-        """Send an instruction that is not answered.
+    def tell(self, port: DeadlinePort, packet: bytes) -> int:
+        """Send a finished instruction that is not answered.
 
         Parameters
         ----------
         port : DeadlinePort
             Port to the servos.
-        txpacket : list of int
-            Instruction; header and CRC are filled in, the list is not changed.
+        packet : bytes
+            From `finished`.
 
         Returns
         -------
         int
             COMM_SUCCESS or another result of the SDK.
         """
-        result = self._write(port, self.finished(txpacket))
+        result = self._write(port, packet)
         if result == COMM_SUCCESS:
             port.is_using = False
         return result

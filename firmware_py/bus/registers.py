@@ -17,6 +17,9 @@ from typing import Final, NamedTuple
 class Register(Enum):
     """Registers that this project uses; the value is the name in the e-Manual."""
 
+    # By identity, in C: that of `Enum` is a Python function, and every tick looks registers up.
+    __hash__ = object.__hash__
+
     MODEL_NUMBER = "Model Number"
     FIRMWARE_VERSION = "Firmware Version"
     ID = "ID"

@@ -66,6 +66,8 @@ class Channel:
 class TickChannel:
     """Inputs, step and outputs of a tick in one call, which FMUs of this project offer.
 
+    Any other FMU takes three calls, and outputs of type Float64 only.
+
     Parameters
     ----------
     fmu : FmuInstance
@@ -96,6 +98,7 @@ class TickChannel:
             self._references[1], ctypes.c_size_t(len(outputs)),
             ctypes.c_void_p(self.outputs.ctypes.data),
         )  # fmt: skip
+        self._together = fmu.ticks
 
     def run(self, step_s: float) -> None:
         """Set the inputs, step, get the outputs.
@@ -110,8 +113,15 @@ class TickChannel:
         FmuRefusal
             If the FMU refuses an input or the step.
         """
-        self._step_s.value = step_s
-        self._fmu.tick(step_s, self._arguments)
+        if self._together:
+            self._step_s.value = step_s
+            self._fmu.tick(step_s, self._arguments)
+            return
+        references, count, values, _, outputs, wanted, results = self._arguments
+        self._fmu.call("fmi3SetFloat64", references, count, values, count)
+        if step_s > 0.0:
+            self._fmu.step(step_s)
+        self._fmu.call("fmi3GetFloat64", outputs, wanted, results, wanted)
 
 
 class FmuInstance:

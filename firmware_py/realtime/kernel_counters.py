@@ -23,8 +23,11 @@ class Counters(Protocol):
         """Note that the thread has no reason to sleep from now on."""
         ...
 
-    def steal_ns(self) -> int:
-        """Return the time since `start_computing` in which the processor itself stood still."""
+    def delays_ns(self) -> tuple[int, int]:
+        """Return `run_delay_ns`, and the time in which the processor itself stood still.
+
+        The latter counts from `start_computing` on.
+        """
         ...
 
 
@@ -38,9 +41,9 @@ class NoCounters:
     def start_computing(self) -> None:
         """Do nothing."""
 
-    def steal_ns(self) -> int:
-        """Return zero."""
-        return 0
+    def delays_ns(self) -> tuple[int, int]:
+        """Return no time in which the processor stood still."""
+        return self.run_delay_ns(), 0
 
 
 class KernelCounters:
@@ -62,8 +65,8 @@ class KernelCounters:
         """See `Counters.start_computing`."""
         self._start = (time.monotonic_ns(), *self._ran_and_delayed_ns(), _sleeps())
 
-    def steal_ns(self) -> int:
-        """See `Counters.steal_ns`.
+    def delays_ns(self) -> tuple[int, int]:
+        """See `Counters.delays_ns`.
 
         A thread that does not sleep runs, or waits for its turn, or its processor stands still: a
         hypervisor has taken it, and the kernel does not count that time as the thread's. Where the
@@ -72,8 +75,9 @@ class KernelCounters:
         start_ns, ran_ns, delayed_ns, sleeps = self._start
         now_ns, (ran_now_ns, delayed_now_ns) = time.monotonic_ns(), self._ran_and_delayed_ns()
         if self._schedule is None or _sleeps() != sleeps:
-            return 0
-        return max(now_ns - start_ns - (ran_now_ns - ran_ns) - (delayed_now_ns - delayed_ns), 0)
+            return delayed_now_ns, 0
+        away_ns = now_ns - start_ns - (ran_now_ns - ran_ns) - (delayed_now_ns - delayed_ns)
+        return delayed_now_ns, max(away_ns, 0)
 
     def _ran_and_delayed_ns(self) -> tuple[int, int]:
         if self._schedule is None:

@@ -99,18 +99,23 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         low, high = self.angle_rad
         margin = self.following_error_rad
         for joint, at in enumerate(angle):
-            who = f"joint {joint + 1}"
             if not low - margin <= at <= high + margin:
-                return f"{who} is at {at:.3f} rad, outside its limits"
+                return f"joint {joint + 1} is at {at:.3f} rad, outside its limits"
             if not abs(current[joint]) <= self.current_a:
-                return f"{who} draws {current[joint]:.2f} A, the limit is {self.current_a:g} A"
+                return (
+                    f"joint {joint + 1} draws {current[joint]:.2f} A, "
+                    f"the limit is {self.current_a:g} A"
+                )
             if not abs(at - goal[joint]) <= margin:
                 return (
-                    f"{who} is {at - goal[joint]:.3f} rad away from its goal, "
+                    f"joint {joint + 1} is {at - goal[joint]:.3f} rad away from its goal, "
                     f"the limit is {margin:g} rad"
                 )
             if not abs(at - angle_before[joint]) <= self.jump_rad:
-                return f"{who} jumped by {at - angle_before[joint]:.3f} rad, an encoder fault"
+                return (
+                    f"joint {joint + 1} jumped by {at - angle_before[joint]:.3f} rad, "
+                    "an encoder fault"
+                )
         if not math.isfinite(di):
             return f"the Deformation Index is {di}"
         for k, axis in enumerate("xyz"):

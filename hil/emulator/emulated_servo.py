@@ -70,6 +70,14 @@ class EmulatedServo(RegisterMemory):
 
     Attributes
     ----------
+    id : int
+        Address on the bus.
+    baud : int
+        Bits per second that it sends with.
+    return_delay_ns : int
+        Pause in front of a status packet.
+    alert : int
+        Error bit of every status packet while there is a hardware error.
     torque_on : bool
         Whether the motor is driven.
     watchdog_tripped : bool
@@ -120,36 +128,31 @@ class EmulatedServo(RegisterMemory):
     def put(self, register: Register, raw: int) -> None:
         """See `RegisterMemory.put`; the servo obeys the new value."""
         super().put(register, raw)
-        self._refresh()
+        if register is Register.GOAL_POSITION:
+            self._follow_goal()
+        else:
+            self._refresh()
 
     def _refresh(self) -> None:
-        """Update the attributes that the physics reads in every step."""
+        """Update the attributes that line and physics read in every tick."""
+        self.id = self.get(Register.ID)
+        self.baud = BAUD_OF_CODE[self.get(Register.BAUD_RATE)]
+        self.return_delay_ns = self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_STEP_S * 1e9)
+        self.alert = ALERT if self.get(Register.HARDWARE_ERROR) else 0
         watchdog = self.get(Register.BUS_WATCHDOG)
         self.torque_on = bool(self.get(Register.TORQUE_ENABLE))
         self.watchdog_tripped = watchdog < 0
         armed = watchdog if self.torque_on and not self.watchdog_tripped else 0
         self._watchdog_ns = armed * round(WATCHDOG_STEP_S * 1e9)
         self._offset_raw = self.get(Register.HOMING_OFFSET)
+        self._follow_goal()
+
+    def _follow_goal(self) -> None:
         self.goal_rad = self._hold_rad
         if self.torque_on and not self.watchdog_tripped:
             self.goal_rad = self.model.angle_rad(
                 self.get(Register.GOAL_POSITION) - self._offset_raw
             )
-
-    @property
-    def id(self) -> int:
-        """Address on the bus."""
-        return self.get(Register.ID)
-
-    @property
-    def baud(self) -> int:
-        """Bits per second that it sends with."""
-        return BAUD_OF_CODE[self.get(Register.BAUD_RATE)]
-
-    @property
-    def return_delay_ns(self) -> int:
-        """Pause in front of a status packet."""
-        return self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_STEP_S * 1e9)
 
     # --- physics -------------------------------------------------------------------------------
 
@@ -183,11 +186,6 @@ class EmulatedServo(RegisterMemory):
     @property
     def _shut_down(self) -> bool:
         return bool(self.get(Register.HARDWARE_ERROR) & self.get(Register.SHUTDOWN))
-
-    @property
-    def alert(self) -> int:
-        """Error bit of every status packet while there is a hardware error."""
-        return ALERT if self.get(Register.HARDWARE_ERROR) else 0
 
     @property
     def watchdog_due_ns(self) -> int | None:
@@ -268,7 +266,7 @@ class EmulatedServo(RegisterMemory):
             return StatusError.ACCESS
         if address + len(data) > end:
             return StatusError.DATA_LENGTH
-        self._memory[address : address + len(data)] = data
+        self._write_indirect(address, data)
         return StatusError.NONE
 
     def _refusal(self, register: Register, cell: RegisterField, raw: int) -> int:

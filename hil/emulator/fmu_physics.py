@@ -45,11 +45,10 @@ class FmuPhysics:
             )
         self.dof = dof
         joints = range(1, dof + 1)
-        self._goals = self.fmu.channel([f"goal_{j}_rad" for j in joints])
         names = [*(f"angle_{j}_rad" for j in joints), *(f"current_{j}_a" for j in joints)]
-        self._state = self.fmu.channel(names)
+        self._tick = self.fmu.tick_channel([f"goal_{j}_rad" for j in joints], names)
         self._tip = self.fmu.channel(tip_names())
-        self.angle_rad, self.current_a = self._state.values[:dof], self._state.values[dof:]
+        self.angle_rad, self.current_a = self._tick.outputs[:dof], self._tick.outputs[dof:]
         try:
             self.fmu.set(["payload_kg"], [payload_kg])
         except FmuRefusal as refusal:
@@ -57,7 +56,7 @@ class FmuPhysics:
                 "--payload-kg", str(refusal).rstrip("."), "choose one within the twin's bounds"
             ) from None
         self.fmu.start()
-        self._state.receive()
+        self._tick.run(0.0)
 
     @property
     def tip_m(self) -> Array:
@@ -67,10 +66,8 @@ class FmuPhysics:
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
         """See `hil.emulator.physics.Physics.advance`."""
-        self._goals.values[:] = goal_rad
-        self._goals.send()
-        self.fmu.step(step_s)
-        self._state.receive()
+        self._tick.inputs[:] = goal_rad
+        self._tick.run(step_s)
 
     def parameter(self, name: str) -> float:
         """Value of a plant parameter."""

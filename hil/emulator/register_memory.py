@@ -22,6 +22,7 @@ class RegisterMemory:
     def __init__(self, table: ControlTable) -> None:
         self._table = table
         self._memory = bytearray(MEMORY_BYTES)
+        self._spans: dict[tuple[int, int], list[int]] = {}
 
     def get(self, register: Register) -> int:
         """Raw value of a register; 0 for one that the model lacks."""
@@ -46,6 +47,7 @@ class RegisterMemory:
         indirect = self._table.indirect
         for k in range(indirect.entries):
             self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
+        self._spans.clear()
 
     def _store(self, cell: RegisterField, raw: int) -> None:
         self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
@@ -69,8 +71,8 @@ class RegisterMemory:
             return StatusError.ACCESS, b""
         if not self._is_redirected(address, length):
             return StatusError.NONE, bytes(self._memory[address : address + length])
-        referred = (self._referred(address + k) for k in range(length))
-        return StatusError.NONE, bytes(self._memory[a] for a in referred)
+        memory = self._memory
+        return StatusError.NONE, bytes([memory[a] for a in self._span(address, length)])
 
     def covers(self, address: int, length: int, register: Register) -> bool:
         """Whether a span, read through the indirect addresses, contains a register's first byte.
@@ -85,11 +87,30 @@ class RegisterMemory:
         wanted = self._table[register].address
         if not self._is_redirected(address, length):
             return address <= wanted < address + length
-        return any(self._referred(address + k) == wanted for k in range(length))
+        return wanted in self._span(address, length)
 
     def _is_redirected(self, address: int, length: int) -> bool:
         data = self._table.indirect.data
         return address + length > data and address < data + self._table.indirect.entries
+
+    def _write_indirect(self, address: int, data: bytes) -> None:
+        """Write indirect addresses."""
+        self._memory[address : address + len(data)] = data
+        self._spans.clear()
+
+    def _span(self, address: int, length: int) -> list[int]:
+        """Addresses that a span refers to; kept, since a program reads the same one in every tick.
+
+        Parameters
+        ----------
+        address, length : int
+            First byte and number of bytes.
+        """
+        span = self._spans.get((address, length))
+        if span is None:
+            span = [self._referred(address + k) for k in range(length)]
+            self._spans[address, length] = span
+        return span
 
     def _referred(self, address: int) -> int:
         """Address that one refers to: itself, or the content of its indirect entry."""

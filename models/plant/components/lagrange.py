@@ -1,12 +1,17 @@
-"""Equations of motion of coupled point masses in generalised coordinates (Lagrange, second kind).
+"""Equations of motion of coupled point masses on a base that turns (Lagrange, second kind).
 
-Kinetic energy T = ½ Σ mᵢⱼ vᵢ·vⱼ of the nodes' velocities v = J ċ, with J = dr/dc::
+Kinetic energy T = ½ Σ mᵢⱼ vᵢ·vⱼ of the nodes' velocities v = J ċ, with accelerations J c̈ + β::
 
-    M(c) a + h(c, v) = tau,   M = Σ mᵢⱼ Jᵢ'Jⱼ,   h = Σ mᵢⱼ Jᵢ'(dJⱼ/dt v - g)
+    M(c) a + h(c, v) = tau,   M = Σ mᵢⱼ Jᵢ'Jⱼ,   h = Σ mᵢⱼ Jᵢ'(βⱼ - g)
 
 A point mass has the entry (i, i). A uniform slender rod between two nodes has m/3 on both and m/6
 between them, the consistent mass matrix of a bar (Przemieniecki, Theory of Matrix Structural
 Analysis, 1968, chapter 11).
+
+All vectors have their components in the frame of the base, which turns with ω. A node at r there
+has the velocity ω×r + ṙ and the acceleration ω̇×r + ω×(ω×r + 2ṙ) + r̈ (Goldstein, Classical
+Mechanics, section 4.10). That takes half the operations of world coordinates, in which every term
+of a bend is multiplied by the rotations of the joints.
 """
 
 from __future__ import annotations
@@ -38,33 +43,47 @@ def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end:
 
 
 def lagrange_equations(
-    nodes_m: Sequence[Expr], masses: Masses, coordinates: Expr, rates: Expr, gravity_m_s2: Expr
+    nodes_m: Sequence[Expr],
+    masses: Masses,
+    joints: tuple[Sequence[Expr], Sequence[Expr]],
+    bends: tuple[Expr, Expr],
+    gravity_m_s2: Expr,
 ) -> tuple[Expr, Expr]:
-    """Mass matrix and force of velocity and gravity terms.
+    """Mass matrix and force of velocity and gravity terms, over joint angles, then bends.
 
     Parameters
     ----------
     nodes_m : sequence of SX, shape (3,)
-        Positions r of the nodes.
+        Positions r of the nodes in the frame of the base, functions of the bends.
     masses : mapping of (int, int) to SX
         See `Masses`.
-    coordinates, rates : SX, shape (n,)
-        c and v.
-    gravity_m_s2 : SX, shape (3,)
-        g in the world frame.
+    joints : (sequence of SX, sequence of SX)
+        Angles and rates of the one or two joints, see `symbolic_base_rotation`.
+    bends : (SX, SX)
+        Bends and their rates, shape (m,) each.
+    gravity_m_s2 : SX
+        Magnitude of gravity, which points along -z of the world.
 
     Returns
     -------
     mass_matrix : SX, shape (n, n)
     force : SX, shape (n,)
     """
-    count = coordinates.numel()
-    jacobians = [ca.jacobian(r, coordinates) for r in nodes_m]
-    # Twice along the motion: fewer operations than the derivative of the Jacobian.
-    fall = [
-        ca.jtimes(ca.jtimes(r, coordinates, rates), coordinates, rates) - gravity_m_s2
-        for r in nodes_m
-    ]
+    axes, turning, changing = _base_motion(*joints)
+    weight = symbolic_base_rotation(*_both(joints[0])).T @ ca.vertcat(0, 0, -gravity_m_s2)
+    jacobians, fall = [], []
+    for r in nodes_m:
+        moved = ca.jtimes(r, *bends)
+        jacobians.append(
+            ca.horzcat(*(ca.cross(axis, r) for axis in axes), ca.jacobian(r, bends[0]))
+        )
+        fall.append(
+            ca.cross(changing, r)
+            + ca.cross(turning, ca.cross(turning, r) + 2 * moved)
+            + ca.jtimes(moved, *bends)
+            - weight
+        )
+    count = len(axes) + bends[0].numel()
     mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
     for i, jacobian in enumerate(jacobians):
         coupled = [
@@ -78,6 +97,21 @@ def lagrange_equations(
             for column in range(row + 1):
                 mass_matrix[row, column] += ca.dot(jacobian[:, row], momentum[:, column])
     return ca.tril2symm(ca.tril(mass_matrix)), force
+
+
+def _base_motion(angles: Sequence[Expr], rates: Sequence[Expr]) -> tuple[list[Expr], Expr, Expr]:
+    """Axis of each joint, ω, and ω̇ without the joints' accelerations, in the frame of the base."""
+    if len(angles) == 1:
+        axis = ca.SX([0, 1, 0])
+        return [axis], axis * rates[0], ca.SX(3, 1)
+    c2, s2 = ca.cos(angles[1]), ca.sin(angles[1])
+    axes = [ca.vertcat(0, c2, s2), ca.SX([-1, 0, 0])]
+    changing = ca.vertcat(0, -s2, c2) * rates[1] * rates[0]
+    return axes, axes[0] * rates[0] + axes[1] * rates[1], changing
+
+
+def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
+    return angles[0], angles[1] if len(angles) > 1 else 0
 
 
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:

@@ -149,9 +149,9 @@ class Link:
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return lagrange_equations(
             *self._nodes(scope),
-            ca.vertcat(*scope.angle.values(), *scope.bend.values()),
-            ca.vertcat(*rates, *scope.bend_rate.values()),
-            ca.vertcat(0, 0, -scope.p("gravity_m_s2")),
+            (list(self._load_angles(scope).values()), rates),
+            (ca.vertcat(*scope.bend.values()), ca.vertcat(*scope.bend_rate.values())),
+            scope.p("gravity_m_s2"),
         )
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
@@ -219,8 +219,9 @@ class Link:
         return plate_m, hinge_m, tip_m, section
 
     def _nodes(self, scope: Scope) -> tuple[list[Expr], dict[tuple[int, int], Expr]]:
-        """Base plate, span hinge, tip and payload, and their masses."""
-        plate_m, hinge_m, tip_m, section = self._frames(scope, self._load_angles(scope), scope.bend)
+        """Base plate, span hinge, tip and payload in the frame of the base, and their masses."""
+        upright = dict.fromkeys(scope.joints, ca.SX(0))
+        plate_m, hinge_m, tip_m, section = self._frames(scope, upright, scope.bend)
         nodes = [plate_m, hinge_m, tip_m]
         masses = {(0, 0): scope.p("base_mass_kg"), (2, 2): scope.p("tip_mass_kg")}
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
