@@ -48,14 +48,16 @@ class LoggedServo(EmulatedServo):
     unheard_ns = 0
     _hushed = False
 
-    @property
-    def id(self) -> int:
-        """Address on the bus; an unused one while the servo is off the bus."""
-        return _HUSHED_ID if self._hushed else super().id
-
     def hush(self, on: bool) -> None:
         """Remove the servo from the bus, or put it back."""
         self._hushed = on
+        self._refresh()
+
+    def _refresh(self) -> None:
+        """See `EmulatedServo`; the address is an unused one while the servo is off the bus."""
+        super()._refresh()
+        if self._hushed:
+            self.id = _HUSHED_ID
 
     def lose_torque(self) -> None:
         """Switch the torque off without an error."""
