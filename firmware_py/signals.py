@@ -14,6 +14,9 @@ import numpy as np
 PERIOD_S: Final = 0.017
 """Nominal control period: 256 steps of 17 ms make one cycle (the study, section IV-A)."""
 
+STUDY_MARKERS: Final = 16
+"""Markers on the study's link: four rows of four (the study, figure 4)."""
+
 UNIT_OF_SUFFIX: Final = {
     "s": "s", "ns": "ns", "rad": "rad", "rad_s": "rad/s", "rad_s2": "rad/s2", "m": "m",
     "m_s": "m/s", "kg": "kg", "a": "A", "v": "V", "n": "N", "nm": "N.m", "pa": "Pa",
@@ -76,11 +79,6 @@ _HALF_WIDTH = tuple(
     Signal(f"half_width_{axis}_m", "m", f"half width of the 95 % prediction interval, {axis}")
     for axis in "xyz"
 )
-_MARKERS = tuple(
-    Signal(f"m{i:02d}_{axis}_m", "m", f"marker {i}, world frame, {axis}")
-    for i in range(1, 17)
-    for axis in "xyz"
-)
 TIME = Signal("time_s", "s", "time since the start of the run")
 PAYLOAD = Signal("payload_kg", "kg", "mass of the payload at the tip")
 DI = Signal("di", "1", "Deformation Index (paper, equation 1)")
@@ -111,9 +109,26 @@ def joint_signals(dof: int) -> tuple[Signal, ...]:
     )
 
 
-def trial_signals(dof: int) -> tuple[Signal, ...]:
-    """Return the columns of a trial of the link, in order (docs/architecture.md)."""
-    return (TIME, *joint_signals(dof), *_TIP, *_MARKERS)
+def marker_signals(markers: int) -> tuple[Signal, ...]:
+    """Return the coordinates of so many markers, m01 first."""
+    return tuple(
+        Signal(f"m{i:02d}_{axis}_m", "m", f"marker {i}, world frame, {axis}")
+        for i in range(1, markers + 1)
+        for axis in "xyz"
+    )
+
+
+def trial_signals(dof: int, markers: int = STUDY_MARKERS) -> tuple[Signal, ...]:
+    """Return the columns of a trial of the link, in order (docs/architecture.md).
+
+    Parameters
+    ----------
+    dof : int
+        Joints.
+    markers : int
+        Number of markers.
+    """
+    return (TIME, *joint_signals(dof), *_TIP, *marker_signals(markers))
 
 
 def feature_names(dof: int) -> tuple[str, ...]:

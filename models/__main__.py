@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
+    Command("new", "models.commands.new", "describe a link of your own"),
     Command("simulate", "models.commands.simulate", "run the rig, write trials"),
     Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
     Command("validate", "models.commands.validate", "check trials before a fit"),

@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 from scipy.interpolate import CubicSpline
 
-from models.trials.importers.mapping import MARKERS
+from firmware_py.link.link_description import STUDY_LINK
 from models.trials.trial import LINK_CONDITIONS, Array, Trial
 
 RATE_HZ: Final = 120.0
@@ -112,7 +112,7 @@ class WrittenTake:
         frame: dict[str, Any] = {"align": self.align, "up": self.files_up}
         if self.align == "none":
             frame |= {"origin_m": ORIGIN_M.tolist(), "yaw_deg": self.yaw_deg}
-        markers = {name: f"Link:{self.names.get(name, name)}" for name in MARKERS}
+        markers = {name: f"Link:{self.names.get(name, name)}" for name in STUDY_LINK.layout.names}
         document = {
             "trial": trial_table, "frame": frame | self.wrong, "markers": markers,
             "servo_columns": columns,
@@ -138,8 +138,8 @@ class WrittenTake:
         if self.millimetres:
             in_file = 1e3 * in_file
         in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
-        kept = [k for k, name in enumerate(MARKERS) if name not in self.absent]
-        labels = [f"Link:{MARKERS[k]}" for k in kept for _ in "XYZ"]
+        kept = [k for k, name in enumerate(STUDY_LINK.layout.names) if name not in self.absent]
+        labels = [f"Link:{STUDY_LINK.layout.names[k]}" for k in kept for _ in "XYZ"]
         unit = "Millimeters" if self.millimetres else "Meters"
         head = [
             f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",

@@ -11,6 +11,7 @@ from typing import Final
 from firmware_py.bus.registers import (
     LEGACY_PRO,
     PRO_P,
+    X330,
     X_SERIES,
     ControlTable,
     Register,
@@ -141,6 +142,7 @@ MODELS: Final[Mapping[int, Model]] = {
         Model(2020, "PH54-200-S500-R", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
         Model(2000, "PH42-020-S300-R", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
         Model(1020, "XM430-W350", X_SERIES, 4096, 2048, 2.69e-3, _rpm(0.229)),
+        Model(1200, "XL330-M288", X330, 4096, 2048, 1e-3, _rpm(0.229)),
     )
 }
 """Supported servo models, by model number."""

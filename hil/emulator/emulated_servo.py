@@ -21,7 +21,6 @@ from typing import Final
 from firmware_py.bus.registers import (
     RETURN_DELAY_STEP_S,
     WATCHDOG_STEP_S,
-    X_SERIES,
     Register,
     RegisterField,
 )
@@ -40,7 +39,7 @@ BAUD_OF_CODE: Final = {
 _GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
 _FIRMWARE_VERSION = 46
 _VOLTAGE_RAW, _TEMPERATURE_DEGC = 240, 35
-_CURRENT_LIMIT_RAW = {"legacy PRO": 620, "PRO(A) and P": 10_000, "X": 1193}
+_CURRENT_LIMIT_RAW = {"legacy PRO": 620, "PRO(A) and P": 10_000, "X": 1193, "X330": 1750}
 
 _RANGES: Final = {
     Register.ID: (0, 252),
@@ -104,7 +103,7 @@ class EmulatedServo(RegisterMemory):
         self._refresh()
         code = next(code for code, rate in BAUD_OF_CODE.items() if rate == baud)
         turn = model.pulses_per_turn
-        low, high = (0, turn - 1) if model.table is X_SERIES else (-turn // 2, turn // 2)
+        low, high = (0, turn - 1) if model.zero_pulse else (-turn // 2, turn // 2)
         for register, raw in {
             Register.MODEL_NUMBER: model.number,
             Register.FIRMWARE_VERSION: _FIRMWARE_VERSION,

@@ -7,23 +7,21 @@ know, through loop and line.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
 from models.rig.drawn_rig import rig_named
 from models.rig.rig import build_rig
-from models.rig.rig_parameters import read_parameters
 from models.rig.sensors import read_current
-from models.rig.study_protocol import draw_variation
+from models.rig.study_protocol import check_link_state, draw_variation
 from models.rig.trial_case import TrialCase
 
 Array = NDArray[np.float64]
-
-_TIP_ROW = slice(12, 16)
 
 
 class RigPhysics:
@@ -50,11 +48,18 @@ class RigPhysics:
 
     def __init__(self, rig: RigSource, dof: int, payload_kg: float = 0.0) -> None:
         # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
-        case = TrialCase(Motion(dof=dof), payload_kg, trial=0, seed=rig.seed)
+        parameters = rig_named(rig.rig).hide(rig.hidden)
+        link = parameters.link or STUDY_LINK
+        case = TrialCase(
+            Motion(dof=dof), payload_kg, trial=0, seed=rig.seed,
+            pressure_pa=link.pressure_pa, gravity=link.gravity.unit,
+        )  # fmt: skip
         self._rng = case.rng()
-        variation = draw_variation(rig_named(rig.rig).hide(rig.hidden), case, self._rng)
+        variation = draw_variation(parameters, case, self._rng)
         self.dof, self._parameters = dof, variation.parameters
-        self._rig = build_rig(self._parameters, dof, payload_kg, variation.eccentricity_m)
+        self._rig = build_rig(
+            self._parameters, dof, payload_kg, variation.eccentricity_m, case.gravity
+        )
         self.angle_rad, self._true_current_a = np.zeros(dof), np.zeros(dof)
         self.current_a = np.zeros(dof)
         self._until_s = self._parameters["world.settle_s"]
@@ -64,7 +69,7 @@ class RigPhysics:
     @property
     def tip_m(self) -> Array:
         """End effector in the world frame, shape (3,)."""
-        return np.asarray(self._rig.markers_m[_TIP_ROW].mean(axis=0))
+        return np.asarray(self._rig.markers_m[self._parameters.layout.tip_row].mean(axis=0))
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
         """See `hil.emulator.physics.Physics.advance`."""
@@ -79,18 +84,23 @@ class RigPhysics:
             self._true_current_a[:] = [s.sampled_current_a for s in rig.servos]
             rig.step()  # leaves the markers of its start behind
         self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
-        if rig.folded:
-            raise InputError(
-                "--hide", f"the link folds {rig.time_s:.1f} s after power-up",
-                "choose a smaller payload, amplitude or strength",
-            )  # fmt: skip
+        check_link_state(rig, "--rig", self._parameters)
 
 
-def rig_geometry() -> dict[str, float]:
-    """The link's base_offset_m, link_length_m and link_width_m."""
-    p = read_parameters()
+def rig_conditions(rig: RigSource) -> dict[str, Any]:
+    """Conditions of a trial that the rig's link gives: size, pressure, markers, gravity.
+
+    Parameters
+    ----------
+    rig : RigSource
+        The rig.
+    """
+    p = rig_named(rig.rig)
+    if p.link is not None:
+        return p.link.conditions()
     return {
         "base_offset_m": p["link.base_offset_m"],
         "link_length_m": p["link.length_m"],
         "link_width_m": p["link.width_m"],
+        "pressure_pa": p["stiffness.pressure_pa"],
     }

@@ -56,8 +56,9 @@ class SilResult(NamedTuple):
         How the servos were read.
     reference : ReferenceJitter or None
         Wake-up jitter by cyclictest, where it is installed.
-    geometry : dict of str to float
-        The link's base_offset_m, link_length_m and link_width_m, as far as the plant has them.
+    link : dict of str to Any
+        Conditions of a trial that the link gives: size, pressure, markers, gravity; empty for
+        another plant.
     """
 
     summary: RunSummary
@@ -68,7 +69,7 @@ class SilResult(NamedTuple):
     environment: SilEnvironment
     plan: Plan
     reference: ReferenceJitter | None = None
-    geometry: dict[str, float] | None = None
+    link: dict[str, Any] | None = None
 
     @property
     def records(self) -> NDArray[np.void]:

@@ -44,7 +44,7 @@ def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
     write_timing(out / "timing.json", timing)
     facts = msgspec.to_builtins(timing.environment)
     (out / "timing.xml").write_bytes(timing_junit(timing, facts))
-    if result.geometry and timing.prediction_error.n:
+    if result.link and timing.prediction_error.n:
         write_trial(as_trial(result, options), out / "trial")
     draw_summary(result, timing, out / "summary.svg")
     _write_durations(result, timing.budget.period_ns, out)

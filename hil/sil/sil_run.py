@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 from firmware_py.config import check_config
 from firmware_py.errors import InputError
 from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.link.link_description import STUDY_LINK
 from hil.emulator.emulator import EmulatorSpecification
 from hil.emulator.physics import RigSource
 from hil.emulator.twin_fmu import build_twin
@@ -20,8 +21,9 @@ from hil.sil.real_time_run import run_in_real_time
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.sil.virtual_run import run_on_virtual_line
+from models.plant.plant_document import read_plant_document
 
-_GEOMETRY: Final = ("base_offset_m", "link_length_m", "link_width_m")
+_SIZES: Final = ("base_offset_m", "link_length_m", "link_width_m")
 
 
 def run_sil(options: SilOptions) -> SilResult:
@@ -53,7 +55,7 @@ def run_sil(options: SilOptions) -> SilResult:
             result = run_on_virtual_line(options, specification)
         else:
             result = run_in_real_time(options, options.line, specification, Path(scratch))
-        return result._replace(geometry=_geometry(source))
+        return result._replace(link=_link_conditions(source, options))
 
 
 def _make(directory: Path) -> None:
@@ -72,12 +74,17 @@ def _plant(options: SilOptions) -> Path:
     return path
 
 
-def _geometry(source: Path | RigSource) -> dict[str, float]:
+def _link_conditions(source: Path | RigSource, options: SilOptions) -> dict[str, Any]:
+    """Conditions of a trial that the link behind the servos gives; empty for another plant."""
     if isinstance(source, RigSource):
-        from hil.emulator.rig_physics import rig_geometry  # loads MuJoCo
+        from hil.emulator.rig_physics import rig_conditions  # loads MuJoCo
 
-        return rig_geometry()
+        return rig_conditions(source)
     with FmuInstance(source) as opened:
-        known = [name for name in _GEOMETRY if f"parameters.{name}" in opened.variables]
+        known = [name for name in _SIZES if f"parameters.{name}" in opened.variables]
         values = opened.get([f"parameters.{name}" for name in known]).tolist()
-        return dict(zip(known, values, strict=True))
+    if len(known) < len(_SIZES):
+        return {}
+    plant = options.bundle.directory / "plant.json"
+    described = read_plant_document(plant).link if plant.is_file() else None
+    return (described or STUDY_LINK).conditions() | dict(zip(known, values, strict=True))

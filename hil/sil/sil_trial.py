@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
-from firmware_py.signals import joint_signals, tip_names
+from firmware_py.link.marker_layout import MarkerLayout
+from firmware_py.signals import joint_signals, marker_signals, tip_names
 from hil.sil.prediction_error import true_tip_m
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions
 from models.trials.trial import Trial, TrialMeta
-
-PRESSURE_PA: Final = 41_300.0
-"""Pressure that the plant's parameters stand for (docs/sources.md, "The link")."""
-_MARKERS = tuple(f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz")
 
 
 def as_trial(result: SilResult, options: SilOptions) -> Trial:
@@ -40,10 +38,8 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     known |= {name: tip[:, k] for k, name in enumerate(tip_names())}
     for name, values in known.items():
         columns[name] = np.interp(grid, records["tick"][fresh], values[fresh])
-    columns |= {name: np.full(len(grid), np.nan) for name in _MARKERS}
-    geometry = result.geometry or {}
     filled, rest_s = len(grid) - int(fresh.sum()), options.motion.rest_s
-    conditions: dict[str, Any]
+    link, conditions = result.link or {}, dict[str, Any]()
     if options.plan is not None:
         conditions, rest_s = options.plan.conditions(), options.plan.rest_s
     elif options.goals is not None:
@@ -59,14 +55,14 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     meta = TrialMeta(
         dof=options.dof,
         payload_kg=options.payload_kg,
-        pressure_pa=PRESSURE_PA,
         trial=1,
         source="sil",
         **conditions,
         rest_samples=min(max(round(rest_s / options.period_s), 1), len(grid) - 1),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
-        base_offset_m=geometry["base_offset_m"],
-        link_length_m=geometry["link_length_m"],
-        link_width_m=geometry["link_width_m"],
+        **{key: value for key, value in link.items() if key != "markers"},
+        markers=msgspec.convert(link["markers"], MarkerLayout) if "markers" in link else None,
     )
+    for signal in marker_signals(meta.layout.count):
+        columns[signal.name] = np.full(len(grid), np.nan)
     return Trial("sil", meta, columns)

@@ -16,6 +16,7 @@ from pathlib import Path
 from firmware_py.config import MotionConfig
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from models.rig.conditions_record import (
     RigConditions,
@@ -25,7 +26,7 @@ from models.rig.conditions_record import (
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_structure import named_structures
-from models.rig.trial_case import DOWN, STUDY_PAYLOADS_KG, STUDY_PRESSURE_PA, TrialCase
+from models.rig.trial_case import TrialCase
 from models.shared.catalogue import CATALOGUE, parse_strengths
 
 EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
@@ -40,8 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, metavar="DIR", help="directory of the trials")
     add("--dof", type=int, nargs="+", choices=(1, 2), default=[1], help="driven joints (1)")
     add(
-        "--payloads", type=float, nargs="+", default=list(STUDY_PAYLOADS_KG), metavar="KG",
-        help="payloads in kg (0 0.5 1 1.5 2)",
+        "--payloads", type=float, nargs="+", metavar="KG",
+        help="payloads in kg (0 0.5 1 1.5 2, or five up to the payload_kg of a link's file)",
     )  # fmt: skip
     add("--trials", type=int, default=2, metavar="N", help="repetitions of each payload (2)")
     add("--seed", type=int, default=0, help="of all variation and noise (0)")
@@ -60,16 +61,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="add an effect to the rig's defaults; repeatable; " + _effects_help(),
     )  # fmt: skip
     add(
-        "--pressure-pa", type=float, default=STUDY_PRESSURE_PA, metavar="PA",
-        help="inflation pressure (41300)",
+        "--pressure-pa", type=float, metavar="PA",
+        help="inflation pressure (41300, or that of a link's file)",
     )  # fmt: skip
     add(
-        "--gravity", type=float, nargs=3, default=list(DOWN), metavar=("X", "Y", "Z"),
-        help="direction of gravity in the world frame (0 0 -1)",
+        "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="direction of gravity, z along the link at zero angle (0 0 -1, or that of a link's "
+        "file)",
     )  # fmt: skip
     add(
         "--rig", default="default", metavar="NAME|TOML",
-        help="structure of the rig, or a file (default); " + _structures_help(),
+        help="structure of the rig, a file that changes it, or the file of a link (default); "
+        + _structures_help(),
     )  # fmt: skip
     cores = os.cpu_count() or 1
     add("--workers", type=int, default=cores, metavar="N", help="processes (all cores)")
@@ -78,6 +81,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, write and draw the trials."""
     parameters = rig_named(args.rig)
+    _complete_from_link(args, parameters.link or STUDY_LINK)
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
@@ -104,6 +108,16 @@ def run(args: argparse.Namespace) -> int:
         f"{len(paths)} trials in {args.out}; look at {overview}",
     )
     return DONE
+
+
+def _complete_from_link(args: argparse.Namespace, link: LinkDescription) -> None:
+    """Set the options that the link gives where the user does not."""
+    if args.payloads is None:
+        args.payloads = sorted({round(link.payload_kg * k / 4, 4) for k in range(5)})
+    if args.pressure_pa is None:
+        args.pressure_pa = link.pressure_pa
+    if args.gravity is None:
+        args.gravity = list(link.gravity.unit)
 
 
 def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:

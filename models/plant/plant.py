@@ -11,49 +11,43 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_toml
+from firmware_py.link.link_description import LinkDescription, describes_link, read_link
 from models.plant.components.drives.drive_registry import DRIVES
-from models.plant.components.flexible_link import FlexibleLink
-from models.plant.components.geared_loads import GearedShaft, GearedSlide
-from models.plant.components.link import Link
-from models.plant.components.load_protocol import PlantLoad
-from models.plant.components.rigid_loads import Mass, Pendulum
-from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
-from models.plant.composition.imposed_motion import compose_imposed
-from models.plant.composition.observer import compose_observer, observer_parameters
-from models.plant.composition.twin import compose_twin
+from models.plant.composition.plant_composition import (
+    LOADS,
+    ModelKind,
+    compose_plant,
+    declared_parameters,
+    scope_of,
+)
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.effects.order import in_order
+from models.plant.link_parameters import parameter_of_link
 from models.plant.parameter import Parameter, check_values
 from models.plant.plant_document import (
     EffectEntry,
     ParameterEntry,
     PartKind,
     PlantDocument,
+    plain_plant,
     read_plant_document,
     write_plant_document,
 )
 from models.plant.provenance import Provenance
-from models.plant.scope import Scope, variables_of, without_values
+from models.plant.scope import variables_of, without_values
 from models.plant.step_model import StepModel
+from models.shared.link_scale import LinkScale
 from models.trials.trial import SignalRole
 
 __all__ = ["LOADS", "NOMINAL", "ModelKind", "Plant", "read_plant"]
 
-ModelKind = Literal["twin", "observer", "driven"]
-LOADS: Final[dict[str, type[PlantLoad]]] = {
-    load.kind: load for load in (Link, Pendulum, Mass, FlexibleLink, GearedShaft, GearedSlide)
-}
-"""Loads by their name in a plant document."""
-COMPOSERS: Final = {
-    "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,
-}  # fmt: skip
 NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
@@ -78,6 +72,8 @@ class Plant:
         Columns of a trial where they are not the link's.
     provenance : Provenance
         Parent, data, fitted trials and held-out errors.
+    link : LinkDescription or None
+        The described link that it is a plant of: markers, gravity, servo; None for the study's.
     """
 
     name: str
@@ -88,6 +84,7 @@ class Plant:
     expected: dict[str, Parameter] = field(default_factory=dict)
     signals: dict[str, SignalRole] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
+    link: LinkDescription | None = None
 
     def step_model(self, dof: int, kind: ModelKind = "twin") -> StepModel:
         """Compose the plant for stepping.
@@ -130,7 +127,7 @@ class Plant:
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
         known, columns = without_values(self.parameters), tuple(self.signals)
-        model = _composed(self.load, self.drive, effects, known, dof, kind, columns)
+        model = compose_plant(self.load, self.drive, effects, known, dof, kind, columns, self.link)
         return replace(model, parameters=variables_of(self.parameters, model.parameters))
 
     def _effects(self) -> list[Effect]:
@@ -194,7 +191,7 @@ class Plant:
         dof : int
             Joints, 1 or 2.
         """
-        return EFFECTS[effect].strengths(_scope(self.load, dof))
+        return EFFECTS[effect].strengths(scope_of(self.load, dof))
 
     def document(self) -> PlantDocument:
         """Content of the plant's file."""
@@ -212,11 +209,12 @@ class Plant:
                 for q in (*self.parameters.values(), *self.expected.values())
             },
             provenance=self.provenance,
+            link=self.link,
         )
 
     def sha256(self) -> str:
         """Hash of the document, for provenance."""
-        plain = msgspec.to_builtins(self.document())
+        plain = plain_plant(self.document())
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
     def write(self, path: Path | str) -> None:
@@ -236,7 +234,8 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     Parameters
     ----------
     path : Path or str
-        TOML or JSON; by default the plant before anything is identified.
+        TOML or JSON; by default the plant before anything is identified. Of a link's file
+        (`firmware_py.link.link_description`) the plant that its size, servo and mounting suggest.
 
     Raises
     ------
@@ -254,6 +253,8 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     (0.9, 'kg', (0.5, 2.0))
     """
     path = Path(path)
+    if path.suffix == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
+        return _plant_of_link(read_link(path), path)
     document = read_plant_document(path)
     for what, kind, known in (
         ("drive", document.drive.kind, DRIVES),
@@ -269,8 +270,27 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
         parameters={},
         signals=document.signals,
         provenance=document.provenance,
+        link=document.link,
     )
     return _complete(plant, path, document.parameters)
+
+
+def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
+    """Nominal plant of a described link: the study's, with values, bounds and priors scaled."""
+    nominal = read_plant()
+    scale = LinkScale(link)
+    scope = scope_of(nominal.load, LOADS[nominal.load].max_dof)
+    others = [EFFECTS[name]() for name in nominal.applicable()]
+    possible = declared_parameters(scope, nominal.drive, nominal.load, others, observer=True)
+    known = {q.name: q for q in possible} | nominal.expected | nominal.parameters
+    entries = {
+        q.name: ParameterEntry(
+            q.value, q.unit, (q.low, q.high), q.role, q.source, None, q.prior_deviation
+        )
+        for q in (parameter_of_link(q, scale) for q in known.values())
+    }
+    plant = replace(nominal, name=f"{link.name}, nominal", link=link)
+    return _complete(plant, where, entries)
 
 
 def _complete(
@@ -281,11 +301,11 @@ def _complete(
     The entries may also be parameters of effects that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
-    scope = _scope(plant.load, LOADS[plant.load].max_dof)
+    scope = scope_of(plant.load, LOADS[plant.load].max_dof)
     parts = plant.drive, plant.load
-    own = {q.name: q for q in _declared(scope, *parts, plant._effects(), observer=True)}
+    own = {q.name: q for q in declared_parameters(scope, *parts, plant._effects(), observer=True)}
     others = [EFFECTS[name]() for name in plant.applicable()]
-    possible = {q.name: q for q in _declared(scope, *parts, others, observer=True)}
+    possible = {q.name: q for q in declared_parameters(scope, *parts, others, observer=True)}
     known = plant.expected | plant.parameters
     parameters = {name: known.get(name, q) for name, q in own.items()}
     expected = {name: q for name, q in known.items() if name not in own and name in possible}
@@ -317,34 +337,3 @@ def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Pa
         role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
         prior_deviation=entry.prior_deviation or q.prior_deviation,
     )  # fmt: skip
-
-
-@lru_cache(maxsize=64)  # an observer of two joints takes three seconds to compose
-def _composed(
-    load: str, drive: str, effects: tuple[type[Effect], ...],
-    parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
-    columns: tuple[str, ...],
-) -> StepModel:  # fmt: skip
-    """Compose a plant from hashable parts; values are arguments, so plants share a model."""
-    scope, held = _scope(load, dof, columns), [effect() for effect in effects]
-    known, observer = dict(parameters), kind != "twin"
-    scope.declare([known[q.name] for q in _declared(scope, drive, load, held, observer)])
-    imposed = kind == "twin" and "imposed motion" in DRIVES[drive].features
-    compose = compose_imposed if imposed else COMPOSERS[kind]
-    return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
-
-
-def _scope(load: str, dof: int, columns: tuple[str, ...] = ()) -> Scope:
-    return Scope(tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns)
-
-
-def _declared(
-    scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
-) -> list[Parameter]:
-    """Parameters of all parts, in order."""
-    return [
-        *DRIVES[drive]().parameters(scope),
-        *LOADS[load]().parameters(scope),
-        *(q for effect in effects for q in effect.parameters(scope)),
-        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
-    ]

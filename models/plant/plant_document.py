@@ -29,6 +29,7 @@ import tomli_w
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_json, read_toml
+from firmware_py.link.link_description import LinkDescription, check_link
 from models.plant.parameter import Role
 from models.plant.provenance import Provenance, read_provenance
 from models.trials.trial import SignalRole
@@ -38,6 +39,7 @@ __all__ = [
     "ParameterEntry",
     "PartKind",
     "PlantDocument",
+    "plain_plant",
     "plant_json",
     "read_plant_document",
     "write_plant_document",
@@ -103,6 +105,8 @@ class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=T
         Of the parts and of effects that the plant may get.
     provenance : Provenance
         Origin of the values.
+    link : LinkDescription or None
+        The described link whose plant this is.
     """
 
     MADE_BY: ClassVar[str] = "python -m models identify"
@@ -114,6 +118,7 @@ class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=T
     signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
     parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
     provenance: Provenance = msgspec.field(default_factory=Provenance)
+    link: LinkDescription | None = None
 
 
 def read_plant_document(path: Path) -> PlantDocument:
@@ -137,6 +142,8 @@ def read_plant_document(path: Path) -> PlantDocument:
         raise InputError(
             path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
         )
+    if document.link is not None:
+        check_link(document.link, path)
     return msgspec.structs.replace(document, provenance=read_provenance(path, table))
 
 
@@ -152,7 +159,7 @@ def write_plant_document(document: PlantDocument, path: Path) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (
-        tomli_w.dumps(_without_none(msgspec.to_builtins(document)))
+        tomli_w.dumps(_without_none(plain_plant(document)))
         if path.suffix == ".toml"
         else plant_json(document) + "\n"
     )
@@ -161,7 +168,23 @@ def write_plant_document(document: PlantDocument, path: Path) -> None:
 
 def plant_json(document: PlantDocument) -> str:
     """Text of a plant file in JSON."""
-    return json.dumps(msgspec.to_builtins(document), indent=1)
+    return json.dumps(plain_plant(document), indent=1)
+
+
+def plain_plant(document: PlantDocument) -> dict[str, Any]:
+    """Document as dictionaries and lists; the link is left out where there is none.
+
+    Parameters
+    ----------
+    document : PlantDocument
+        The document.
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(document)
+    if document.link is None:
+        del plain["link"]
+    else:
+        plain["link"] = _without_none(plain["link"])
+    return plain
 
 
 def _without_none(value: Any) -> Any:

@@ -16,6 +16,7 @@ from typing import Any, Final
 import casadi as ca
 import msgspec
 
+from firmware_py.link.marker_layout import MarkerLayout
 from models.plant.parameter import Parameter
 from models.plant.step_model import Variable
 
@@ -137,11 +138,17 @@ class Scope:
         Time of the motion capture's first-order low-pass.
     columns : tuple of str
         Columns of a trial that the plant's document declares; none for those of the link.
+    layout : MarkerLayout or None
+        Places of the link's markers; None for four rows of four by the link's size.
+    gravity : tuple of float
+        Direction of gravity, of length one; z along the link at zero angle.
     """
 
     joints: tuple[int, ...]
     suffix: dict[str, str] = field(default_factory=lambda: dict(ROTARY))
     columns: tuple[str, ...] = ()
+    layout: MarkerLayout | None = None
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
     step_s: Expr = field(default_factory=lambda: ca.SX.sym("step_s"))
     states: dict[str, StateVariable] = field(default_factory=dict)
     inputs: dict[str, tuple[Variable, Expr]] = field(default_factory=dict)

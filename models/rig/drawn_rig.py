@@ -8,12 +8,16 @@ drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges,
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_toml
+from firmware_py.link.link_description import describes_link, read_link
+from models.rig.rig_of_link import rig_of_link
 from models.rig.rig_parameters import RigParameters, read_rig
 from models.rig.rig_structure import RigStructure
 
@@ -77,12 +81,13 @@ def draw_rig(rng: np.random.Generator) -> RigParameters:
 
 
 def rig_named(name: str) -> RigParameters:
-    """Rig by name, drawn ones included.
+    """Rig by name, drawn ones and those of described links included.
 
     Parameters
     ----------
     name : str
-        As for `models.rig.rig_parameters.read_rig`, or `drawn_K`, the K-th drawn rig.
+        As for `models.rig.rig_parameters.read_rig`, or `drawn_K`, the K-th drawn rig, or the file
+        of a link (`firmware_py.link.link_description`).
 
     Raises
     ------
@@ -95,6 +100,9 @@ def rig_named(name: str) -> RigParameters:
     False
     """
     if not name.startswith(PREFIX):
+        path = Path(name)
+        if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
+            return rig_of_link(read_link(path), path)
         return read_rig(name)
     number = name.removeprefix(PREFIX)
     if not number.isdecimal():

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from models.rig.rig_parameters import RigParameters
-from models.rig.trial_case import DOWN
+from models.rig.trial_case import DOWN, LinkState
 from models.shared.kinematics import Array
 
 __all__ = ["Rig", "ServoSignals", "build_rig"]
@@ -51,15 +51,17 @@ class Rig(Protocol):
 
     @property
     def markers_m(self) -> Array:
-        """True markers in the world frame, shape (16, 3), at the start of the last step.
+        """True markers in the world frame, shape (markers, 3), at the start of the last step.
 
-        Rows m01 to m16 of `docs/trials.md`. The next step may change the array.
+        In the order m01, m02, … of `docs/trials.md`. The next step may change the array.
         """
         ...
 
-    @property
-    def folded(self) -> bool:
-        """Whether the link has folded, or its state is no longer finite."""
+    def look(self) -> LinkState:
+        """Whether the link is whole, has folded, or its simulation has become unstable.
+
+        To be called once a control period.
+        """
         ...
 
     def start_leak(self) -> None:

@@ -13,6 +13,8 @@ import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
+from firmware_py.link.link_description import LinkDescription
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.rig.rig_structure import (
     DEFAULT_STRUCTURE,
     STRUCTURES,
@@ -64,11 +66,14 @@ class RigParameters(Mapping[str, float]):
         File that they were read from.
     structure : RigStructure
         Choices of formulation that the values belong to.
+    link : LinkDescription or None
+        Link that the values were scaled to (`models.rig.rig_of_link`); None for the study's.
     """
 
     entries: dict[str, Entry]
     path: Path
     structure: RigStructure = DEFAULT_STRUCTURE
+    link: LinkDescription | None = None
 
     def __getitem__(self, name: str) -> float:
         return self.entries[name].value
@@ -79,6 +84,13 @@ class RigParameters(Mapping[str, float]):
     def __len__(self) -> int:
         return len(self.entries)
 
+    @property
+    def layout(self) -> MarkerLayout:
+        """Places of the markers."""
+        if self.link is not None:
+            return self.link.layout
+        return square_layout(self["link.length_m"], self["link.width_m"])
+
     def changed(self, **values: float) -> RigParameters:
         """Parameters with other values, by `group.name`."""
         entries = dict(self.entries)
@@ -87,8 +99,9 @@ class RigParameters(Mapping[str, float]):
         return replace(self, entries=entries)
 
     def sha256(self) -> str:
-        """Hash of structure and all values, for provenance."""
-        return hashlib.sha256(msgspec.json.encode([self.structure, dict(self)])).hexdigest()
+        """Hash of structure, all values and a link of one's own, for provenance."""
+        content = [self.structure, dict(self), *([self.link] if self.link else [])]
+        return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
 
     def effects(self) -> dict[str, str]:
         """Effects that this rig can hide, each with its parameter's name."""

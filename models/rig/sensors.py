@@ -12,14 +12,14 @@ from models.shared.kinematics import Array
 
 
 class MarkerLog(NamedTuple):
-    """True markers on a fine uniform grid: `markers_m[k]` (16, 3) at `start_s + k step_s`."""
+    """True markers on a fine uniform grid: `markers_m[k]` (markers, 3) at `start_s + k step_s`."""
 
     start_s: float
     step_s: float
     markers_m: Array
 
     def at(self, time_s: Array) -> Array:
-        """Markers at times within the log, linearly interpolated, shape (n, 16, 3)."""
+        """Markers at times within the log, linearly interpolated, shape (n, markers, 3)."""
         position = (time_s - self.start_s) / self.step_s
         before = np.clip(position.astype(int), 0, len(self.markers_m) - 2)
         fraction = (position - before)[:, None, None]
@@ -87,7 +87,7 @@ def read_markers(
 
     Returns
     -------
-    ndarray, shape (n, 16, 3)
+    ndarray, shape (n, markers, 3)
         In the world frame of the motion capture, with its tilt, scale and shift.
     """
     p = parameters

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
+from firmware_py.link.marker_layout import square_layout
 from firmware_py.motion import GLIDE_S
 from firmware_py.signals import PERIOD_S, trial_signals
 from models.rig.rig import Rig, build_rig
@@ -15,9 +17,10 @@ from models.rig.rig_parameters import RigParameters
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.rig.trial_case import TrialCase
 from models.shared.kinematics import Array
+from models.trials.trial import UPRIGHT_M_S2
 from models.trials.trial_files import Trial, TrialMeta
 
-__all__ = ["Variation", "draw_variation", "run_case"]
+__all__ = ["Variation", "check_link_state", "draw_variation", "run_case"]
 
 REST_SAMPLES: Final = 60
 """Rows at rest in front of the motion: the reference of the Deformation Index."""
@@ -125,7 +128,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
             rig.step()
             if tick >= first - _MARGIN:
                 log.append(rig.markers_m.copy())
-        _check_shape(rig, case)
+        check_link_state(rig, case.name, p)
 
     time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
     markers_m = read_markers(
@@ -137,13 +140,35 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
 
 
-def _check_shape(rig: Rig, case: TrialCase) -> None:
-    if rig.folded:
+def check_link_state(rig: Rig, where: str, parameters: RigParameters) -> None:
+    """Refuse a link that has folded, or a simulation that has become unstable.
+
+    Parameters
+    ----------
+    rig : Rig
+        Looked at once a control period.
+    where : str
+        Trial or option, for the message.
+    parameters : RigParameters
+        Of the rig.
+
+    Raises
+    ------
+    InputError
+        With the cause.
+    """
+    state = rig.look()
+    if state == "folded":
         raise InputError(
-            case.name,
-            f"the link folds {rig.time_s:.1f} s after power-up",
+            where, f"the link folds {rig.time_s:.1f} s after power-up",
             "choose a smaller payload, amplitude or strength, or a longer period",
-        )
+        )  # fmt: skip
+    if state == "unstable":
+        raise InputError(
+            where, f"the simulation is unstable {rig.time_s:.1f} s after power-up: its step of "
+            f"{parameters['world.step_s']:g} s is too long for parts as light and stiff as these",
+            "check masses, stiffness, gear and rotor inertia of link or rig",
+        )  # fmt: skip
 
 
 def _trial(
@@ -151,9 +176,9 @@ def _trial(
     current_a: Array, markers_m: Array,
 ) -> Trial:  # fmt: skip
     joints = np.stack([goal_rad, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
-    tip_m = markers_m[:, 12:].mean(axis=1)
+    tip_m = markers_m[:, p.layout.tip_row].mean(axis=1)
     samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
-    motion = case.motion
+    motion, size_m = case.motion, (p["link.length_m"], p["link.width_m"])
     meta = TrialMeta(
         dof=motion.dof,
         payload_kg=case.payload_kg,
@@ -167,8 +192,18 @@ def _trial(
         base_offset_m=p["link.base_offset_m"],
         link_length_m=p["link.length_m"],
         link_width_m=p["link.width_m"],
+        gravity_m_s2=_gravity_m_s2(case, p),
+        markers=p.layout if p.layout != square_layout(*size_m) else None,
         rest_samples=REST_SAMPLES,
     )
-    names = [s.name for s in trial_signals(motion.dof)]
+    names = [s.name for s in trial_signals(motion.dof, p.layout.count)]
     columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
     return Trial(case.name, meta, columns)
+
+
+def _gravity_m_s2(case: TrialCase, p: RigParameters) -> tuple[float, float, float] | None:
+    """Gravity in the link's frame; None where it is the usual one of an upright link."""
+    x, y, z = case.gravity
+    size = p["world.gravity_m_s2"] / math.hypot(x, y, z)
+    vector = (x * size, y * size, z * size)
+    return None if vector == UPRIGHT_M_S2 else vector

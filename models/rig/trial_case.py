@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -19,6 +19,32 @@ DOWN: Final = (0.0, 0.0, -1.0)
 FOLDED_RAD: Final = 0.8
 """Bend of a hinge or section beyond which the link has folded and the trial is refused
 [assumed]."""
+
+BENDING_RAD: Final = 0.3
+"""Bend from which a link whose state is lost in the next period has folded [assumed]: a simulation
+with too long a step is lost from small bends."""
+
+LinkState = Literal["whole", "folded", "unstable"]
+
+
+def state_of_link(bend_rad: float, before_rad: float) -> LinkState:
+    """State of a simulated link by its largest bend now and one look before.
+
+    Parameters
+    ----------
+    bend_rad : float
+        Largest bend; not finite where the simulation has lost it.
+    before_rad : float
+        The same one look before.
+
+    Examples
+    --------
+    >>> state_of_link(0.1, 0.1), state_of_link(0.9, 0.5), state_of_link(math.nan, 0.05)
+    ('whole', 'folded', 'unstable')
+    """
+    if bend_rad < FOLDED_RAD:
+        return "whole"
+    return "folded" if before_rad > BENDING_RAD else "unstable"
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ turns about -x and moves with joint 1 (positive: tip towards +y) (docs/sources.m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,23 +48,26 @@ def base_rotation(angle_rad: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def base_corners_m(angle_rad: Array, base_offset_m: float, width_m: float) -> Array:
-    """Corners of the base plate in the order of a marker row.
+def base_corners_m(
+    angle_rad: Array, base_offset_m: float, corners_m: Sequence[tuple[float, float]]
+) -> Array:
+    """Places on the base plate below the markers of a row, in their order.
 
     Parameters
     ----------
     angle_rad : ndarray, shape (n, dof)
         Joint angles.
-    base_offset_m, width_m : float
-        Distance of the plate from the joint axes, and its width.
+    base_offset_m : float
+        Distance of the plate from the joint axes.
+    corners_m : sequence of (float, float)
+        Distances from the link's axis along x and y.
 
     Returns
     -------
-    ndarray, shape (n, 4, 3)
+    ndarray, shape (n, corners, 3)
         In the world frame.
     """
-    half = 0.5 * width_m
-    body = np.array([[sx * half, sy * half, base_offset_m] for sy in (1, -1) for sx in (1, -1)])
+    body = np.array([[x, y, base_offset_m] for x, y in corners_m])
     return np.asarray(np.einsum("nij,cj->nci", base_rotation(angle_rad), body))
 
 

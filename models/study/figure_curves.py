@@ -92,7 +92,7 @@ def _poses(samples: Samples, run: int) -> LinkPoses:
     start = trial.meta.rest_samples
     end = min(len(trial) - 1, start + round(trial.meta.period_s / trial.step_s))
     rows = np.linspace(start, end, POSES).round().astype(int)
-    markers_m = trial.markers_m.reshape(len(trial), 4, 4, 3)[rows]
+    markers_m = trial.marker_rows_m[rows]
     with np.errstate(invalid="ignore"):  # a row without any marker gives NaN
         centres_m = np.nansum(markers_m, axis=2) / np.isfinite(markers_m).sum(axis=2)
     plate_m = base_rotation(trial.angle_rad[rows])[:, :, 2] * trial.meta.base_offset_m

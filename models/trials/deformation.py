@@ -2,8 +2,9 @@
 
     DI = 1/N sum_i |L_i - L'_i| / L_i
 
-over N = 16 lengths: the four segments of each of the four long edges, from the corner of the base
-plate through the four markers of the edge. Other sets of lengths can be selected.
+over N lengths: the segments of each long edge, from its place on the base plate through its marker
+in every row. The study's link has N = 16, four segments of four edges. Other sets of lengths can be
+selected.
 """
 
 from __future__ import annotations
@@ -31,24 +32,24 @@ def marker_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
     Parameters
     ----------
     trial : Trial
-        Of the link, with 16 markers; NaN is an occluded marker.
+        Of the link; NaN is an occluded marker.
     definition : {"edges", "base_to_marker", "all_pairs"}
-        `edges`: 16 segments along the long edges; `base_to_marker`: from a base corner to each
-        marker of its edge, 16; `all_pairs`: between any two markers, 120.
+        `edges`: segments along the long edges, one a marker; `base_to_marker`: from the edge's
+        place on the base plate to each of its markers; `all_pairs`: between any two markers.
 
     Returns
     -------
     ndarray, shape (n, N)
         Lengths in m, NaN where an end is occluded.
     """
-    markers_m = trial.markers_m
-    corners_m = base_corners_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_width_m)
-    rows_m = markers_m.reshape(len(markers_m), 4, 4, 3)
+    markers_m, rows_m = trial.markers_m, trial.marker_rows_m
+    places_m = trial.meta.layout.corners_m
+    corners_m = base_corners_m(trial.angle_rad, trial.meta.base_offset_m, places_m)
     if definition == "edges":
         path_m = np.concatenate([corners_m[:, None], rows_m], axis=1)
-        return _norm(np.diff(path_m, axis=1)).reshape(len(markers_m), 16)
+        return _norm(np.diff(path_m, axis=1)).reshape(len(markers_m), -1)
     if definition == "base_to_marker":
-        return _norm(rows_m - corners_m[:, None]).reshape(len(markers_m), 16)
+        return _norm(rows_m - corners_m[:, None]).reshape(len(markers_m), -1)
     first, second = np.triu_indices(markers_m.shape[1], k=1)
     return _norm(markers_m[:, first] - markers_m[:, second])
 
@@ -66,7 +67,7 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
     Parameters
     ----------
     trial : Trial
-        Of the link, with 16 markers; NaN is an occluded marker.
+        Of the link; NaN is an occluded marker.
     definition : {"edges", "base_to_marker", "all_pairs"}
         Set of lengths, as for `marker_lengths_m`.
 

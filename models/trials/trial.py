@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
+
 __all__ = ["SignalRole", "Trial", "TrialMeta", "TrialSet"]
 
 Array = NDArray[np.float64]
@@ -22,6 +24,9 @@ LINK_CONDITIONS: Final = (
     "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
 )  # fmt: skip
 """Conditions that a trial of the link must have and no other trial has."""
+
+UPRIGHT_M_S2: Final = (0.0, 0.0, -9.81)
+"""Gravity where a trial does not give it: docs/sources.md, "The link"."""
 
 
 class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -50,7 +55,8 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Conditions of a trial (the TOML file); every dimensional key ends in its unit.
 
     Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
-    numbers that replace the plant's parameters of the same name in this trial.
+    numbers that replace the plant's parameters of the same name in this trial. `gravity_m_s2` is
+    None where the link stands upright, `markers` where there are four rows of four.
     """
 
     schema: int = SCHEMA
@@ -66,15 +72,28 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     base_offset_m: float = 0.0
     link_length_m: float = 0.0
     link_width_m: float = 0.0
+    gravity_m_s2: tuple[float, float, float] | None = None
     rest_samples: int
     notes: str = ""
     conditions: dict[str, float] = {}
+    markers: MarkerLayout | None = None
+
+    @property
+    def layout(self) -> MarkerLayout:
+        """Places of the markers."""
+        return self.markers or square_layout(self.link_length_m, self.link_width_m)
+
+    @property
+    def gravity(self) -> tuple[float, float, float]:
+        """Acceleration by gravity in the frame whose z axis is the link at zero angle."""
+        return self.gravity_m_s2 or UPRIGHT_M_S2
 
     def document(self) -> dict[str, object]:
         """Content of the TOML file, without the conditions that do not apply."""
         entries: dict[str, object] = msgspec.to_builtins(self)
         if not self.conditions:
             del entries["conditions"]
+        entries = {k: v for k, v in entries.items() if v is not None}
         if not self.link_length_m:
             entries = {k: v for k, v in entries.items() if k not in LINK_CONDITIONS}
         return entries
@@ -155,9 +174,16 @@ class Trial:
 
     @property
     def markers_m(self) -> Array:
-        """Markers in the world frame, shape (n, 16, 3); NaN where occluded."""
-        names = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
-        return self.stack(*names).reshape(len(self), 16, 3)
+        """Markers in the world frame, shape (n, markers, 3); NaN where occluded."""
+        markers = self.meta.layout.names
+        names = [f"{marker}_{axis}_m" for marker in markers for axis in "xyz"]
+        return self.stack(*names).reshape(len(self), len(markers), 3)
+
+    @property
+    def marker_rows_m(self) -> Array:
+        """Markers by row and corner, shape (n, rows, corners, 3); NaN where occluded."""
+        layout = self.meta.layout
+        return self.markers_m.reshape(len(self), layout.rows, layout.corners, 3)
 
     @property
     def moving(self) -> slice:

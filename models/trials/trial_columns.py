@@ -21,24 +21,24 @@ PlantSignals = Mapping[str, SignalRole]
 """Signals of a plant by name; empty for the link, whose columns the contract defines."""
 
 MOST_COLUMNS: Final = 1000
-"""Most columns of a table [assumed]; a trial of the link has 62 at most."""
+"""Most columns of a table [assumed]; a trial of the link has 62 with 16 markers."""
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
 """Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
 
 
-def columns_of(dof: int, signals: PlantSignals | None) -> tuple[Signal, ...]:
+def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Signal, ...]:
     """Columns that a trial must have.
 
     Parameters
     ----------
-    dof : int
-        Joints of a trial of the link.
+    dof, markers : int
+        Joints and markers of a trial of the link.
     signals : mapping of str to SignalRole or None
         Signals that a plant's file declares; None or empty for the link.
     """
     if not signals:
-        return trial_signals(dof)
+        return trial_signals(dof, markers)
     rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
     return (TIME, *rows)
 

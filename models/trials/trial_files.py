@@ -130,7 +130,9 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
         raise InputError(path, "is missing", "name an existing trial")
     meta = _read_meta(path.with_suffix(".toml"), signals)
     columns = read_sample_columns(
-        path, columns_of(meta.dof, signals), {s.name for s in tick_signals(meta.dof)}
+        path,
+        columns_of(meta.dof, signals, meta.layout.count),
+        {s.name for s in tick_signals(meta.dof)},
     )
     trial = Trial(path.stem, _own_conditions(meta, signals), _own_columns(columns, signals), path)
     _check_time(trial)
@@ -267,6 +269,10 @@ def check_meta(
             raise InputError(
                 where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
             )
+    if not signals:
+        meta.layout.check(where, meta.link_length_m)
+        if not math.hypot(*meta.gravity) < 100.0:
+            raise InputError(where, f"gravity_m_s2 is {meta.gravity}", "give it in m/s²")
     return meta
 
 

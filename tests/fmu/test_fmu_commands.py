@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.signals import tip_names
 from fmu.__main__ import main
 from models.shared.kinematics import base_corners_m
@@ -64,9 +65,9 @@ def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
 def _trial_of(columns, directory):
     """A trial whose servo and tip are a run's, with the markers of a straight link."""
     angle_rad = columns["angle_1_rad"][:, None]
-    markers_m = np.concatenate(
-        [base_corners_m(angle_rad, 0.06 + 0.95 * row / 4, 0.15) for row in (1, 2, 3, 4)], axis=1
-    )
+    corners_m = square_corners_m(0.15)
+    heights_m = [0.06 + 0.95 * row / 4 for row in (1, 2, 3, 4)]
+    markers_m = np.concatenate([base_corners_m(angle_rad, h, corners_m) for h in heights_m], axis=1)
     named = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
     kept = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
     trial = Trial(

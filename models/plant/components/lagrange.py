@@ -61,8 +61,8 @@ def lagrange_equations(
         Angles and rates of the one or two joints, see `symbolic_base_rotation`.
     bends : (SX, SX)
         Bends and their rates, shape (m,) each.
-    gravity_m_s2 : SX
-        Magnitude of gravity, which points along -z of the world.
+    gravity_m_s2 : SX, shape (3,)
+        Acceleration by gravity in the world.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def lagrange_equations(
     force : SX, shape (n,)
     """
     axes, turning, changing = _base_motion(*joints)
-    weight = symbolic_base_rotation(*_both(joints[0])).T @ ca.vertcat(0, 0, -gravity_m_s2)
+    weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
     jacobians, fall = [], []
     for r in nodes_m:
         moved = ca.jtimes(r, *bends)

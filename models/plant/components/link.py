@@ -10,11 +10,12 @@ The term in φ_f is the contact of the folded skin with itself; it is below 0.5 
 and keeps a link that buckles from turning over. Effects add hysteresis, creep and more at the port
 `bend_torque`.
 
-The Deformation Index follows from the bend. Marker rows stand at L/4 … L. The span's bend is
-distributed along it like the slope of a cantilever under a tip force: the fraction f(σ) = 2σ − σ²
-is reached at σL, so that segment k between two rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ.
-An edge at half the width w/2 from the axis has the strain −(w/2) β / (L/4). Markers are measured
-with noise n, so that equation 1 of the paper averages E|strain + n|.
+The Deformation Index follows from the bend. The span's bend is distributed along it like the slope
+of a cantilever under a tip force: the fraction f(σ) = 2σ − σ² is reached at σL, so that segment k
+between two marker rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ. An edge at (x, y) from the
+axis has the strain −(x β_x + y β_y) / l_k over a segment of length l_k; the study's link has rows
+at L/4 … L and edges at half its width. Markers are measured with noise n, so that equation 1 of
+the paper averages E|strain + n|.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from models.plant.parameter import Parameter
 from models.plant.scope import ROTARY, Expr, Hinge, Scope
 from models.plant.step_model import Variable
 
-SEGMENTS: Final = 4
-"""Segments of a long edge between base plate, marker rows and tip."""
+STUDY_FRACTIONS: Final = (0.25, 0.5, 0.75, 1.0)
+"""Heights of the marker rows of the study's link over its length."""
 
 
 def slope_fraction(position: float) -> float:
@@ -151,7 +152,7 @@ class Link:
             *self._nodes(scope),
             (list(self._load_angles(scope).values()), rates),
             (ca.vertcat(*scope.bend.values()), ca.vertcat(*scope.bend_rate.values())),
-            scope.p("gravity_m_s2"),
+            scope.p("gravity_m_s2") * ca.vertcat(*scope.gravity),
         )
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
@@ -238,31 +239,56 @@ class Link:
     def _deformation_index(
         self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
     ) -> Expr:
-        """Equation 1 of the paper over the 16 edge segments; opposite edges have equal strain.
+        """Equation 1 of the paper over the segments of all edges.
 
-        The base corners are computed from the measured angle, not from the true one.
+        Opposite edges have equal strain, so each pair is taken once. The places on the base plate
+        are computed from the measured angle, not from the true one.
         """
-        segment_m = scope.p("link_length_m") / SEGMENTS
-        lever = scope.p("edge_gain") * scope.p("link_width_m") / 2 / segment_m
+        rows, edges = _edges(scope)
         total: Expr = 0
-        for k in range(SEGMENTS):
-            fraction = slope_fraction((k + 1) / SEGMENTS) - slope_fraction(k / SEGMENTS)
-            strain = [
-                lever
-                * (
-                    fraction * (bend["span", j] - scope.rest_bend["span", j])
-                    + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
-                    + (k == 0) * (joint[j] - scope.angle[j] - scope.ripple_since_upright(j))
-                )
+        low = 0.0
+        for k, (fraction, segment_m) in enumerate(rows):
+            share = slope_fraction(fraction) - slope_fraction(low)
+            low = fraction
+            turn = [
+                share * (bend["span", j] - scope.rest_bend["span", j])
+                + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
+                + (k == 0) * (joint[j] - scope.angle[j] - scope.ripple_since_upright(j))
                 for j in scope.joints
             ]
-            noisy_ends = 1 if k == 0 else 2  # the base corner has no marker
+            noisy_ends = 1 if k == 0 else 2  # the place on the base plate has no marker
             noise = scope.p("marker_noise_m") * noisy_ends**0.5 / segment_m
-            other = strain[1] if len(strain) > 1 else 0
-            total += mean_magnitude(strain[0] + other, noise) + mean_magnitude(
-                strain[0] - other, noise
-            )
-        return total / (2 * SEGMENTS)
+            for levers, count in edges:
+                levered = zip(levers, turn, strict=False)
+                strain = sum(scope.p("edge_gain") * x / segment_m * t for x, t in levered)
+                total += count * mean_magnitude(strain, noise)
+        return total / (len(rows) * sum(count for _, count in edges))
+
+
+def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:
+    """Rows and edges of the markers.
+
+    Returns
+    -------
+    rows : list
+        Height over the length of the link, and length of the segment below, of each row.
+    edges : list
+        Distances from the axis along x and y, and how many edges have this strain or its negative.
+    """
+    length_m, layout = scope.p("link_length_m"), scope.layout
+    if layout is None:
+        half_m = scope.p("link_width_m") / 2
+        rows = [(f, length_m / len(STUDY_FRACTIONS)) for f in STUDY_FRACTIONS]
+        return rows, [((half_m, half_m), 2), ((half_m, -half_m), 2)]
+    below = (0.0, *layout.rows_m)
+    whole_m = layout.rows_m[-1]
+    placed = zip(layout.rows_m, below, strict=False)
+    counts: dict[tuple[float, float], int] = {}
+    for x, y in layout.corners_m:
+        opposite = (-x, -y)
+        key = opposite if opposite in counts else (x, y)
+        counts[key] = counts.get(key, 0) + 1
+    return [(z / whole_m, z - before) for z, before in placed], list(counts.items())
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:

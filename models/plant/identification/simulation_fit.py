@@ -65,7 +65,7 @@ def measured_signals(trial: Trial) -> dict[str, Array]:
 
 
 def _balanced_index(trial: Trial) -> Array:
-    """Deformation Index in which each of the four segments has the same weight.
+    """Deformation Index in which each segment of an edge has the same weight.
 
     The segments at the base strain most and need one marker, the others two, so a mean over the
     visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
@@ -77,7 +77,8 @@ def _balanced_index(trial: Trial) -> Array:
         warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
         reference = np.nanmean(lengths[: trial.meta.rest_samples], axis=0)
         strain = np.abs(lengths - reference) / reference
-        return np.asarray(np.nanmean(strain.reshape(len(trial), 4, 4), axis=2).mean(axis=1))
+        by_row = strain.reshape(len(trial), trial.meta.layout.rows, -1)
+        return np.asarray(np.nanmean(by_row, axis=2).mean(axis=1))
 
 
 def usual_error(unit: str, measured: Sequence[Array]) -> float:

@@ -13,7 +13,7 @@ from models.rig.forms.marker_play import MarkerPlay
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_servo import RigServo
 from models.rig.rig_structure import DEFAULT_STRUCTURE
-from models.rig.trial_case import DOWN, FOLDED_RAD
+from models.rig.trial_case import DOWN, LinkState, state_of_link
 from models.shared.kinematics import Array
 
 __all__ = ["CosseratRig"]
@@ -91,7 +91,7 @@ class CosseratRig:
         self._play = MarkerPlay(p, dof, self.step_s)
         self._load_nm = p["servo.load_offset_nm"]
         self._shown_rad = [0.0] * dof
-        self._steps = 0
+        self._steps, self._last_bend_rad = 0, 0.0
         self._leak_from_s = np.inf
 
     @property
@@ -101,15 +101,17 @@ class CosseratRig:
 
     @property
     def markers_m(self) -> Array:
-        """True markers in the world frame, shape (16, 3), at the start of the last step."""
+        """True markers in the world frame, shape (markers, 3), at the start of the last step."""
         if self._play.absent:
             return self.link.markers_m
         return self._play.shown_m(self.link.markers_m, self._shown_rad)
 
-    @property
-    def folded(self) -> bool:
-        """Whether the link has folded, or its state is no longer finite."""
-        return not np.max(np.abs(self.link.bend_rad)) < FOLDED_RAD
+    def look(self) -> LinkState:
+        """Whether the link is whole, has folded, or its simulation has become unstable."""
+        bend_rad = float(np.max(np.abs(self.link.bend_rad)))
+        state = state_of_link(bend_rad, self._last_bend_rad)
+        self._last_bend_rad = bend_rad
+        return state
 
     def start_leak(self) -> None:
         """Start the leak of pressure; there is none before the recorded run."""

@@ -20,8 +20,6 @@ from models.rig.cosserat.section_law import ZENER_FRACTION, SectionLaw, stiffnes
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
-MARKER_ROWS: Final = 4
-
 ROOT_TWIST_NM_RAD: Final = 200.0
 """Torsional stiffness of the root patch [assumed]; the MuJoCo link does not twist."""
 
@@ -58,7 +56,7 @@ class RodLink:
     gravity_m_s2 : ndarray, shape (3,)
         In the world frame.
     sections : int
-        Sections of the span, a multiple of the marker rows.
+        Sections of the span.
 
     Attributes
     ----------
@@ -81,6 +79,10 @@ class RodLink:
         p = parameters
         length, piece = p["link.length_m"], p["link.length_m"] / sections
         self._sections, self._half_m = sections, 0.5 * p["link.width_m"]
+        self._layout = p.layout
+        # A row's element, and its place in it from 0 to 1; elements join in the middle of pieces.
+        places = [h / length * sections + 0.5 for h in p.layout.rows_m]
+        self._row_places = [(min(int(at), sections), at - min(int(at), sections)) for at in places]
         self.law = SectionLaw(p, p["world.step_s"], sections)
         lengths = np.array([0.5 * piece, 0.5 * piece, *[piece] * (sections - 1), 0.5 * piece])
         heights = p["link.base_offset_m"] - lengths[0] + np.concatenate([[0.0], np.cumsum(lengths)])
@@ -180,17 +182,21 @@ class RodLink:
 
     @property
     def markers_m(self) -> Array:
-        """Markers in the world frame, shape (16, 3), at the start of the last step."""
+        """Markers in the world frame, shape (markers, 3), at the start of the last step."""
         position, director = self._pose
-        markers = np.empty((MARKER_ROWS, 4, 3))
-        for row in range(MARKER_ROWS):
-            element = (row + 1) * self._sections // MARKER_ROWS + 1
-            if row + 1 < MARKER_ROWS:
-                centre = 0.5 * (position[:, element] + position[:, element + 1])
-            else:
+        markers = np.empty((self._layout.rows, self._layout.corners, 3))
+        corners = np.array(self._layout.corners_m)
+        last = self._layout.rows - 1
+        for row, (piece, fraction) in enumerate(self._row_places):
+            element = piece + 1
+            if row == last:
                 centre = position[:, -1]
-            x, y = self._half_m * director[0, :, element], self._half_m * director[1, :, element]
-            markers[row] = centre + np.stack([x + y, y - x, x - y, -x - y])
+            elif piece == 0:  # the first element is half as long: it begins at the plate
+                along = 2.0 * (fraction - 0.5)
+                centre = (1 - along) * position[:, 1] + along * position[:, 2]
+            else:
+                centre = (1 - fraction) * position[:, element] + fraction * position[:, element + 1]
+            markers[row] = centre + corners @ director[:2, :, element]
         return markers.reshape(-1, 3)
 
     def _keep_pose(self) -> None:

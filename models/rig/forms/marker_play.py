@@ -60,7 +60,7 @@ class MarkerPlay:
 
         Parameters
         ----------
-        markers_m : ndarray, shape (16, 3)
+        markers_m : ndarray, shape (markers, 3)
             Without the lean.
         joint_rad : sequence of float, length dof
             Angles of the joints.

@@ -21,7 +21,7 @@ def filtered_frames(parameters: RigParameters, frames_m: Array) -> Array:
     ----------
     parameters : RigParameters
         Of the rig.
-    frames_m : ndarray, shape (n, 16, 3)
+    frames_m : ndarray, shape (n, markers, 3)
         Frames at the motion capture's rate; the link is at rest before the first.
     """
     p = parameters

@@ -1,4 +1,4 @@
-"""MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, 16 markers.
+"""MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, markers.
 
 Hinge pairs: one at the root patch and one in the middle of each of the equal pieces of the span,
 eight by default; a shear pair (two slides) goes with every hinge pair of the span. MuJoCo carries
@@ -15,13 +15,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.link.marker_layout import MarkerLayout
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
 AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}
 """Axis about which a positive angle moves the tip towards +x and +y."""
-
-MARKER_ROWS: Final = 4
 
 
 @dataclass(frozen=True)
@@ -124,10 +123,11 @@ def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load)
         for axis in "xy":
             joint = _joint(body, f"hinge{k}_{axis}", axis)
             joint.damping[0] = damping_s * stiffness_nm_rad[k]
-        for row in range(1, MARKER_ROWS + 1):
-            above_hinge = row * hinges / MARKER_ROWS - (k - 0.5)  # in pieces
-            if k > 0 and (0.0 <= above_hinge < 1.0):
-                _add_markers(body, row, above_hinge * piece, 0.5 * width)
+        for row, height_m in enumerate(p.layout.rows_m):
+            # In pieces above the hinge; below the first hinge of the span the root's piece ends.
+            above = height_m / p["link.length_m"] * hinges - max(k - 0.5, 0.0)
+            if 0.0 <= above < (1.0 if k else 0.5):
+                _add_markers(body, row, above * piece, p.layout)
         offset = long
     tip = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
     _body(body, "tip", offset, tip, [tip * width**2 / 12.0] * 3)
@@ -152,11 +152,7 @@ def _joint(body: Any, name: str, axis: str) -> Any:
     return body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=AXES[axis])
 
 
-def _add_markers(body: Any, row: int, z_m: float, half_m: float) -> None:
-    """Four corners of a row, in the order of the trial contract."""
-    for sign_y in (1, -1):
-        for sign_x in (1, -1):
-            body.add_site(
-                name=f"m{row}{sign_x:+d}{sign_y:+d}",
-                pos=[sign_x * half_m, sign_y * half_m, z_m],
-            )
+def _add_markers(body: Any, row: int, z_m: float, layout: MarkerLayout) -> None:
+    """Markers of a row, in the order of the trial contract."""
+    for name, (x_m, y_m) in zip(layout.row(row), layout.corners_m, strict=True):
+        body.add_site(name=name, pos=[x_m, y_m, z_m])

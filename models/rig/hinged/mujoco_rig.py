@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import mujoco
 import numpy as np
 
@@ -10,10 +12,16 @@ from models.rig.hinged.bending_law import BendLaw
 from models.rig.hinged.mujoco_link import Load, build_mujoco_link
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_servo import RigServo
-from models.rig.trial_case import DOWN, FOLDED_RAD
+from models.rig.trial_case import DOWN, LinkState, state_of_link
 from models.shared.kinematics import Array
 
 __all__ = ["MujocoRig"]
+
+UNSTABLE_WARNINGS: Final = (
+    mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)  # fmt: skip
+"""Warnings after which MuJoCo has reset the state."""
 
 
 class MujocoRig:
@@ -77,7 +85,7 @@ class MujocoRig:
         self._force_n = self.data.xfrc_applied[pieces, :3]
         self._centres = self._body_centres.copy()
         self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
-        self._steps = 0
+        self._steps, self._last_bend_rad = 0, 0.0
         self._leak_from_s = np.inf
 
     @property
@@ -87,7 +95,7 @@ class MujocoRig:
 
     @property
     def markers_m(self) -> Array:
-        """True markers in the world frame, shape (16, 3), at the start of the last step.
+        """True markers in the world frame, shape (markers, 3), at the start of the last step.
 
         MuJoCo updates what is fixed to the bodies before it moves them. This may be a view that
         the next step changes.
@@ -97,10 +105,16 @@ class MujocoRig:
             return markers_m
         return self._play.shown_m(markers_m, self.data.qpos[self.link.joints])
 
-    @property
-    def folded(self) -> bool:
-        """Whether the link has folded, or its state is no longer finite."""
-        return not np.max(np.abs(self.data.qpos[self.link.hinges])) < FOLDED_RAD
+    def look(self) -> LinkState:
+        """Whether the link is whole, has folded, or its simulation has become unstable.
+
+        MuJoCo counts states that are not finite and starts anew from zero after each.
+        """
+        reset = any(self.data.warning[w].number for w in UNSTABLE_WARNINGS)
+        bend_rad = np.nan if reset else float(np.max(np.abs(self.data.qpos[self.link.hinges])))
+        state = state_of_link(bend_rad, self._last_bend_rad)
+        self._last_bend_rad = bend_rad
+        return state
 
     def start_leak(self) -> None:
         """Start the leak of pressure; there is none before the recorded run."""

@@ -5,9 +5,9 @@ row the link bends, and the bend follows the motion late (hysteresis, creep), so
 seems late as well. The turn from the first row to the second one shows a bend of the same
 material. Its multiple by the ratio computed here is taken from the first row's direction.
 
-The ratio is that of the nominal link under a force F at its tip (docs/sources.md, "The link"): a
-root patch of stiffness k, a span of bending stiffness EI and shear stiffness kGA displace a point
-at height z above the base plate by
+The ratio is that of a nominal link of this size (docs/sources.md, "The link";
+`models.shared.link_scale`) under a force F at its tip: a root patch of stiffness k, a span of
+bending stiffness EI and shear stiffness kGA displace a point at height z above the base plate by
 
     w(z) = F (L / k + 1 / kGA) z + F (L z² / 2 - z³ / 6) / EI
 
@@ -18,10 +18,11 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-ROOT_STIFFNESS_NM_RAD: Final = 350.0
-BENDING_STIFFNESS_N_M2: Final = 135.0
-SHEAR_STIFFNESS_N: Final = 2000.0
-"""Of the nominal link: docs/sources.md, "The link"."""
+import msgspec
+
+from firmware_py.link.link_description import STUDY_LINK
+from models.shared.link_scale import LinkScale
+from models.trials.trial import TrialMeta
 
 RATIO_DEVIATION: Final = 0.5
 """Standard deviation of the ratio between links [assumed]: 0.4 with a rigid root, 4 with a rigid
@@ -43,32 +44,38 @@ class BendRatio(NamedTuple):
     late: float
 
 
-def nominal_bend_ratio(base_offset_m: float, length_m: float) -> BendRatio:
-    """Ratio of the nominal link.
+def nominal_bend_ratio(meta: TrialMeta) -> BendRatio:
+    """Ratio of a link of this size; zero with a single row of markers.
 
     Parameters
     ----------
-    base_offset_m, length_m : float
-        Of the link; the first rows are at a quarter and a half of its length.
+    meta : TrialMeta
+        Size, pressure and markers of the link.
 
     Examples
     --------
-    >>> ratio = nominal_bend_ratio(0.06, 0.95)
+    >>> from firmware_py.link.link_description import STUDY_LINK
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="sinusoid", source="measured",
+    ...                  period_s=4.0, rest_samples=1, **STUDY_LINK.conditions())
+    >>> ratio = nominal_bend_ratio(meta)
     >>> round(ratio.whole, 2), round(ratio.late, 2)
     (1.55, 1.42)
     """
-    return BendRatio(
-        _ratio(base_offset_m, length_m, 1 / SHEAR_STIFFNESS_N),
-        _ratio(base_offset_m, length_m, 0.0),
-    )
+    if meta.layout.rows < 2:
+        return BendRatio(0.0, 0.0)
+    size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}
+    link = msgspec.structs.replace(STUDY_LINK, pressure_pa=meta.pressure_pa, **size)
+    scale = LinkScale(link)
+    return BendRatio(_ratio(meta, scale, 1 / scale.shear_n), _ratio(meta, scale, 0.0))
 
 
-def _ratio(base_offset_m: float, length_m: float, shear_1_n: float) -> float:
-    slope = length_m / ROOT_STIFFNESS_NM_RAD + shear_1_n
+def _ratio(meta: TrialMeta, scale: LinkScale, shear_1_n: float) -> float:
+    length_m = meta.link_length_m
+    slope = length_m / scale.root_nm_rad + shear_1_n
 
     def across(z_m: float) -> float:
-        return slope * z_m + (length_m * z_m**2 / 2 - z_m**3 / 6) / BENDING_STIFFNESS_N_M2
+        return slope * z_m + (length_m * z_m**2 / 2 - z_m**3 / 6) / scale.bending_n_m2
 
-    first, second = length_m / 4, length_m / 2
-    below = across(first) / (base_offset_m + first)
+    first, second = meta.layout.rows_m[:2]
+    below = across(first) / (meta.base_offset_m + first)
     return below / ((across(second) - across(first)) / (second - first) - below)

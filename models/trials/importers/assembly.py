@@ -11,9 +11,10 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS
+from firmware_py.link.marker_layout import MarkerLayout, square_corners_m
 from firmware_py.signals import TIME, joint_signals, tip_names
 from models.shared.kinematics import base_rotation
-from models.trials.importers.mapping import BASE_MARKERS, MARKERS, RecordingMap
+from models.trials.importers.mapping import BASE_MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.importers.series import Series, marker_columns, row_centre_m
 from models.trials.trial import Array, Trial
@@ -54,15 +55,13 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     """
     where = series[0].path
     series = _goals_at_samples(series, mapping)
-    source = {column: s for s in map(_with_tip, series) for column in s.columns}
-    needed = (
-        columns_of(mapping.dof, mapping.signals)[1:]
-        if mapping.signals
-        else joint_signals(mapping.dof)
-    )
+    layout = mapping.layout
+    source = {column: s for own in series for s in [_with_tip(own, layout)] for column in s.columns}
+    whole = columns_of(mapping.dof, mapping.signals, layout.count)[1:]
+    needed = whole if mapping.signals else joint_signals(mapping.dof)
     _check_complete(where, list(source), [signal.name for signal in needed])
     used = list({id(s): s for s in source.values()}.values())
-    contract = [signal.name for signal in columns_of(mapping.dof, mapping.signals)[1:]]
+    contract = [signal.name for signal in whole]
     width = 1 + len({*contract, *source})  # of the trial, what was not measured included
     grid_s = _grid_s(used, mapping.step_s, MOST_CELLS // width)
     columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
@@ -198,12 +197,12 @@ def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
             )
 
 
-def _with_tip(series: Series) -> Series:
+def _with_tip(series: Series, layout: MarkerLayout) -> Series:
     """Series with the centre of the last marker row as tip, where it has no tip of its own."""
-    names = MARKERS[12:]
+    names = layout.row(-1)
     if "tip_x_m" in series.columns or not all(f"{n}_x_m" in series.columns for n in names):
         return series
-    tip_m = row_centre_m(np.array([series.position_m(n) for n in names]))
+    tip_m = row_centre_m(np.array([series.position_m(n) for n in names]), layout.corners_m)
     return replace(series, columns=series.columns | marker_columns({"tip": tip_m}))
 
 
@@ -260,12 +259,11 @@ def _rest_rows(values: Array, limit: float) -> int:
 def _align_series(series: Series, mapping: RecordingMap, turn: Array) -> Series:
     meta = mapping.meta(0)
     by_base = mapping.frame.align == "base"
-    wanted = BASE_MARKERS if by_base else MARKERS
-    half, up = 0.5 * meta.link_width_m, meta.base_offset_m
-    corners_m = [(sx * half, sy * half, up) for sy in (1, -1) for sx in (1, -1)]
-    places_m = np.array(corners_m) if by_base else nominal_markers_m(meta)
+    wanted = BASE_MARKERS if by_base else meta.layout.names
+    plate_m = [(x, y, meta.base_offset_m) for x, y in square_corners_m(meta.link_width_m)]
+    places_m = np.array(plate_m) if by_base else nominal_markers_m(meta)
     nominal = dict(zip(wanted, places_m @ turn.T, strict=True))
-    names = [n for n in (*MARKERS, *BASE_MARKERS, "tip") if f"{n}_x_m" in series.columns]
+    names = [n for n in mapping.known_markers if f"{n}_x_m" in series.columns]
     rest = rest_count(series, names)
     markers_m = {n: series.position_m(n) for n in names}
     pairs = [

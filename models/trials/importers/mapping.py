@@ -3,6 +3,7 @@
 ::
 
     step_s = 0.017                     # uniform step of the trial
+    link = "link.toml"                 # beside the map: size, markers, gravity of your own link
     plant = "xl330_pendulum.toml"      # beside the map, with the [signals] of a plant not the link
 
     [trial]                            # the trial's conditions (docs/architecture.md)
@@ -30,7 +31,7 @@
     "/joint_states" = "joints"
 
     [frame]                            # mocap frame -> world frame
-    up = "y"                           # axis of the file that points up
+    up = "y"                           # axis of the file along which the link points at zero angle
     align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
     origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
     yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
@@ -51,6 +52,8 @@ import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
+from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.signals import PERIOD_S
 from models.trials.importers.series import factor_to_si
 from models.trials.trial import SignalRole, TrialMeta
@@ -59,7 +62,6 @@ from models.trials.trial_files import check_meta
 Scalar = str | int | float
 """Single value of a file, or of a condition."""
 
-MARKERS = tuple(f"m{i:02d}" for i in range(1, 17))
 BASE_MARKERS = ("b01", "b02", "b03", "b04")
 """Corners of the base plate, in the order of a row; they align the frame and give the clock."""
 
@@ -82,7 +84,7 @@ class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Orientation and origin of the motion capture's frame in the world; see the module's text."""
 
-    up: Literal["x", "y", "z"] | None = None
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
     align: Literal["rest", "base", "none"] = "none"
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_deg: float = 0.0
@@ -109,6 +111,10 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Plant document beside the map, for a plant that is not the link; empty for the link.
     signals : dict of str to SignalRole
         Signals that the plant document declares.
+    link : str
+        Description of the link beside the map; empty for the study's.
+    described : LinkDescription
+        What it says: `[trial]` may leave out what the link gives.
     step_s : float
         Uniform step of the trial.
     columns, servo_columns : dict of str to ColumnSource
@@ -133,6 +139,8 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     conditions: dict[str, float | ColumnSource] = {}
     plant: str = ""
     signals: dict[str, SignalRole] = {}
+    link: str = ""
+    described: LinkDescription = STUDY_LINK
     step_s: float = PERIOD_S
     columns: dict[str, ColumnSource] = {}
     servo_columns: dict[str, ColumnSource] = {}
@@ -162,6 +170,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         document: dict[str, object] = {
             "source": "measured",
             "rest_samples": rest_samples,
+            **(self.described.conditions() if self.link else {}),
             **self.trial,
         }
         if self.signals and duration_s is not None:
@@ -232,10 +241,20 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         InputError
             If the map does not give it.
         """
-        dof = self.trial.get("dof")
+        dof = self.trial.get("dof", self.described.joints if self.link else None)
         if dof not in (1, 2):
             raise InputError(self.path, f"[trial] dof is {dof!r}", "set dof = 1 or dof = 2")
         return 1 if dof == 1 else 2
+
+    @property
+    def layout(self) -> MarkerLayout:
+        """Places of the markers."""
+        return self.described.layout
+
+    @property
+    def known_markers(self) -> tuple[str, ...]:
+        """Names that a marker can have."""
+        return (*self.layout.names, *BASE_MARKERS, "tip")
 
     def marker_of(self, name: str) -> str | None:
         """Contract name (`m01` …, `tip`) of a marker that the file calls `name`, else None."""
@@ -243,8 +262,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             if name == source:
                 return marker
         bare = name.rsplit(":", 1)[-1].strip().lower()
-        known = (*MARKERS, *BASE_MARKERS, "tip")
-        return bare if not self.markers and bare in known else None
+        return bare if not self.markers and bare in self.known_markers else None
 
 
 def read_mapping(path: Path | None) -> RecordingMap:
@@ -264,10 +282,13 @@ def read_mapping(path: Path | None) -> RecordingMap:
         return RecordingMap()
     document = read_toml(path, "name an existing MAP.toml")
     mapping = convert(document, RecordingMap, path, "", "see docs/trials.md for its form")
+    if mapping.link:
+        mapping = msgspec.structs.replace(mapping, described=read_link(path.parent / mapping.link))
     for name in mapping.markers:
-        if name not in (*MARKERS, *BASE_MARKERS, "tip"):
+        if name not in mapping.known_markers:
+            last = mapping.layout.names[-1]
             raise InputError(
-                path, f"[markers] {name!r} is no marker", "use m01 … m16, tip or b01 … b04"
+                path, f"[markers] {name!r} is no marker", f"use m01 … {last}, tip or b01 … b04"
             )
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")

@@ -15,6 +15,8 @@ _TO_Z_UP: Final = {
     "z": np.eye(3),
 }
 """Rotation that makes the file's upward axis the z axis, by that axis."""
+_OVER: Final = np.diag([1.0, -1.0, -1.0])
+"""Half a turn about x, for a link that points down an axis."""
 
 
 def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
@@ -26,7 +28,7 @@ def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) 
         In the file's frame.
     frame : MocapFrame
         The map's `[frame]`.
-    default_up : {"x", "y", "z"}
+    default_up : str
         Upward axis of the file where the map does not give it.
     """
     rotation = world_rotation(frame, default_up)
@@ -41,10 +43,12 @@ def world_rotation(frame: MocapFrame, default_up: str) -> Array:
     ----------
     frame : MocapFrame
         The map's `[frame]`.
-    default_up : {"x", "y", "z"}
+    default_up : str
         Upward axis of the file where the map does not give it.
     """
-    return np.asarray(_about_z(frame.yaw_deg) @ _TO_Z_UP[frame.up or default_up])
+    up = frame.up or default_up
+    upward = _TO_Z_UP[up.removeprefix("-")]
+    return np.asarray(_about_z(frame.yaw_deg) @ (_OVER @ upward if up != up[-1] else upward))
 
 
 def _about_z(yaw_deg: float) -> Array:
@@ -55,18 +59,10 @@ def _about_z(yaw_deg: float) -> Array:
 
 
 def nominal_markers_m(meta: TrialMeta) -> Array:
-    """Markers of the straight, upright link at zero angle, shape (16, 3).
-
-    docs/sources.md, "The link".
-    """
-    half = 0.5 * meta.link_width_m
+    """Markers of the straight link at zero angle, shape (markers, 3)."""
+    layout = meta.layout
     return np.array(
-        [
-            (sx * half, sy * half, meta.base_offset_m + meta.link_length_m * row / 4)
-            for row in (1, 2, 3, 4)
-            for sy in (1, -1)
-            for sx in (1, -1)
-        ]
+        [(x, y, meta.base_offset_m + z) for z in layout.rows_m for x, y in layout.corners_m]
     )
 
 

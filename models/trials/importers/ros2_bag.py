@@ -20,7 +20,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_BYTES, open_bounded, read_bytes
-from models.trials.importers.mapping import MARKERS, RecordingMap
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, factor_to_si, marker_columns
 
@@ -127,9 +127,12 @@ def _values(path: Path, message: Any, topic: str, mapping: RecordingMap) -> dict
         if hasattr(message, "markers"):
             named = [(f"{m.ns}{m.id}", m.pose.position) for m in message.markers]
             return {o: _xyz(p) for name, p in named if (o := mapping.marker_of(name))}
-        return {name: _xyz(p.position) for name, p in zip(MARKERS, message.poses, strict=False)}
+        return {
+            name: _xyz(p.position)
+            for name, p in zip(mapping.layout.names, message.poses, strict=False)
+        }
     for part in ("point", "pose", "transform"):
-        if hasattr(message, part) and role in (*MARKERS, "tip"):
+        if hasattr(message, part) and role in mapping.known_markers:
             inner = getattr(message, part)
             return {role: _xyz(getattr(inner, "position", getattr(inner, "translation", inner)))}
     raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,6 +27,9 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
     "1": ("1", 1.0),
 }  # fmt: skip
 """SI unit of the contract and factor to it, by a unit as a map may write it."""
+
+OPPOSITE_M: Final = 1e-3
+"""Distance from the axis within which the midpoint of two markers is the row's centre."""
 
 
 @dataclass(frozen=True)
@@ -80,19 +84,31 @@ def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
     }
 
 
-def row_centre_m(corners_m: Array) -> Array:
-    """Centre of a marker row, shape (n, 3), from its four corners, shape (4, n, 3).
+def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> Array:
+    """Centre of a marker row, shape (n, 3), NaN where it cannot be told.
 
-    The centre is the midpoint of either diagonal, so two opposite markers suffice; NaN where
-    neither diagonal is seen.
+    The centre is the midpoint of any two opposite markers, so two of them suffice; without
+    opposite ones all are needed.
+
+    Parameters
+    ----------
+    corners_m : ndarray, shape (corners, n, 3)
+        Measured.
+    places_m : sequence of (float, float)
+        Where they are in the section (`MarkerLayout.corners_m`).
 
     Examples
     --------
     >>> corners_m = np.array([[[1.0, 1, 0]], [[-1, 1, 0]], [[1, -1, 0]], [[-1, -1, 0]]])
-    >>> row_centre_m(corners_m)
+    >>> row_centre_m(corners_m, [(1, 1), (-1, 1), (1, -1), (-1, -1)])
     array([[0., 0., 0.]])
     """
-    diagonals_m = np.array([corners_m[0] + corners_m[3], corners_m[1] + corners_m[2]]) / 2
+    places = np.asarray(places_m)
+    apart = np.abs(places[:, None] + places[None]).max(axis=2)
+    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < OPPOSITE_M) if i <= j]
+    if not pairs:
+        return np.asarray(corners_m.mean(axis=0))
+    diagonals_m = np.array([corners_m[i] + corners_m[j] for i, j in pairs]) / 2
     seen = np.isfinite(diagonals_m)
     total_m = np.where(seen, diagonals_m, 0.0).sum(axis=0)
     count = seen.sum(axis=0)

@@ -19,9 +19,9 @@ from models.trials.clock.bending_lag import BendRatio, nominal_bend_ratio
 from models.trials.clock.offset_fit import OffsetFit, fit_offset
 from models.trials.clock.offset_search import SEPARATION_S, ClockSignal, Peak, find_peaks
 from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
-from models.trials.importers.mapping import BASE_MARKERS, MARKERS
+from models.trials.importers.mapping import BASE_MARKERS
 from models.trials.importers.series import Series, row_centre_m
-from models.trials.trial import Array
+from models.trials.trial import Array, TrialMeta
 
 LONGEST_S: Final = 10_000.0
 """Longest recording whose offset is searched: a million coarse steps."""
@@ -34,8 +34,6 @@ NEAR_FLOOR: Final = 0.001
 """A second offset is near if its lack of correlation is below this multiple of the best one's plus
 the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset, ten
 minutes of a motion that nearly repeats itself 0.003]."""
-NOMINAL_LINK_M: Final = (0.06, 0.95)
-"""Base offset and length of the nominal link: docs/sources.md, "The link"."""
 
 
 @dataclass(frozen=True)
@@ -71,12 +69,7 @@ class Synchronisation:
     fit: OffsetFit | None = None
 
 
-def synchronise(
-    servo: list[Series],
-    mocap: list[Series],
-    dof: int,
-    link_m: tuple[float, float] = NOMINAL_LINK_M,
-) -> Synchronisation:
+def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
     """Offset between the clocks of two files, with its error.
 
     Parameters
@@ -85,10 +78,8 @@ def synchronise(
         With the joint angles.
     mocap : list of Series
         With the first marker row or the tip; the second row shows the bend.
-    dof : int
-        Joints to compare.
-    link_m : tuple of float
-        Base offset and length of the link.
+    meta : TrialMeta
+        Joints to compare, size and markers of the link.
 
     Raises
     ------
@@ -99,8 +90,8 @@ def synchronise(
     by_edge = _by_edges(servo, mocap)
     if by_edge is not None:
         return by_edge
-    angle = _angle(servo, dof)
-    seen, bend, ratio = _direction(mocap, dof, nominal_bend_ratio(*link_m))
+    angle = _angle(servo, meta.dof)
+    seen, bend, ratio = _direction(mocap, meta)
     for own, time_s in ((servo, angle.time_s), (mocap, seen.time_s)):
         if time_s[-1] - time_s[0] > LONGEST_S:
             what = f"lasts {time_s[-1] - time_s[0]:.3g} s, more than {LONGEST_S:g} s"
@@ -178,10 +169,10 @@ def _angle(servo: list[Series], dof: int) -> ClockSignal:
     raise InputError(servo[0].path, f"has no {' and '.join(names)}", "map them under [columns]")
 
 
-def _direction(
-    mocap: list[Series], dof: int, ratio: BendRatio
-) -> tuple[ClockSignal, Array | None, BendRatio]:
+def _direction(mocap: list[Series], meta: TrialMeta) -> tuple[ClockSignal, Array | None, BendRatio]:
     """Direction of the link near its root, bend above it, and ratio of the bend below it."""
+    dof, layout = meta.dof, meta.layout
+    ratio = nominal_bend_ratio(meta)
     for series in mocap:
         if all(f"{name}_z_m" in series.columns for name in BASE_MARKERS):  # it does not bend
             b1, b2, b3, b4 = (series.position_m(name) for name in BASE_MARKERS)
@@ -189,10 +180,10 @@ def _direction(
             whole = _complete(series, normal)
             return ClockSignal(series.time_s[whole], normal[whole]), None, BendRatio(0.0, 0.0)
     for series in mocap:
-        if all(f"{name}_z_m" in series.columns for name in MARKERS[:4]):
+        if all(f"{name}_z_m" in series.columns for name in layout.row(0)):
             rows_m = [
-                row_centre_m(np.array([series.position_m(name) for name in names]))
-                for names in (MARKERS[:4], MARKERS[4:8])
+                row_centre_m(np.array([series.position_m(n) for n in names]), layout.corners_m)
+                for names in map(layout.row, range(min(layout.rows, 2)))
                 if all(f"{name}_z_m" in series.columns for name in names)
             ]
             root = pointing_angles_rad(rows_m[0])[:, :dof]
@@ -207,7 +198,8 @@ def _direction(
             tip = pointing_angles_rad(series.position_m("tip"))[:, :dof]
             whole = _complete(series, tip)
             return ClockSignal(series.time_s[whole], tip[whole]), None, ratio
-    raise InputError(mocap[0].path, "has neither m01 … m04 nor the tip", "map them under [markers]")
+    row = f"{layout.row(0)[0]} … {layout.row(0)[-1]}"
+    raise InputError(mocap[0].path, f"has neither {row} nor the tip", "map them under [markers]")
 
 
 def _complete(series: Series, values: Array) -> Array:

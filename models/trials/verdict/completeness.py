@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_py.display_units import LENGTH
-from models.trials.importers.mapping import MARKERS, RecordingMap
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 from models.trials.trial import Array, Trial
 from models.trials.verdict.finding import (
@@ -101,7 +101,8 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
         With `[markers]`.
     """
     columns = {name: values for s in series for name, values in s.columns.items()}
-    given = [n for n in (*MARKERS, "tip") if f"{n}_x_m" in columns]
+    markers = mapping.layout.names
+    given = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
     if not given:
         return []
     found = []
@@ -114,7 +115,7 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
                     "correct [markers] in MAP.toml",
                 )
             )  # fmt: skip
-    missing = [n for n in MARKERS if n not in given and n not in mapping.markers]
+    missing = [n for n in markers if n not in given and n not in mapping.markers]
     if missing and set(given) != {"tip"}:
         found.append(
             ImportFinding(

@@ -11,7 +11,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.trials.importers import read_series
 from models.trials.importers.assembly import align_markers, assemble_trial, rest_count
-from models.trials.importers.mapping import BASE_MARKERS, MARKERS, RecordingMap
+from models.trials.importers.mapping import BASE_MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, marker_columns
 from models.trials.importers.synchronisation import (
@@ -106,9 +106,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s)
         verdict.check_clock()
     elif link:
-        meta = mapping.meta(0)
-        size_m = (meta.base_offset_m, meta.link_length_m)
-        check_common_clock(series, mapping.dof, size_m, verdict)
+        check_common_clock(series, mapping.meta(0), verdict)
     series = without_sync(_without_base(series))
     verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
     start_s = max(s.time_s[0] for s in series)
@@ -125,7 +123,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
 
 def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
     """Markers of a table in the world frame; the other readers do it themselves."""
-    names = [n for n in (*MARKERS, *BASE_MARKERS, "tip") if _has(series, n)]
+    names = [n for n in mapping.known_markers if _has(series, n)]
     frame = mapping.frame
     if not names or (frame.up in (None, "z") and not frame.yaw_deg and not any(frame.origin_m)):
         return series
@@ -188,7 +186,7 @@ def _judge_rest_pose(
 ) -> None:
     means: dict[str, Array] = {}
     for s in series:
-        names = [n for n in MARKERS if _has(s, n)]
+        names = [n for n in mapping.layout.names if _has(s, n)]
         if not names:
             continue
         rest = rest_count(s, names)
@@ -213,6 +211,4 @@ def _clock(
     """Offset after both clocks were set to start near zero, by `apart_s` differently."""
     if source.offset_s is not None:
         return Synchronisation(source.offset_s - apart_s, np.nan, by="option")
-    meta = mapping.meta(0)
-    size_m = (meta.base_offset_m, meta.link_length_m)
-    return synchronise(servo, series, mapping.dof, *([size_m] if size_m[1] > 0 else []))
+    return synchronise(servo, series, mapping.meta(0))

@@ -41,8 +41,8 @@ def link_direction(trial: Trial) -> Array | None:
     """Direction of the first row (or the tip) from the joint axes, unit vectors (n, 3), or None."""
     if "m01_x_m" not in trial.columns:
         return None
-    markers_m = trial.markers_m
-    root_m = row_centre_m(np.moveaxis(markers_m[:, :4], 1, 0))
+    first_m = np.moveaxis(trial.marker_rows_m[:, 0], 1, 0)
+    root_m = row_centre_m(first_m, trial.meta.layout.corners_m)
     if np.isfinite(root_m).all(axis=1).mean() < 0.5:
         root_m = trial.tip_m
     if np.isfinite(root_m).all(axis=1).mean() < 0.5:

@@ -7,7 +7,7 @@ wrong origin, upward axis and yaw.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 from typing import Final
@@ -15,13 +15,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
-from models.trials.importers.mapping import MARKERS
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.trial import Array, TrialMeta
 
 Order = NDArray[np.intp]
 
+MOST_PERMUTED: Final = 5
+"""Rows or corners of which every order is tried: 120 orders."""
 LEAST_MARKERS: Final = 4
 """Markers from which a pose can be told."""
 _BETTER: Final = 0.35
@@ -50,7 +52,7 @@ class RestPose:
         Of the measured distances, relative to the nominal ones.
     misfit_m : ndarray, shape (k,)
         Distance of each marker from its nominal place after the best rigid motion.
-    row_heights_m : ndarray, shape (4,)
+    row_heights_m : ndarray, shape (rows,)
         Mean height of each row; NaN where it was not seen.
     order : str
         Order of the names that fits, in words; "" if the names fit as they are.
@@ -88,20 +90,24 @@ def rest_pose(
     RestPose or None
         None where fewer than `LEAST_MARKERS` were seen.
     """
-    names = tuple(n for n in MARKERS if n in markers_m and np.isfinite(markers_m[n]).all())
+    layout = meta.layout
+    names = tuple(n for n in layout.names if n in markers_m and np.isfinite(markers_m[n]).all())
     if len(names) < LEAST_MARKERS:
         return None
     measured = np.array([markers_m[n] for n in names])
-    upright = nominal_markers_m(meta)[[MARKERS.index(n) for n in names]]
+    places = [layout.names.index(n) for n in names]
+    upright = nominal_markers_m(meta)[places]
     turn = np.eye(3) if rest_rad is None else base_rotation(np.atleast_2d(rest_rad))[0]
     nominal = upright @ turn.T
-    order, wording = _order(names, measured, nominal)
+    order, wording = _order(names, measured, nominal, layout)
     placed = nominal[order]
     rotation, shift = fit_rigid_motion(placed, measured)  # measured = rotation nominal + shift
     axis = rotation @ turn[:, 2]
     tilt = float(np.arccos(np.clip(rotation[2] @ [0, 0, 1.0], -1, 1)))
-    rows = np.array([MARKERS.index(n) // 4 for n in names])
-    heights = [measured[rows == r, 2].mean() if (rows == r).any() else np.nan for r in range(4)]
+    rows = np.array(places) // layout.corners
+    heights = [
+        measured[rows == r, 2].mean() if (rows == r).any() else np.nan for r in range(layout.rows)
+    ]
     return RestPose(
         names,
         measured,
@@ -143,7 +149,9 @@ def _misfit(measured: Array, nominal: Array) -> float:
     return float(np.sqrt(np.mean((nominal @ rotation.T + shift - measured) ** 2) * 3))
 
 
-def _order(names: Sequence[str], measured: Array, nominal: Array) -> tuple[Order, str]:
+def _order(
+    names: Sequence[str], measured: Array, nominal: Array, layout: MarkerLayout
+) -> tuple[Order, str]:
     """Order of the nominal places that fits the measured ones, and its name.
 
     Tried in turn: single markers exchanged, corners exchanged in all rows, rows exchanged. The
@@ -161,9 +169,9 @@ def _order(names: Sequence[str], measured: Array, nominal: Array) -> tuple[Order
     index = {name: k for k, name in enumerate(names)}
     for kind in ("corner", "row"):  # corners first: reversed rows look like mirrored corners
         best = (misfit, same, "")
-        for order in permutations(range(4)):
-            moved = _permuted(names, index, order, kind)
-            if moved is None or order == tuple(range(4)):
+        for order in _orders(layout.corners if kind == "corner" else layout.rows):
+            moved = _permuted(index, order, kind, layout)
+            if moved is None:
                 continue
             now = _misfit(measured, nominal[moved])
             # Corners turned all together are a yaw, which the rigid motion tells.
@@ -175,14 +183,25 @@ def _order(names: Sequence[str], measured: Array, nominal: Array) -> tuple[Order
     return same, ""
 
 
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Other orders of rows or corners: all of a few, of many the turned and the reversed ones."""
+    same = tuple(range(count))
+    if count <= MOST_PERMUTED:
+        yield from (order for order in permutations(same) if order != same)
+        return
+    for k in range(count):
+        turned = same[k:] + same[:k]
+        yield from (order for order in (turned, turned[::-1]) if order != same)
+
+
 def _permuted(
-    names: Sequence[str], index: Mapping[str, int], order: Sequence[int], kind: str
+    index: Mapping[str, int], order: Sequence[int], kind: str, layout: MarkerLayout
 ) -> Order | None:
     moved = []
-    for name in names:
-        row, corner = divmod(MARKERS.index(name), 4)
+    for name in index:
+        row, corner = divmod(layout.names.index(name), layout.corners)
         row, corner = (order[row], corner) if kind == "row" else (row, order[corner])
-        other = MARKERS[4 * row + corner]
+        other = layout.row(row)[corner]
         if other not in index:
             return None
         moved.append(index[other])

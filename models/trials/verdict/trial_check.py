@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 
-from models.trials.importers.mapping import MARKERS, RecordingMap
+from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.link.marker_layout import MarkerLayout
+from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial, TrialMeta, TrialSet
 from models.trials.verdict.common_clock import check_common_clock
 from models.trials.verdict.completeness import judge_markers, judge_rest
 from models.trials.verdict.finding import ImportFinding
@@ -36,18 +39,18 @@ def check_trial(trial: Trial) -> ImportVerdict:
     series = [Series(trial.time_s, columns, trial.path)]
     markers_m = trial.markers_m
     if np.isfinite(markers_m).any():
-        verdict.findings += judge_markers(series, RecordingMap())
+        mapping = _map_of(trial.meta)
+        verdict.findings += judge_markers(series, mapping)
         rest = markers_m[: max(trial.meta.rest_samples, 1)]
         seen = np.isfinite(rest)
         total = np.where(seen, rest, 0.0).sum(axis=0)
         means = np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan)
         rest_rad = trial.angle_rad[: max(trial.meta.rest_samples, 1)].mean(axis=0)
-        named = {name: means[k] for k, name in enumerate(MARKERS)}
+        named = {name: means[k] for k, name in enumerate(trial.meta.layout.names)}
         verdict.pose = rest_pose(named, trial.meta, rest_rad)
         if verdict.pose is not None:
-            verdict.findings += judge_pose(verdict.pose, RecordingMap(), "z")
-        size_m = (trial.meta.base_offset_m, trial.meta.link_length_m)
-        check_common_clock(series, trial.meta.dof, size_m, verdict)
+            verdict.findings += judge_pose(verdict.pose, mapping, "z")
+        check_common_clock(series, trial.meta, verdict)
     verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
     return verdict
 
@@ -61,10 +64,10 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
         Of the link.
     """
     found: list[ImportFinding] = []
-    for key in ("link_length_m", "link_width_m", "base_offset_m"):
-        values = sorted({getattr(t.meta, key) for t in trials})
+    for key in ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout"):
+        values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
         if len(values) > 1:
-            listed = ", ".join(f"{v:g}" for v in values)
+            listed = "; ".join(_worded(v) for v in values)
             found.append(
                 ImportFinding(
                     "refused", "size", f"{key} differs between the trials: {listed}",
@@ -88,6 +91,20 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
             )
         )  # fmt: skip
     return found
+
+
+def _map_of(meta: TrialMeta) -> RecordingMap:
+    """Map with the markers of a trial."""
+    link = msgspec.structs.replace(
+        STUDY_LINK, length_m=meta.link_length_m, width_m=meta.link_width_m, markers=meta.layout
+    )
+    return RecordingMap(link="of the trial", described=link)
+
+
+def _worded(value: Any) -> str:
+    if isinstance(value, MarkerLayout):
+        return f"{value.rows} rows of {value.corners}, the first at {value.rows_m[0]:g} m"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _collinear(trial: Trial) -> bool:

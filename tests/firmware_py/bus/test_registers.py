@@ -12,13 +12,14 @@ from firmware_py.bus.registers import (
     PRO_P,
     STOPPED_BY_WATCHDOG,
     TORQUE_LOST,
+    X330,
     X_SERIES,
     Register,
     RegisterField,
     describe_alert,
 )
 
-TABLES = (LEGACY_PRO, PRO_P, X_SERIES)
+TABLES = (LEGACY_PRO, PRO_P, X_SERIES, X330)
 int32 = st.integers(-(2**31), 2**31 - 1)
 int16 = st.integers(-(2**15), 2**15 - 1)
 
@@ -72,7 +73,7 @@ def test_no_two_registers_overlap_but_a_stated_alias(table):
 
 
 def test_only_the_legacy_family_lacks_a_bus_watchdog():
-    assert [Register.BUS_WATCHDOG in table for table in TABLES] == [False, True, True]
+    assert [Register.BUS_WATCHDOG in table for table in TABLES] == [False, True, True, True]
 
 
 def test_hardware_errors_are_named_by_bit():

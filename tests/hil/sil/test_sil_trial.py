@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_py.config import MotionConfig
+from firmware_py.link.link_description import STUDY_LINK
 from hil.sil import sil_trial
 from models.trials.trial_files import read_trial, write_trial
 
@@ -18,10 +19,8 @@ def test_a_run_stopped_at_rest_leaves_a_trial_that_can_be_read(
     records = np.zeros(rows, dtype=[("tick", int), *((s, float) for s in signals)])
     records["tick"] = np.arange(rows)
     monkeypatch.setattr(sil_trial, "true_tip_m", lambda records, truth: np.zeros((rows, 3)))
-    geometry = {"base_offset_m": 0.06, "link_length_m": 0.95, "link_width_m": 0.15}
-    result = SimpleNamespace(
-        records=records, outcome=SimpleNamespace(truth=None), geometry=geometry
-    )
+    link = STUDY_LINK.conditions()
+    result = SimpleNamespace(records=records, outcome=SimpleNamespace(truth=None), link=link)
     options = SimpleNamespace(
         dof=1,
         payload_kg=0.0,

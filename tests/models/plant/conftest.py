@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from firmware_py.link.marker_layout import square_corners_m
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
@@ -127,7 +128,7 @@ def _markers(plant, values, dof):
     """
     q = {name: p.value for name, p in plant.parameters.items()}
     angle = np.column_stack([values[f"angle_{j}_rad"] for j in range(1, dof + 1)])
-    corners = base_corners_m(angle, q["base_offset_m"], q["link_width_m"])
+    corners = base_corners_m(angle, q["base_offset_m"], square_corners_m(q["link_width_m"]))
     up = base_rotation(angle)[:, :, 2]
     segment = q["link_length_m"] / 4
     rows, at = [], corners

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from firmware_py.link.marker_layout import square_corners_m
 from models.shared.kinematics import base_corners_m, base_rotation, pointing_angles_rad, rigid_tip_m
 
 angles = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
@@ -37,14 +38,14 @@ def test_one_joint_is_two_with_the_second_at_zero():
 
 
 def test_corners_stand_in_the_order_of_a_marker_row():
-    corners = base_corners_m(np.zeros((1, 2)), 0.06, 0.15)[0]
+    corners = base_corners_m(np.zeros((1, 2)), 0.06, square_corners_m(0.15))[0]
     assert np.sign(corners[:, :2]).tolist() == [[1, 1], [-1, 1], [1, -1], [-1, -1]]
     assert np.abs(corners[:, :2]) == pytest.approx(0.075)
     assert corners[:, 2] == pytest.approx(0.06)
 
 
 def test_corners_turn_with_the_joint():
-    corners = base_corners_m(np.array([[np.pi / 2]]), 0.06, 0.15)[0]
+    corners = base_corners_m(np.array([[np.pi / 2]]), 0.06, square_corners_m(0.15))[0]
     assert corners[:, 0] == pytest.approx(0.06)  # the plate's axis now points along +x
     assert np.sign(corners[:, 2]).tolist() == [-1, 1, -1, 1]  # its +x edge points down
 

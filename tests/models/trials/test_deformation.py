@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
+from firmware_py.link.marker_layout import square_corners_m
 from models.shared.kinematics import base_corners_m
 from models.trials.deformation import DEFINITIONS, deformation_index, marker_lengths_m
 
@@ -69,7 +70,7 @@ def test_the_index_is_equation_1_written_out(make_trial, swing_rad):
     for name in trial.columns:
         if name[0] == "m":
             trial.columns[name] += 0.003 * rng.standard_normal(len(trial))
-    corners = base_corners_m(trial.angle_rad, 0.06, 0.15)
+    corners = base_corners_m(trial.angle_rad, 0.06, square_corners_m(0.15))
     row, expected = 40, 0.0
     for corner in range(4):
         for k in range(4):

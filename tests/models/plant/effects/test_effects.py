@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
+from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
-from models.plant.plant import _scope, read_plant
+from models.plant.plant import read_plant
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import names
 from models.shared.catalogue import EVERY_EFFECT
@@ -16,7 +17,7 @@ UNITS = ("twin", "driven", "observer")
 
 
 def unit_of_strength(name, load="link"):
-    plant_scope = _scope(load, 1)
+    plant_scope = scope_of(load, 1)
     return EFFECTS[name]().parameters(plant_scope)[0].unit
 
 
@@ -30,8 +31,8 @@ def test_every_name_of_the_catalogue_is_an_effect_with_its_port_and_unit():
 def test_every_effect_is_documented_bounded_and_absent_by_default():
     for name, effect in EFFECTS.items():
         assert effect.__doc__ and effect.apply.__doc__
-        parameters = effect().parameters(_scope("link", 2))
-        strengths = effect.strengths(_scope("link", 2))
+        parameters = effect().parameters(scope_of("link", 2))
+        strengths = effect.strengths(scope_of("link", 2))
         assert parameters[0].name == strengths[0]
         assert len({q.name for q in parameters}) == len(parameters)
         for q in parameters:

@@ -4,9 +4,10 @@ import random
 
 import pytest
 
+from models.plant.composition.plant_composition import compose_plant
 from models.plant.effects import EFFECTS, Effect
 from models.plant.effects.order import ORDER, PORTS, in_order
-from models.plant.plant import _composed, read_plant
+from models.plant.plant import read_plant
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
 
@@ -40,7 +41,7 @@ def test_the_order_of_definition_does_not_change_the_composed_model(
     shuffled_definitions, dof, unit
 ):
     before = composed(tuple(CATALOGUE), dof, unit)
-    _composed.cache_clear()
+    compose_plant.cache_clear()
     shuffled_definitions(1)
     backwards = tuple(name for name in reversed(tuple(EFFECTS)) if name in CATALOGUE)
     assert composed(backwards, dof, unit) == before

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from models.trials.clock.bending_lag import (
-    BENDING_STIFFNESS_N_M2,
-    ROOT_STIFFNESS_NM_RAD,
-    SHEAR_STIFFNESS_N,
-    nominal_bend_ratio,
-)
+from firmware_py.link.link_description import STUDY_LINK
+from models.trials.clock.bending_lag import nominal_bend_ratio
 from models.trials.clock.offset_fit import fit_offset
 from models.trials.clock.offset_search import ClockSignal, find_peaks
 from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
+from models.trials.trial import TrialMeta
 
 LENGTH_M, BASE_M = 0.95, 0.06
+ROOT_STIFFNESS_NM_RAD, BENDING_STIFFNESS_N_M2, SHEAR_STIFFNESS_N = 350.0, 135.0, 2000.0
+META = TrialMeta(
+    dof=1, payload_kg=0.0, trial=1, motion="sinusoid", source="measured", period_s=4.0,
+    rest_samples=1, **STUDY_LINK.conditions(),
+)  # fmt: skip
 
 
 def swing(time_s):
@@ -48,7 +50,7 @@ def test_the_lag_of_the_bend_is_left_out(force_n):
     angle = ClockSignal(servo_s - 1.3, swing(servo_s)[:, None])
     fit = fit_offset(
         angle, ClockSignal(time_s, seen[:, None]), bend[:, None],
-        nominal_bend_ratio(BASE_M, LENGTH_M), 1.305,
+        nominal_bend_ratio(META), 1.305,
     )  # fmt: skip
     assert fit.offset_s == pytest.approx(1.3, abs=5e-4)
     assert abs(fit.offset_s - 1.3) < 1.5 * fit.error_s < 3e-3  # an interval of 95 %

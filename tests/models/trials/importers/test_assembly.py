@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from firmware_py.link.link_description import STUDY_LINK
 from models.trials.importers.assembly import align_markers, assemble_trial
-from models.trials.importers.mapping import BASE_MARKERS, MARKERS, MocapFrame, RecordingMap
+from models.trials.importers.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.importers.series import Series, marker_columns
 from models.trials.trial_files import read_trial
 
@@ -51,7 +52,7 @@ def test_the_base_aligns_the_frame_and_keeps_the_prebend(rigid_markers, tmp_path
         [(sx * 0.075, sy * 0.075, 0.06) for sy in (1, -1) for sx in (1, -1)], (30, 4, 3)
     )
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    named = {n: bent_m[:, k] for k, n in enumerate(MARKERS)}
+    named = {n: bent_m[:, k] for k, n in enumerate(STUDY_LINK.layout.names)}
     named |= {n: base_m[:, k] for k, n in enumerate(BASE_MARKERS)}
     moved = {n: p @ turn.T + [0.3, 0.2, 0.42] for n, p in named.items()}
     series = Series(np.arange(30) / 120, marker_columns(moved), tmp_path)
@@ -59,7 +60,7 @@ def test_the_base_aligns_the_frame_and_keeps_the_prebend(rigid_markers, tmp_path
     for align in ("base", "rest"):
         mapping = RecordingMap(trial=META, frame=MocapFrame(align=align))
         (aligned,) = align_markers([series], mapping)
-        by[align] = np.stack([aligned.position_m(n)[0] for n in MARKERS])
+        by[align] = np.stack([aligned.position_m(n)[0] for n in STUDY_LINK.layout.names])
     assert by["base"] == pytest.approx(bent_m[0], abs=1e-9)
     tip_x_m = by["rest"][12:, 0].mean()
     assert abs(tip_x_m) < 0.5 * bent_m[0, 12:, 0].mean()  # the prebend is laid on the axis

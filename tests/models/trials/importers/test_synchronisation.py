@@ -5,15 +5,25 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK
 from models.trials.importers.assembly import resample
 from models.trials.importers.series import Series, marker_columns
 from models.trials.importers.synchronisation import shift_clock, synchronise
+from models.trials.trial import TrialMeta
 from models.trials.trial_files import read_trial
 
 
 def servo_series(session, path):
     columns = {f"angle_{j}_rad": session.angle_rad[:, j - 1] for j in range(1, session.dof + 1)}
     return [Series(session.servo_s, columns, path)]
+
+
+def meta_of(session):
+    """Conditions of a trial of the study's link."""
+    return TrialMeta(
+        dof=session.dof, payload_kg=0.0, trial=1, motion="sinusoid", source="measured",
+        period_s=4.0, rest_samples=1, **STUDY_LINK.conditions(),
+    )  # fmt: skip
 
 
 def mocap_series(session, path, markers_m=None):
@@ -27,7 +37,7 @@ def test_the_offset_is_found_to_a_fraction_of_a_sample(session, tmp_path):
     for late_s in (-40.0, 0.0, 0.0071, 1000.003):
         servo = shift_clock(servo_series(session, tmp_path), late_s)
         markers_m = session.markers_m + 2e-4 * rng.standard_normal(session.markers_m.shape)
-        found = synchronise(servo, mocap_series(session, tmp_path, markers_m), session.dof)
+        found = synchronise(servo, mocap_series(session, tmp_path, markers_m), meta_of(session))
         assert found.offset_s == pytest.approx(session.offset_s - late_s, abs=3e-4)
         assert found.correlation > 0.999
 
@@ -37,7 +47,7 @@ def test_a_recording_that_starts_late_or_has_holes_is_still_found(session, tmp_p
     markers_m[500:560, 1] = np.nan
     (mocap,) = mocap_series(session, tmp_path, markers_m)
     late = Series(mocap.time_s[200:], {k: v[200:] for k, v in mocap.columns.items()}, tmp_path)
-    found = synchronise(servo_series(session, tmp_path), [late], session.dof)
+    found = synchronise(servo_series(session, tmp_path), [late], meta_of(session))
     assert found.offset_s == pytest.approx(session.offset_s, abs=5e-4)
 
 
@@ -48,7 +58,7 @@ def test_a_link_that_overshoots_does_not_shift_the_clock(session, tmp_path, rigi
     )
     bent_m = rigid_markers(1.2 * true)
     found = synchronise(
-        servo_series(session, tmp_path), mocap_series(session, tmp_path, bent_m), session.dof
+        servo_series(session, tmp_path), mocap_series(session, tmp_path, bent_m), meta_of(session)
     )
     assert found.offset_s == pytest.approx(session.offset_s, abs=1e-3)
 
@@ -58,14 +68,16 @@ def test_files_of_different_motions_are_refused(session, tmp_path):
     still_m = session.markers_m[:1] + 1e-3 * rng.standard_normal(session.markers_m.shape)
     with pytest.raises(InputError, match="correlate by"):
         synchronise(
-            servo_series(session, tmp_path), mocap_series(session, tmp_path, still_m), session.dof
+            servo_series(session, tmp_path),
+            mocap_series(session, tmp_path, still_m),
+            meta_of(session),
         )
     mirrored_m = session.markers_m * [-1, -1, 1]
     with pytest.raises(InputError, match=r"check joint order, signs"):
         synchronise(
             servo_series(session, tmp_path),
             mocap_series(session, tmp_path, mirrored_m),
-            session.dof,
+            meta_of(session),
         )
 
 

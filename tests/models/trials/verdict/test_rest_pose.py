@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.trials.importers.mapping import MARKERS, MocapFrame, RecordingMap
+from models.trials.importers.mapping import MocapFrame, RecordingMap
 from models.trials.importers.mocap_frame import nominal_markers_m
 from models.trials.trial import TrialMeta
 from models.trials.verdict.pose_findings import judge_pose
@@ -14,6 +14,7 @@ META = TrialMeta(
     base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=1,
 )  # fmt: skip
 PLACES_M = nominal_markers_m(META)
+MARKERS = META.layout.names
 
 
 def about_z(degrees):

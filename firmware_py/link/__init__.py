@@ -1,0 +1,1 @@
+"""Description of a link in `link.toml`: geometry, markers, gravity, servo."""

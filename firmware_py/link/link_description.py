@@ -1,0 +1,286 @@
+"""Description of a link, `link.toml`: what trial, plant, rig and robot.toml share.
+
+Without one the study's link is meant (`STUDY_LINK`). `python -m models new LINK.toml` writes a
+file with every key.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from firmware_py.link.servo_presets import PRESETS, ServoPreset, preset_named
+
+__all__ = [
+    "STUDY_LINK", "LinkDescription", "LinkGravity", "LinkServo", "describes_link", "read_link",
+]  # fmt: skip
+
+Vector = tuple[float, float, float]
+Mounting = Literal["upright", "horizontal", "hanging", "balloon"]
+SCHEMA: Final = 1
+STANDARD_GRAVITY_M_S2: Final = 9.81
+"""docs/sources.md, "The link"."""
+
+DIRECTIONS: Final[dict[Mounting, Vector]] = {
+    "upright": (0.0, 0.0, -1.0),
+    "horizontal": (-1.0, 0.0, 0.0),
+    "hanging": (0.0, 0.0, 1.0),
+    "balloon": (0.0, 0.0, -1.0),
+}
+"""Direction of gravity in the link's frame, whose z axis is the link at zero angle."""
+
+_RANGES: Final = {
+    "length_m": (0.05, 10.0), "width_m": (0.01, 2.0), "base_offset_m": (0.0, 1.0),
+    "pressure_pa": (5e3, 1.5e5), "mass_kg": (1e-3, 50.0), "tip_mass_kg": (1e-3, 50.0),
+    "payload_kg": (0.0, 100.0),
+}  # fmt: skip
+
+
+class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[gravity]`.
+
+    Attributes
+    ----------
+    mounting : {"upright", "horizontal", "hanging", "balloon"}
+        How the link stands at zero angle. Horizontal: gravity along -x, in the plane of joint 1.
+        Balloon: upright, with a part of its weight carried.
+    direction : tuple of float, optional
+        Direction of gravity where it is none of these; z along the link at zero angle.
+    effective_weight : float
+        Part of the weight, payload included, that the link has to carry: below 1 with a balloon.
+        Its inertia stays whole.
+    """
+
+    mounting: Mounting = "upright"
+    direction: Vector | None = None
+    effective_weight: float = 1.0
+
+    @property
+    def unit(self) -> Vector:
+        """Direction of gravity, of length one."""
+        x, y, z = self.direction or DIRECTIONS[self.mounting]
+        size = math.hypot(x, y, z)
+        return (x / size, y / size, z / size)
+
+    @property
+    def size_m_s2(self) -> float:
+        """Acceleration that the weight corresponds to."""
+        return STANDARD_GRAVITY_M_S2 * self.effective_weight
+
+    @property
+    def vector_m_s2(self) -> Vector:
+        """Acceleration by gravity in the link's frame."""
+        x, y, z = self.unit
+        size = self.size_m_s2
+        return (x * size, y * size, z * size)
+
+
+class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[servo]`: a model, and what differs from its preset.
+
+    Attributes
+    ----------
+    model : str
+        Name of `firmware_py.link.servo_presets.PRESETS`.
+    gear, torque_constant_nm_a, coulomb_friction_nm, viscous_friction_nm_s_rad, load_friction,
+    rotor_inertia_kg_m2, backlash_rad, current_limit_a, speed_limit_rad_s, mass_kg, source
+        As in `ServoPreset`; left out, the preset's.
+    """
+
+    model: str = "H54-200-S500-R"
+    gear: float | None = None
+    torque_constant_nm_a: float | None = None
+    coulomb_friction_nm: float | None = None
+    viscous_friction_nm_s_rad: float | None = None
+    load_friction: float | None = None
+    rotor_inertia_kg_m2: float | None = None
+    backlash_rad: float | None = None
+    current_limit_a: float | None = None
+    speed_limit_rad_s: float | None = None
+    mass_kg: float | None = None
+    source: str | None = None
+
+    @property
+    def whole(self) -> ServoPreset:
+        """Preset with the given numbers in place of its own."""
+        given = {
+            f.name: value
+            for f in msgspec.structs.fields(ServoPreset)
+            if (value := getattr(self, f.name)) is not None
+        }
+        return msgspec.structs.replace(preset_named(self.model), **given)
+
+
+class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,
+                      dict=True):  # fmt: skip
+    """Content of `link.toml`.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    joints : int
+        Driven joints, 1 or 2.
+    length_m, width_m : float
+        From the base plate to the last marker row; side (or diameter) of the section.
+    section : {"square", "round"}
+        Shape of the section.
+    base_offset_m : float
+        Base plate above the joint axes.
+    pressure_pa : float
+        Inflation pressure.
+    mass_kg, tip_mass_kg : float, optional
+        Of the link and of the hardware at its tip; left out, estimated from the size.
+    payload_kg : float
+        Largest payload.
+    markers : MarkerLayout, optional
+        Places of the markers; left out, four rows of four at the corners.
+    gravity, servo
+        Tables of these names.
+    """
+
+    schema: int = SCHEMA
+    name: str = "link"
+    joints: Literal[1, 2] = 2
+    length_m: float = 0.95
+    width_m: float = 0.15
+    section: Literal["square", "round"] = "square"
+    base_offset_m: float = 0.06
+    pressure_pa: float = 41_300.0
+    mass_kg: float | None = None
+    tip_mass_kg: float | None = None
+    payload_kg: float = 2.0
+    markers: MarkerLayout | None = None
+    gravity: LinkGravity = LinkGravity()
+    servo: LinkServo = LinkServo()
+
+    @cached_property
+    def layout(self) -> MarkerLayout:
+        """Places of the markers."""
+        return self.markers or square_layout(self.length_m, self.marker_width_m)
+
+    @property
+    def marker_width_m(self) -> float:
+        """Distance of two neighbouring corners where the markers' places are not given."""
+        return self.width_m if self.section == "square" else self.width_m / math.sqrt(2.0)
+
+    @property
+    def preset(self) -> ServoPreset:
+        """Physical properties of the servos."""
+        return self.servo.whole
+
+    def conditions(self) -> dict[str, Any]:
+        """Conditions of a trial of this link, by key of its TOML file."""
+        own: dict[str, Any] = {
+            "base_offset_m": self.base_offset_m,
+            "link_length_m": self.length_m,
+            "link_width_m": self.width_m,
+            "pressure_pa": self.pressure_pa,
+        }
+        if self.layout != square_layout(self.length_m, self.width_m):
+            own["markers"] = msgspec.to_builtins(self.layout)
+        if self.gravity.vector_m_s2 != STUDY_LINK.gravity.vector_m_s2:
+            own["gravity_m_s2"] = list(self.gravity.vector_m_s2)
+        return own
+
+
+STUDY_LINK: Final = LinkDescription(name="drop-stitch link of the study")
+"""The study's link: docs/sources.md, "The link"; masses and servo as in the rig and the plant."""
+
+
+def describes_link(document: Any) -> bool:
+    """Whether a decoded TOML document describes a link, and no plant or rig.
+
+    Parameters
+    ----------
+    document : dict
+        As decoded.
+    """
+    return isinstance(document, dict) and {"length_m", "width_m"} <= document.keys()
+
+
+def read_link(path: Path | str) -> LinkDescription:
+    r"""Read and check `link.toml`.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is not TOML, a key is unknown, or a value is out of range; the
+        message names file, key and remedy.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> text = 'length_m = 0.6\nwidth_m = 0.1\n[gravity]\nmounting = "hanging"\n'
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "link.toml"
+    ...     size = path.write_text(text)
+    ...     link = read_link(path)
+    >>> link.layout.count, link.gravity.vector_m_s2
+    (16, (0.0, 0.0, 9.81))
+    """
+    path = Path(path)
+    document = read_toml(path, "write one with 'python -m models new LINK.toml'")
+    link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
+    check_link(link, path)
+    return link
+
+
+def check_link(link: LinkDescription, where: Path | str) -> None:
+    """Refuse values that are out of range or do not fit together.
+
+    Parameters
+    ----------
+    link : LinkDescription
+        To check.
+    where : Path or str
+        File or option, for the message.
+
+    Raises
+    ------
+    InputError
+        Naming the key and the remedy.
+    """
+    if link.schema != SCHEMA:
+        raise InputError(where, f"schema is {link.schema}", f"this version reads {SCHEMA}")
+    for key, (low, high) in _RANGES.items():
+        value = getattr(link, key)
+        if value is not None and not low <= value <= high:
+            raise InputError(
+                where, f"{key} is {value:g}, outside {low:g} to {high:g}",
+                "give it in the unit of its name",
+            )  # fmt: skip
+    gravity = link.gravity
+    if not 0.0 <= gravity.effective_weight <= 1.0:
+        raise InputError(
+            where, f"gravity.effective_weight is {gravity.effective_weight:g}",
+            "give the part of the weight that is left, 0 to 1",
+        )  # fmt: skip
+    if gravity.direction is not None:
+        size = math.hypot(*gravity.direction)
+        if not (math.isfinite(size) and size > 0):
+            raise InputError(
+                where, "gravity.direction has no direction", "give one, like [0, 0, -1]"
+            )
+    if link.servo.model not in PRESETS:
+        raise InputError(
+            where, f"servo.model {link.servo.model!r} is not known",
+            f"use one of {', '.join(PRESETS)}",
+        )  # fmt: skip
+    for name, value in msgspec.structs.asdict(link.preset).items():
+        least = 0.0 if "friction" in name or name == "backlash_rad" else 1e-9
+        if isinstance(value, float) and not least <= value < math.inf:
+            raise InputError(where, f"servo.{name} is {value:g}", "give a positive number")
+    link.layout.check(where, link.length_m)

@@ -1,0 +1,147 @@
+"""Places of the markers on a link: rows along it, the same corners in every row."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+
+__all__ = ["MarkerLayout", "square_corners_m", "square_layout"]
+
+MOST_MARKERS: Final = 99
+"""Most markers: their names have two digits."""
+
+STUDY_ROWS: Final = 4
+"""Rows of the study's link, at equal distances (docs/sources.md, "The link")."""
+
+AT_TIP_M: Final = 0.002
+"""Largest distance of the last row from the end of the link."""
+
+
+class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Places of the markers m01, m02, … row after row from the base.
+
+    Attributes
+    ----------
+    rows_m : tuple of float
+        Height of each row above the base plate; the last one is the end effector's.
+    corners_m : tuple of (float, float)
+        Place of each marker of a row at zero angle: distance from the axis along x and y. A long
+        edge is the line through the same corner of all rows, from the base plate on.
+    """
+
+    rows_m: tuple[float, ...]
+    corners_m: tuple[tuple[float, float], ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.rows_m)
+
+    @property
+    def corners(self) -> int:
+        """Number of markers in a row."""
+        return len(self.corners_m)
+
+    @property
+    def count(self) -> int:
+        """Number of markers."""
+        return self.rows * self.corners
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the markers in their order, m01 first."""
+        return tuple(f"m{k:02d}" for k in range(1, self.count + 1))
+
+    def row(self, number: int) -> tuple[str, ...]:
+        """Names of a row.
+
+        Parameters
+        ----------
+        number : int
+            Counted from 0; negative from the tip.
+        """
+        first = (number % self.rows) * self.corners
+        return self.names[first : first + self.corners]
+
+    @property
+    def tip_row(self) -> slice:
+        """Places of the last row among the markers."""
+        return slice(self.count - self.corners, self.count)
+
+    def check(self, where: Path | str, length_m: float) -> None:
+        """Refuse a layout that cannot be.
+
+        Parameters
+        ----------
+        where : Path or str
+            File, for the message.
+        length_m : float
+            Of the link.
+
+        Raises
+        ------
+        InputError
+            If there are no markers or too many, rows do not ascend to the tip, or a number is none.
+        """
+        numbers = (*self.rows_m, *(v for corner in self.corners_m for v in corner))
+        if not all(math.isfinite(v) for v in numbers):
+            raise InputError(where, "[markers] holds a value that is no number", "correct it")
+        if not 1 <= self.count <= MOST_MARKERS:
+            raise InputError(
+                where, f"[markers] has {self.rows} rows of {self.corners}",
+                f"give 1 to {MOST_MARKERS} markers",
+            )  # fmt: skip
+        if any(b <= a for a, b in zip((0.0, *self.rows_m), self.rows_m, strict=False)):
+            raise InputError(
+                where, "[markers] rows_m do not ascend from the base plate", "sort them, above 0"
+            )
+        if any(abs(sum(side)) > AT_TIP_M for side in zip(*self.corners_m, strict=True)):
+            raise InputError(
+                where, "[markers] corners_m do not surround the axis", "their mean must be [0, 0]"
+            )
+        if abs(self.rows_m[-1] - length_m) > AT_TIP_M:
+            raise InputError(
+                where, f"[markers] the last row is at {self.rows_m[-1]:g} m, the link ends at "
+                f"{length_m:g} m", "count the length of the link to its last row",
+            )  # fmt: skip
+
+
+def square_corners_m(width_m: float) -> tuple[tuple[float, float], ...]:
+    """Corners of a square section in the order of a row: (+x, +y), (-x, +y), (+x, -y), (-x, -y).
+
+    Parameters
+    ----------
+    width_m : float
+        Side of the section.
+
+    Examples
+    --------
+    >>> square_corners_m(0.2)[1]
+    (-0.1, 0.1)
+    """
+    half = 0.5 * width_m
+    return tuple((sx * half, sy * half) for sy in (1, -1) for sx in (1, -1))
+
+
+def square_layout(length_m: float, width_m: float, rows: int = STUDY_ROWS) -> MarkerLayout:
+    """Rows at equal distances with a marker at each corner of a square section.
+
+    Parameters
+    ----------
+    length_m, width_m : float
+        Of the link.
+    rows : int
+        Number of rows, the last one at the tip.
+
+    Examples
+    --------
+    >>> square_layout(1.0, 0.2).rows_m
+    (0.25, 0.5, 0.75, 1.0)
+    """
+    heights = tuple(length_m * row / rows for row in range(1, rows + 1))
+    return MarkerLayout(heights, square_corners_m(width_m))

@@ -1,0 +1,104 @@
+"""Composition of a plant's parts by their names into a step model."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final, Literal
+
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from models.plant.components.drives.drive_registry import DRIVES
+from models.plant.components.flexible_link import FlexibleLink
+from models.plant.components.geared_loads import GearedShaft, GearedSlide
+from models.plant.components.link import Link
+from models.plant.components.load_protocol import PlantLoad
+from models.plant.components.rigid_loads import Mass, Pendulum
+from models.plant.composition.driven_link import FOLLOW_RATE, compose_driven
+from models.plant.composition.imposed_motion import compose_imposed
+from models.plant.composition.observer import compose_observer, observer_parameters
+from models.plant.composition.twin import compose_twin
+from models.plant.effects import Effect
+from models.plant.parameter import Parameter
+from models.plant.scope import Scope
+from models.plant.step_model import StepModel
+
+ModelKind = Literal["twin", "observer", "driven"]
+LOADS: Final[dict[str, type[PlantLoad]]] = {
+    load.kind: load for load in (Link, Pendulum, Mass, FlexibleLink, GearedShaft, GearedSlide)
+}
+"""Loads by their name in a plant document."""
+COMPOSERS: Final = {
+    "twin": compose_twin, "observer": compose_observer, "driven": compose_driven,
+}  # fmt: skip
+
+
+@lru_cache(maxsize=64)  # an observer of two joints takes three seconds to compose
+def compose_plant(
+    load: str, drive: str, effects: tuple[type[Effect], ...],
+    parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
+    columns: tuple[str, ...], link: LinkDescription | None = None,
+) -> StepModel:  # fmt: skip
+    """Compose a plant from hashable parts; values are arguments, so plants share a model.
+
+    Parameters
+    ----------
+    load, drive : str
+        Kinds.
+    effects : tuple of type
+        Classes of the effects, in order.
+    parameters : tuple of (str, Parameter)
+        See `models.plant.scope.without_values`.
+    dof : int
+        Joints.
+    kind : {"twin", "observer", "driven"}
+        See `models.plant.plant.Plant.step_model`.
+    columns : tuple of str
+        Columns that the plant's document declares.
+    link : LinkDescription, optional
+        Markers and direction of gravity; left out, those of the study's link.
+    """
+    scope, held = scope_of(load, dof, columns, link), [effect() for effect in effects]
+    known, observer = dict(parameters), kind != "twin"
+    scope.declare([known[q.name] for q in declared_parameters(scope, drive, load, held, observer)])
+    imposed = kind == "twin" and "imposed motion" in DRIVES[drive].features
+    compose = compose_imposed if imposed else COMPOSERS[kind]
+    return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
+
+
+def scope_of(
+    load: str, dof: int, columns: tuple[str, ...] = (), link: LinkDescription | None = None
+) -> Scope:
+    """Empty scope of a load.
+
+    Parameters
+    ----------
+    load, dof, columns, link
+        As for `compose_plant`.
+    """
+    return Scope(
+        tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns,
+        None if link is None else link.layout, (link or STUDY_LINK).gravity.unit,
+    )  # fmt: skip
+
+
+def declared_parameters(
+    scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
+) -> list[Parameter]:
+    """Parameters of all parts, in order.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the joints.
+    drive, load : str
+        Kinds.
+    effects : list of Effect
+        In order.
+    observer : bool
+        Whether those of an observer are wanted too.
+    """
+    return [
+        *DRIVES[drive]().parameters(scope),
+        *LOADS[load]().parameters(scope),
+        *(q for effect in effects for q in effect.parameters(scope)),
+        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
+    ]

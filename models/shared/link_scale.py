@@ -1,0 +1,166 @@
+"""Masses, stiffness and damping that a link of any size is expected to have.
+
+Each follows from the size, the section and the pressure with the material of the study's link
+(docs/sources.md, "The link"): walls of the same fabric, the same bond of the root patch. Rig and
+plant multiply their values and bounds for the study's link by the ratio of the two, so that a
+link that is described with the study's numbers gives exactly these.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+
+__all__ = ["LinkScale"]
+
+WALL_STIFFNESS_N_M: Final = 60e3
+"""Et of the walls."""
+WALL_SHEAR_N_M: Final = 4280.0
+"""Gt of the walls: 1070 N = 5/6 2h Gt."""
+AREAL_MASS_KG_M2: Final = 0.9 / (4 * 0.15 * 0.95)
+"""Mass of fabric and yarns per area of the walls."""
+TIP_MASS_KG_M2: Final = 0.25 / 0.15**2
+"""Mass of the hardware at the tip per area of the section."""
+PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
+"""Length of link that bends like the root patch, over the width: 350 N·m/rad at 135 N·m²."""
+REFERENCE_PRESSURE_PA: Final = 41_300.0
+MODAL_MASS_FRACTION: Final = 0.236
+"""Part of a cantilever's mass that swings with its tip: 33/140 (Rayleigh, static deflection)."""
+
+
+@dataclass(frozen=True)
+class LinkScale:
+    """Properties that follow from a link's description.
+
+    Attributes
+    ----------
+    link : LinkDescription
+        The link.
+    """
+
+    link: LinkDescription
+
+    @property
+    def perimeter_m(self) -> float:
+        """Of the section."""
+        return (4.0 if self.link.section == "square" else math.pi) * self.link.width_m
+
+    @property
+    def area_m2(self) -> float:
+        """Of the section."""
+        return (1.0 if self.link.section == "square" else math.pi / 4) * self.link.width_m**2
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the link: as given, or by the area of its walls."""
+        given = self.link.mass_kg
+        return AREAL_MASS_KG_M2 * self.perimeter_m * self.link.length_m if given is None else given
+
+    @property
+    def tip_mass_kg(self) -> float:
+        """Mass of the hardware at the tip: as given, or by the area of the section."""
+        given = self.link.tip_mass_kg
+        return TIP_MASS_KG_M2 * self.link.width_m**2 if given is None else given
+
+    @property
+    def plate_m2(self) -> float:
+        """Area that base plate and frame scale with."""
+        return self.link.width_m**2
+
+    @property
+    def wall_bending_n_m2(self) -> float:
+        """EI at the reference pressure: 2/3 h³ Et of a box, π r³ Et of a tube."""
+        shape = 2 / 3 if self.link.section == "square" else math.pi / 8
+        return shape * WALL_STIFFNESS_N_M * self.link.width_m**3
+
+    @property
+    def pressure_ratio(self) -> float:
+        """Pressure over that at which the stiffness is known; stiffness is proportional."""
+        return self.link.pressure_pa / REFERENCE_PRESSURE_PA
+
+    @property
+    def bending_n_m2(self) -> float:
+        """EI at the link's pressure."""
+        return self.pressure_ratio * self.wall_bending_n_m2
+
+    @property
+    def root_nm_rad(self) -> float:
+        """Stiffness of the root patch at the link's pressure."""
+        return self.bending_n_m2 / (PATCH_LENGTH_RATIO * self.link.width_m)
+
+    @property
+    def span_nm_rad(self) -> float:
+        """Stiffness of the span's hinge, 4/3 EI/L."""
+        return 4 / 3 * self.bending_n_m2 / self.link.length_m
+
+    @property
+    def wall_shear_n(self) -> float:
+        """Shear stiffness of the walls, κGA: 5/6 2h Gt of a box, π r Gt of a tube."""
+        shape = 5 / 3 if self.link.section == "square" else math.pi / 2
+        return shape * WALL_SHEAR_N_M * self.link.width_m
+
+    @property
+    def shear_n(self) -> float:
+        """Whole shear stiffness, with the pressure's part p A."""
+        return self.wall_shear_n + self.link.pressure_pa * self.area_m2
+
+    @property
+    def limit_moment_nm(self) -> float:
+        """Moment at which the section collapses, at the link's pressure: p h³/3, or π p r³."""
+        shape = 1 / 3 if self.link.section == "square" else math.pi / 8
+        return shape * self.link.pressure_pa * self.link.width_m**3
+
+    @property
+    def tip_stiffness_n_m(self) -> float:
+        """Force per displacement of the tip: root patch, bending and shear in series."""
+        length = self.link.length_m
+        return 1.0 / (
+            length**2 / self.root_nm_rad + length**3 / (3 * self.bending_n_m2)
+            + length / self.shear_n
+        )  # fmt: skip
+
+    @property
+    def first_mode_rad_s(self) -> float:
+        """First mode without payload, base held."""
+        swinging_kg = MODAL_MASS_FRACTION * self.mass_kg + self.tip_mass_kg
+        return math.sqrt(self.tip_stiffness_n_m / swinging_kg)
+
+    @property
+    def holding_nm(self) -> float:
+        """Torque that the weight of link and largest payload needs at 30°."""
+        link, reach = self.link, self.link.base_offset_m + self.link.length_m
+        own = self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
+        return 0.5 * link.gravity.size_m_s2 * (own + link.payload_kg * reach)
+
+    def over_study(self, name: str) -> float:
+        """A property over the same one of the study's link.
+
+        Parameters
+        ----------
+        name : str
+            Attribute of this class.
+
+        Examples
+        --------
+        >>> LinkScale(STUDY_LINK).over_study("bending_n_m2")
+        1.0
+        """
+        return float(getattr(self, name) / getattr(_STUDY, name))
+
+    @cached_property
+    def servo_ratios(self) -> dict[str, float]:
+        """Numbers of the servo's preset over those of the study's servo."""
+        own, study = self.link.preset, STUDY_LINK.preset
+        names = (
+            "torque_constant_nm_a", "coulomb_friction_nm", "viscous_friction_nm_s_rad",
+            "load_friction", "rotor_inertia_kg_m2", "backlash_rad", "current_limit_a",
+            "speed_limit_rad_s", "mass_kg", "torque_limit_nm",
+        )  # fmt: skip
+        return {name: getattr(own, name) / getattr(study, name) for name in names}
+
+
+_STUDY: Final = LinkScale(STUDY_LINK)
