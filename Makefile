@@ -59,7 +59,7 @@ help:
 	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
 	@echo "                with the payload known and unknown; prints the page's path"
 	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
-	@echo "                platforms, with their sources; and the SSP packages"
+	@echo "                platforms, and with their sources alone; and the SSP packages"
 	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
 	@echo "make test       lint, types, import contracts and all tests"
 	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
@@ -281,7 +281,7 @@ build/bench_plans/%.json: build/bundle_1dof/observer.fmu build/bundle_2dof/obser
 
 # --- FMUs for other machines ----------------------------------------------------------------------
 
-FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu)))
+FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi)_source.fmu)))
 
 fmu-all: $(FMU_ALL) ssp
 
@@ -290,11 +290,13 @@ ssp: build/link_1dof.ssp build/link_2dof.ssp
 build/link_%dof.ssp: build/bundle_%dof/observer.fmu
 	$(call run,python -m fmu ssp $(<D) --plant build/plant.json --out $@)
 
-build_for_all = $(call run,python -m fmu build build/bundle_$(2)dof --plant build/plant.json --unit $(1) --fmi $(3) --platforms all --out $@)
+build_for_all = $(call run,python -m fmu build build/bundle_$(2)dof --plant build/plant.json --unit $(1) --fmi $(3) --platforms $(4) --out $@)
 
 define fmu_for_all
 build/fmu_all/$(1)_$(2)dof_fmi$(3).fmu: build/bundle_$(2)dof/observer.fmu
-	$$(call build_for_all,$(1),$(2),$(3))
+	$$(call build_for_all,$(1),$(2),$(3),all)
+build/fmu_all/$(1)_$(2)dof_fmi$(3)_source.fmu: build/bundle_$(2)dof/observer.fmu
+	$$(call build_for_all,$(1),$(2),$(3),c-code)
 endef
 $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,$(eval $(call fmu_for_all,$(kind),$(dof),$(fmi))))))
 

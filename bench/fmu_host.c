@@ -106,7 +106,7 @@ static double step_by_hand(double *tip)
 static double derivative(int adjoint)
 {
     fmi3Instance instance = ready();
-    static fmi3ValueReference unknown[N_VARIABLES], known[N_ALL];
+    static fmi3ValueReference unknown[N_VARIABLES], known[N_KNOWNS];
     static double seed[N_VARIABLES], slope[N_VARIABLES];
     size_t unknowns = 0, knowns = 0;
     for (uint32_t r = FIRST_OUTPUT; r < FIRST_INDICATOR; r++)

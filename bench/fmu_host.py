@@ -13,10 +13,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmu.fmu_builder import HEADERS, WRAPPER, core_sources
+from fmu.generated_c import write_equations, write_variables
 from fmu.interface import interface_of
-from fmu.variables_c import write_variables
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.simulation.model_c import write_model_c
 
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fno-slp-vectorize", "-g0", "-s",
          "-fno-sanitize=undefined")  # fmt: skip
@@ -34,7 +33,7 @@ def main() -> int:
     interface = interface_of(model)
     with TemporaryDirectory(prefix="dropstitch-host-") as scratch:
         directory = Path(scratch)
-        model_c = write_model_c(model, directory, interface.relations.functions)
+        model_c = write_equations(model, interface, directory)
         variables_c = write_variables(model, interface, "{bench}", directory)
         program = directory / "fmu_host"
         sources = [Path(__file__).with_suffix(".c"), *core_sources(3), model_c, variables_c]

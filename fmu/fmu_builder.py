@@ -17,14 +17,13 @@ from typing import Final
 
 import fmpy
 
+from fmu.generated_c import write_equations, write_variables
 from fmu.interface import Interface, interface_of
 from fmu.model_description import FmiVersion, model_description_xml
 from fmu.packaging.documentation import documentation_page
 from fmu.packaging.platforms import HOST, PLATFORMS, SOURCE_CODE, binary_files
 from fmu.packaging.source_code import source_files
 from fmu.packaging.zip_file import build_time_s, date_and_time, write_zip
-from fmu.variables_c import write_variables
-from models.plant.simulation.model_c import write_model_c
 from models.plant.simulation.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
@@ -80,8 +79,7 @@ def build_fmu(
     epoch_s = build_time_s()
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
-        model_c = write_model_c(model, directory, interface.relations.functions)
-        _use_portable_math(model_c)
+        model_c = write_equations(model, interface, directory)
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [*core_sources(fmi), model_c, variables_c]
@@ -141,12 +139,6 @@ def _libraries(
             compile_library(sources, library, include=include, target=PLATFORMS[name].target)
             libraries[name] = library.read_bytes()
     return libraries
-
-
-def _use_portable_math(model_c: Path) -> None:
-    """Give the equations the project's own sine and so on: the same bits on every platform."""
-    text = model_c.read_text(encoding="utf-8")
-    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8")
 
 
 def _token(

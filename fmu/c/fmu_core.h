@@ -1,6 +1,6 @@
 /* Core of an FMU, independent of the FMI version: variables, states of the instance, steps.
  *
- * CasADi writes the equations (model.c), fmu/variables_c.py the table of variables (variables.h and
+ * CasADi writes the equations (model.c), fmu/generated_c.py the table of variables (variables.h and
  * variables.c). A call that is refused leaves the instance unchanged and writes one sentence to
  * `message`.
  */
@@ -60,11 +60,13 @@ typedef struct {
 
 enum {
     N_INPUTS = FIRST_PARAMETER - FIRST_INPUT,
-    N_PARAMETERS = FIRST_OUTPUT - FIRST_PARAMETER,
+    N_PARAMETERS = FIRST_OUTPUT - FIRST_PARAMETER - WITH_EXAMPLE, /* those of the model */
     N_OUTPUTS = FIRST_STATE - FIRST_OUTPUT,
     N_CONTINUOUS = FIRST_INDICATOR - FIRST_DERIVATIVE,
     N_INDICATORS = N_VARIABLES - FIRST_INDICATOR,
-    N_ALL = N_STATES + N_INPUTS + N_PARAMETERS
+    N_KNOWNS = N_STATES + N_INPUTS + N_PARAMETERS,
+    N_RESPONSE = N_OUTPUTS + N_CONTINUOUS + N_INDICATORS,
+    N_UNKNOWNS = N_RESPONSE + N_STATES
 };
 
 extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value reference */
@@ -103,9 +105,9 @@ typedef struct {
     double outputs[ROOM(N_OUTPUTS)];
     double rates[ROOM(N_CONTINUOUS)];
     double indicators[ROOM(N_INDICATORS)];
-    double direction[ROOM(N_ALL)]; /* of states, inputs and parameters; or the whole gradient */
-    double gradient[ROOM(N_ALL)]; /* that of one relation */
-    double slope[N_VARIABLES]; /* of the unknowns by value reference: derivatives, or weights */
+    double direction[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* of states, inputs and parameters; or the whole gradient */
+    double gradient[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* that of one relation */
+    double slope[ROOM(N_UNKNOWNS)]; /* of outputs, rates, indicators and states; or their weights */
 } Fmu;
 
 typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);

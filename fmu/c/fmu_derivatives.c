@@ -1,9 +1,10 @@
 /* Derivatives of the model's relations, written out by CasADi: along a direction and adjoint.
  *
- * The relations are the outputs, the derivatives of the continuous states and the event indicators
- * as functions of states, inputs and parameters; in initialization mode, where the states follow
+ * The relations are the response (outputs, derivatives of the continuous states, event indicators)
+ * as a function of states, inputs and parameters; in initialization mode, where the states follow
  * from inputs and parameters, the chain of both. In the event mode a state as unknown is its value
- * after a sample that is taken now. The derivative of a sampled output is that of its sample.
+ * after a sample that is taken now, a whole step where all of the model is sampled. The derivative
+ * of a sampled output is that of its sample.
  */
 #include "fmu_core.h"
 
@@ -14,7 +15,7 @@
 
 static int check_unknowns(Fmu *fmu, const uint32_t unknown[], size_t count)
 {
-    int with_states = fmu->memory.mode == INITIALIZING || (fmu->memory.mode == EVENT && !SAMPLED);
+    int with_states = fmu->memory.mode & (INITIALIZING | EVENT);
     for (size_t i = 0; i < count; i++) {
         if (unknown[i] < FIRST_OUTPUT || unknown[i] >= N_VARIABLES ||
             VARIABLES[unknown[i]].type != FLOAT64)
@@ -49,18 +50,31 @@ static int check(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint
     return fmu->memory.mode != INITIALIZING || fmu_refresh(fmu);
 }
 
-/* Place of a known in a vector of states, inputs and parameters; the time, 0, has none. */
+/* Place of a known among states, inputs and parameters; the time, 0, has none. */
 static int place_of(uint32_t known)
 {
     return known >= FIRST_STATE ? (int)(known - FIRST_STATE) : N_STATES - FIRST_INPUT + (int)known;
 }
 
-static int any_within(const uint32_t reference[], size_t count, uint32_t first, uint32_t end)
+static int is_state(uint32_t reference)
 {
+    return reference >= FIRST_STATE && reference < FIRST_DERIVATIVE;
+}
+
+/* Place of an unknown among outputs, rates, indicators and states. */
+static int row_of(uint32_t unknown)
+{
+    if (is_state(unknown))
+        return N_RESPONSE + (int)(unknown - FIRST_STATE);
+    return (int)(unknown - FIRST_OUTPUT) - (unknown >= FIRST_DERIVATIVE ? N_STATES : 0);
+}
+
+static size_t count_states(const uint32_t unknown[], size_t count)
+{
+    size_t states = 0;
     for (size_t i = 0; i < count; i++)
-        if (reference[i] >= first && reference[i] < end)
-            return 1;
-    return 0;
+        states += is_state(unknown[i]);
+    return states;
 }
 
 /* Call a derivative with (x, u, p, seed); that of the initial state has no x. */
@@ -73,52 +87,31 @@ static void differentiate(Fmu *fmu, Model *model, int with_state, const double *
     model(fmu->argument, fmu->result, fmu->integers, fmu->reals, 0);
 }
 
-/* Where the unknowns of each relation lie, and its derivatives. */
-typedef struct {
-    uint32_t first, end;
-    Model *forward, *reverse;
-} Relation;
-
-#if WITH_REVERSE
-#define PAIR(name) model_##name##_forward, model_##name##_reverse
-#else
-#define PAIR(name) model_##name##_forward, NULL
-#endif
-
-static const Relation RELATIONS[] = {
-    {FIRST_OUTPUT, FIRST_STATE, PAIR(output)},
-    {FIRST_DERIVATIVE, FIRST_INDICATOR, PAIR(rate)},
-    {FIRST_INDICATOR, N_VARIABLES, PAIR(indicators)},
-    {FIRST_STATE, FIRST_DERIVATIVE, PAIR(sample)}, /* in the event mode */
-};
-enum { N_RELATIONS = sizeof RELATIONS / sizeof *RELATIONS };
-
 int fmu_forward(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
                 size_t knowns, const double seed[], double sensitivity[])
 {
-    int initial = fmu->memory.mode == INITIALIZING;
+    double *of_states = fmu->slope + N_RESPONSE;
     if (!check(fmu, unknown, unknowns, known, knowns, seed, knowns))
         return 0;
+    size_t states = count_states(unknown, unknowns);
     memset(fmu->direction, 0, sizeof fmu->direction);
     for (size_t i = 0; i < knowns; i++)
         if (known[i])
             fmu->direction[place_of(known[i])] += seed[i];
-    if (initial) {
-        differentiate(fmu, model_initial_forward, 0, fmu->direction + N_STATES, fmu->next);
-        memcpy(fmu->direction, fmu->next, N_STATES * sizeof *fmu->next);
-        memcpy(fmu->slope + FIRST_STATE, fmu->next, N_STATES * sizeof *fmu->next);
+    if (fmu->memory.mode == INITIALIZING) {
+        differentiate(fmu, model_initial_forward, 0, fmu->direction + N_STATES, of_states);
+        memcpy(fmu->direction, of_states, N_STATES * sizeof *of_states);
+    } else if (states) {
+        differentiate(fmu, model_sample_forward, 1, fmu->direction, of_states);
     }
-    for (int k = 0; k < N_RELATIONS - initial; k++) {
-        const Relation *relation = &RELATIONS[k];
-        if (any_within(unknown, unknowns, relation->first, relation->end))
-            differentiate(fmu, relation->forward, 1, fmu->direction, fmu->slope + relation->first);
-    }
+    if (states < unknowns)
+        differentiate(fmu, model_response_forward, 1, fmu->direction, fmu->slope);
     for (size_t i = 0; i < unknowns; i++)
-        if (!isfinite(fmu->slope[unknown[i]]))
+        if (!isfinite(fmu->slope[row_of(unknown[i])]))
             return fmu_refuse(fmu, "A derivative of %s is not a finite number.",
                               VARIABLES[unknown[i]].name);
     for (size_t i = 0; i < unknowns; i++)
-        sensitivity[i] = fmu->slope[unknown[i]];
+        sensitivity[i] = fmu->slope[row_of(unknown[i])];
     return 1;
 }
 
@@ -142,8 +135,16 @@ static double through_start(Fmu *fmu, int place)
     fmu->gradient[place] = 1.0;
     differentiate(fmu, model_initial_forward, 0, fmu->gradient + N_STATES, fmu->next);
     for (size_t i = 0; i < N_STATES; i++)
-        sum += fmu->next[i] * (fmu->direction[i] + fmu->slope[FIRST_STATE + i]);
+        sum += fmu->next[i] * (fmu->direction[i] + fmu->slope[N_RESPONSE + i]);
     return sum;
+}
+
+/* Add the gradient of one weighted relation to the whole one. */
+static void add_gradient(Fmu *fmu, Model *reverse, const double *weight)
+{
+    differentiate(fmu, reverse, 1, weight, fmu->gradient);
+    for (size_t i = 0; i < N_KNOWNS; i++)
+        fmu->direction[i] += fmu->gradient[i];
 }
 
 int fmu_reverse(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint32_t known[],
@@ -152,18 +153,15 @@ int fmu_reverse(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint3
     int initial = fmu->memory.mode == INITIALIZING;
     if (!check(fmu, unknown, unknowns, known, knowns, seed, unknowns))
         return 0;
+    size_t states = count_states(unknown, unknowns);
     memset(fmu->slope, 0, sizeof fmu->slope);
     memset(fmu->direction, 0, sizeof fmu->direction);
     for (size_t i = 0; i < unknowns; i++)
-        fmu->slope[unknown[i]] += seed[i];
-    for (int k = 0; k < N_RELATIONS - initial; k++) {
-        const Relation *relation = &RELATIONS[k];
-        if (!any_within(unknown, unknowns, relation->first, relation->end))
-            continue;
-        differentiate(fmu, relation->reverse, 1, fmu->slope + relation->first, fmu->gradient);
-        for (size_t i = 0; i < N_ALL; i++)
-            fmu->direction[i] += fmu->gradient[i];
-    }
+        fmu->slope[row_of(unknown[i])] += seed[i];
+    if (states < unknowns)
+        add_gradient(fmu, model_response_reverse, fmu->slope);
+    if (states && !initial)
+        add_gradient(fmu, model_sample_reverse, fmu->slope + N_RESPONSE);
     for (size_t i = 0; i < knowns; i++) {
         sensitivity[i] = 0.0;
         if (known[i])

@@ -31,8 +31,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--fmi", type=int, choices=(2, 3), default=3, help="version of the standard (3)")
     add(
         "--platforms", default="x86_64-linux", metavar="NAMES",
-        help="platforms separated by commas, or all: x86_64-linux, aarch64-linux, x86_64-windows, "
-        "x86_64-darwin, aarch64-darwin, c-code for the sources (x86_64-linux)",
+        help="platforms separated by commas (x86_64-linux); all for all five: x86_64-linux, "
+        "aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; c-code for the sources",
     )  # fmt: skip
     add(
         "--unit",

@@ -63,7 +63,8 @@ def platform_names(text: str) -> tuple[str, ...]:
     Parameters
     ----------
     text : str
-        Names of `PLATFORMS` and `SOURCE_CODE`, separated by commas, or "all".
+        Names of `PLATFORMS` and `SOURCE_CODE`, separated by commas; "all" stands for all of
+        `PLATFORMS`.
 
     Raises
     ------
@@ -76,14 +77,14 @@ def platform_names(text: str) -> tuple[str, ...]:
     ('x86_64-linux', 'c-code')
     """
     known = (*PLATFORMS, SOURCE_CODE)
-    if text == "all":
-        return known
-    asked = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    parts = [part.strip() for part in text.split(",")]
+    named = [name for part in parts for name in (PLATFORMS if part == "all" else [part])]
+    asked = tuple(dict.fromkeys(named))
     for name in asked:
         if name not in known:
             raise InputError(
                 f"--platforms {text}", f"names the unknown platform {name!r}",
-                f"choose all, or some of {', '.join(known)}",
+                f"choose all or some of {', '.join(known)}",
             )  # fmt: skip
     return asked
 

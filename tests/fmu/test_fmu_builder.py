@@ -9,10 +9,9 @@ import pytest
 
 from firmware_py.errors import InputError
 from fmu.fmu_builder import HEADERS, WRAPPER, build_fmu, core_sources
+from fmu.generated_c import write_equations, write_variables
 from fmu.interface import interface_of
 from fmu.packaging.platforms import HOST, PLATFORMS
-from fmu.variables_c import write_variables
-from models.plant.simulation.model_c import write_model_c
 from models.shared.c_compiler import CACHE, compile_library
 
 EPOCH_S = 1_790_000_000
@@ -71,7 +70,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-parameter", "-Wvla", "-pedantic",
 def test_our_c_compiles_without_a_warning(toy, tmp_path, fmi):
     """The generated equations are CasADi's and are left out."""
     interface = interface_of(toy, "both" if fmi == 3 else "forward")
-    write_model_c(toy, tmp_path, interface.relations.functions)
+    write_equations(toy, interface, tmp_path)
     variables_c = write_variables(toy, interface, "{token}", tmp_path)
     sources = [*core_sources(fmi), variables_c]
     include = [WRAPPER, tmp_path, HEADERS]

@@ -4,18 +4,21 @@ The relations are functions of state, inputs and parameters (x, u, p)::
 
     rate        derivatives of the continuous states
     indicators  event indicators: they change their sign where the rate has a kink
-    output      outputs
-    sample      states after the discrete updates at the begin of a step of SAMPLE_S
+    response    outputs, rate and indicators, one below the other
+    sample      states after the discrete updates at the begin of a step of SAMPLE_S; where all of
+                the model is sampled, after the whole step
     initial     states at the start, of (u, p) only
 
-Each has a derivative along a direction, NAME_forward, with the argument (dx, du, dp) behind, and an
-adjoint one, NAME_reverse, with a weight for each row behind, which gives (gx, gu, gp). There is no
-adjoint of `initial`. CasADi derives them from the expression graph, by the forward and the reverse
-mode [Andersson et al. 2019].
+The last three have a derivative along a direction, NAME_forward, with the argument (dx, du, dp)
+behind, and an adjoint one, NAME_reverse, with a weight for each row behind, which gives
+(gx, gu, gp). There is no adjoint of `initial`. CasADi derives them from the expression graph, by
+the forward and the reverse mode [Andersson et al. 2019]. They are most of an FMU's code; a response
+as a whole takes less than its parts, which share the kinematics.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -36,6 +39,10 @@ SAMPLE_S: Final = PERIOD_S
 KINKS: Final = (ca.OP_FMIN, ca.OP_FMAX)
 """Operations at which a rate has a kink: saturation and end stops. |x| is left out: it has its kink
 where things rest, so that an indicator would change its sign without end."""
+
+LARGEST_SCALAR: Final = 8000
+"""Most operations of a relation that is derived in scalars; the response of a twin with 2 joints
+takes 4000. Predictors with large matrices are derived as matrices."""
 
 
 @dataclass(frozen=True)
@@ -87,19 +94,49 @@ def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relatio
         "rate": ca.Function("rate", symbols, [ca.densify(rate)]),
         "indicators": ca.Function("indicators", symbols, [ca.cse(ca.densify(kinks))]),
     }
+    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
     if derivatives != "none":
-        x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
-        sample = ca.Function("sample", [x, u, p], [model.begin(x, u, p, SAMPLE_S)])
-        derived = {**functions, "output": model.output, "initial": model.initial, "sample": sample}
+        rows = ca.vertcat(
+            model.output(x, u, p), functions["rate"](x, u, p), functions["indicators"](x, u, p)
+        )
+        derived = {
+            "response": _scalar(ca.Function("response", [x, u, p], [rows])),
+            "sample": _sample(model) if not continuous else _scalar(_begin(model)),
+            "initial": _scalar(model.initial),
+        }
         for name, function in derived.items():
             functions[f"{name}_forward"] = _forward(function)
             if derivatives == "both" and name != "initial":
                 functions[f"{name}_reverse"] = _reverse(function)
     if model.rate is not None and continuous:  # in C the function that the flow calls
-        x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
         rows = model.rate(x, u, p)[list(continuous)]
         functions["rate"] = ca.Function("rate", [x, u, p], [rows])
     return Relations(continuous, functions, kinks.numel(), derivatives)
+
+
+def _begin(model: StepModel) -> ca.Function:
+    """States after the discrete updates at the begin of a step of SAMPLE_S."""
+    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", _symbols(model), strict=True))
+    return ca.Function("sample", [x, u, p], [model.begin(x, u, p, SAMPLE_S)])
+
+
+def _sample(model: StepModel) -> ca.Function:
+    """States after a whole step of SAMPLE_S."""
+    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", _symbols(model), strict=True))
+    count = math.ceil(SAMPLE_S / model.max_substep_s - 1e-9)
+    after = _begin(model)(x, u, p)
+    for _ in range(count):
+        after = model.flow(after, u, p, SAMPLE_S / count)
+    return ca.Function("sample", [x, u, p], [model.finish(after, u, p, SAMPLE_S)])
+
+
+def _scalar(function: ca.Function) -> ca.Function:
+    """The function in scalar operations, common ones taken once, where these are few."""
+    expanded = function.expand()
+    if expanded.n_instructions() > LARGEST_SCALAR:
+        return function
+    arguments = [ca.SX.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    return ca.Function("scalar", arguments, [ca.cse(expanded(*arguments))])
 
 
 def _symbols(model: StepModel) -> list[Any]:

@@ -141,6 +141,19 @@ def test_dependencies_name_every_derivative_that_is_not_zero(moving, archive, to
     np.testing.assert_array_equal(found, listed)
 
 
+def test_nothing_depends_on_the_size_of_the_example(archive):
+    """Not even after the start was differentiated by it."""
+    with archive.instance() as instance:
+        if archive.fmi == 2:
+            instance.fmu.setupExperiment(startTime=0.0)
+        instance.fmu.enterInitializationMode()
+        rows, columns = (references(archive, [name]) for name in ("tip_x_m", "example.scale"))
+        for _ in range(2):
+            assert jacobian(instance.fmu, archive, ["tip_x_m"], ["example.scale"]) == [[0.0]]
+            if archive.fmi == 3:
+                assert instance.fmu.getAdjointDerivative(rows, columns, [1.0], 1) == [0.0]
+
+
 def test_what_has_no_derivative_is_refused(moving, archive):
     for unknown, known in (
         ("in_range", "torque_nm"), ("states.angle_rad", "torque_nm"),

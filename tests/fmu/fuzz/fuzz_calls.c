@@ -244,7 +244,7 @@ static void events(Slot *slot)
 
 static void integration(Slot *slot)
 {
-    double v[N_ALL + N_INDICATORS + 2];
+    double v[N_KNOWNS + N_INDICATORS + 2];
     size_t n = below(16) ? N_CONTINUOUS : below(N_CONTINUOUS + 2);
     for (size_t i = 0; i < n; i++)
         v[i] = number();

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from fmu.fmu_builder import HEADERS, WRAPPER, core_sources
+from fmu.generated_c import write_equations, write_variables
 from fmu.interface import interface_of
-from fmu.variables_c import write_variables
-from models.plant.simulation.model_c import write_model_c
 from models.plant.step_model import StepModel
 
 SANITIZERS = (
@@ -29,8 +28,9 @@ class FuzzResult(NamedTuple):
 
 def build_fuzzer(model: StepModel, fmi: Literal[2, 3], directory: Path) -> Path:
     """Compile the fuzzer with the FMU of a model; the system's gcc has all sanitizers."""
-    interface = interface_of(model, "both" if fmi == 3 else "forward")
-    model_c = write_model_c(model, directory, interface.relations.functions)
+    example = [1.0 if v.name == "torque_nm" else 0.0 for v in model.inputs]
+    interface = interface_of(model, "both" if fmi == 3 else "forward", example)
+    model_c = write_equations(model, interface, directory)
     variables_c = write_variables(model, interface, "{fuzz}", directory)
     program = directory / f"fuzz_fmi{fmi}"
     sources = [Path(__file__).with_name("fuzz_calls.c"), *core_sources(fmi), model_c, variables_c]

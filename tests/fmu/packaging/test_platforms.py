@@ -25,7 +25,8 @@ X86_64, ARM64, DYLIB, MACH_O = 0x01000007, 0x0100000C, 6, 0xFEEDFACF
 
 
 def test_platforms_are_named_or_all():
-    assert platform_names("all") == (*PLATFORMS, SOURCE_CODE)
+    assert platform_names("all") == tuple(PLATFORMS)
+    assert platform_names("all,c-code") == (*PLATFORMS, SOURCE_CODE)
     assert platform_names("aarch64-linux, x86_64-linux") == ("aarch64-linux", "x86_64-linux")
     with pytest.raises(InputError, match="'amiga'"):
         platform_names("x86_64-linux,amiga")

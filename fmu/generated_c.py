@@ -1,16 +1,53 @@
-"""Sizes and variable table as C source; `models.plant.simulation.model_c` writes the equations."""
+"""C source that is generated for an FMU: equations, sizes, variable table."""
 
 from __future__ import annotations
 
 import math
+import re
 from itertools import accumulate
 from pathlib import Path
+from typing import Final
 
 from firmware_py.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
-from models.plant.simulation.model_c import FUNCTIONS
+from models.plant.simulation.model_c import FUNCTIONS, write_model_c
 from models.plant.simulation.relations import SAMPLE_S, Relations
 from models.plant.step_model import StepModel
+
+
+def write_equations(model: StepModel, interface: Interface, directory: Path) -> Path:
+    """Write `model.c` and `model.h`: the equations of the model and of its relations.
+
+    They use the project's own sine and so on, for the same bits on every platform. CasADi tests
+    each access to an argument or result for NULL. The core gives them all, so the tests are taken
+    out, a tenth of the code, unless a function inside leaves one out.
+
+    Parameters
+    ----------
+    model : StepModel
+        The model.
+    interface : Interface
+        Its interface.
+    directory : Path
+        Directory of the files.
+
+    Returns
+    -------
+    Path
+        `model.c`.
+    """
+    model_c = write_model_c(model, directory, interface.relations.functions)
+    text = model_c.read_text(encoding="utf-8")
+    if not _LEFT_OUT.search(text):
+        text = _GUARDED_RESULT.sub("", _GUARDED_ARGUMENT.sub(r"\1", text))
+    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8")
+    return model_c
+
+
+_GUARDED_ARGUMENT: Final = re.compile(r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0(?=;)")
+_GUARDED_RESULT: Final = re.compile(r"if \(res\[\d+\]!=0\) (?=res\[)")
+_LEFT_OUT: Final = re.compile(r"(arg|res)\d+\[\d+\]=0;")
+"""Forms that CasADi 3.8 writes: an access with its test, and a pointer that is left out."""
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
