@@ -74,25 +74,36 @@ def feedback_of_plan(
         With the table `[feedback]`.
     bundle : ModelBundle
         The robot's bundle, whose predictor estimates the tip.
+
+    Raises
+    ------
+    InputError
+        If the bundle's estimator does not tell the innovations by which feedback ends its trust.
     """
     if plan.feedback is None or not config.feedback.use:
         return None
-    wanted: tuple[str, ...] = getattr(bundle.predictor, "wanted", ())
-    return TipFeedback(plan, goals, config.feedback, innovation_places(wanted, plan.dof))
+    places = innovation_places(bundle.told, plan.dof)
+    if not places:
+        raise InputError(
+            f"plan {plan.path}", f"has feedback, but the estimator of {bundle.directory} does not "
+            "tell when it is wrong: it has no innovation of the currents",
+            "use a bundle with the observer, or run the plan with --open-loop",
+        )  # fmt: skip
+    return TipFeedback(plan, goals, config.feedback, places)
 
 
-def innovation_places(wanted: Sequence[str], dof: int) -> list[int]:
+def innovation_places(told: Sequence[str], dof: int) -> list[int]:
     """Return the places of the innovations of the currents among the signals of an estimate.
 
     Parameters
     ----------
-    wanted : sequence of str
-        Signals that the predictor takes from the estimator, in order.
+    told : sequence of str
+        Names of the signals, in order (`ModelBundle.told`).
     dof : int
         Number of joints.
     """
     names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
-    return [wanted.index(name) for name in names if name in wanted]
+    return [told.index(name) for name in names if name in told]
 
 
 def log_facts(plan: TipPlan) -> dict[str, str]:

@@ -4,7 +4,8 @@ The error of the estimated tip passes a filter, whose output is the rate of the 
 correction is its integral, so its bounds of size and rate are at the integrator itself and nothing
 winds up behind them. Filters for the payloads of the plan run side by side, and their rates are
 interpolated like the goals. Where the payload is known, the stiffness of the link is estimated as
-well (`firmware_py.goals.stiffness_estimate`): goals and the estimated tip follow it.
+well (`firmware_py.goals.stiffness_estimate`): goals and the estimated tip take it over at the start
+of each run of the plan, where the arm rests.
 """
 
 from __future__ import annotations
@@ -31,8 +32,6 @@ RANGE_M: Final = 0.015
 WIDEST_M: Final = 0.06
 """Half width beyond which feedback does not trust the tip either [assumed]. The interval widens
 with the innovation, which a wrong stiffness raises too, and that is what feedback is to correct."""
-STIFFNESS_RATE_PER_S: Final = 0.05
-"""Largest rate at which the goals follow the estimated stiffness [assumed]."""
 
 
 class Correction(Protocol):
@@ -126,7 +125,9 @@ class TipFeedback:
     value_rad : ndarray, shape (dof,)
         Correction of the latest tick.
     stiffness : float
-        Relative stiffness that the goals follow.
+        Relative stiffness of this run of the plan: what the runs before it told. Measured on the
+        rig, 1.8 kg: within the first run the current of the first moves tells it wrong by 0.1, and
+        following that makes 3.1 mm of an error of 1.9 mm.
 
     Raises
     ------
@@ -189,6 +190,8 @@ class TipFeedback:
         if slot < 0:
             return self.value_rad
         row = slot % self._rows
+        if row == 0:
+            self.stiffness = self._estimate.value
         if trust.state is TrustState.TRUSTED and not doubt:
             self._follow(row, step_s, current_a, prediction.tip_m)
         elif trust.state is TrustState.LOST:
@@ -238,9 +241,6 @@ class TipFeedback:
                 current_a - planned - self.stiffness * moved, unmatched,
                 goals.between(slopes["friction_a"], row), goals.between(slopes["weight"], row),
             )  # fmt: skip
-            most = STIFFNESS_RATE_PER_S * step_s
-            change = self._estimate.value - self.stiffness
-            self.stiffness += min(max(change, -most), most)
             error -= self.stiffness * goals.between(slopes["unseen_m"], row)
         errors = np.tile(error, len(self._x) // dof)
         rates = np.einsum("fn,fn->f", self._c, self._x) + self._d * errors

@@ -123,6 +123,12 @@ class ModelBundle:
         """What evaluates the predictor."""
         return "compiled" if isinstance(self.predictor, CompiledObserver) else "onnx"
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of the signals of an estimate (`Estimate.signals`), in order."""
+        predictor = self.predictor
+        return predictor.told if isinstance(predictor, CompiledObserver) else predictor.wanted
+
     def assume_payload(self, payload_kg: float | None) -> None:
         """Give the payload to an estimator that uses it; others are not changed.
 

@@ -40,16 +40,15 @@ class CompiledObserver(ObserverEstimator):
 
     Attributes
     ----------
-    wanted : tuple of str
-        Signals that `predict` takes from the estimate: none.
+    told : tuple of str
+        Names of the signals of its estimates: the innovations of the currents, which feedback of
+        the tip watches. `predict` takes none.
 
     Raises
     ------
     InputError
         If the FMU holds no predictor.
     """
-
-    wanted: tuple[str, ...] = ()
 
     def __init__(self, fmu: FmuInstance, dof: int) -> None:
         if not self.offered_by(fmu):
@@ -61,10 +60,13 @@ class CompiledObserver(ObserverEstimator):
         joints = range(1, dof + 1)
         inputs = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
         aged = [AGE.name] if AGE.name in fmu.variables else []
-        self._tick = fmu.tick_channel([*inputs, *aged], ["di", "payload_kg", *PREDICTED])
+        self.told = tuple(n for n in (f"innovation_{j}_a" for j in joints) if n in fmu.variables)
+        outputs = ["di", "payload_kg", *PREDICTED, *self.told]
+        self._tick = fmu.tick_channel([*inputs, *aged], outputs)
         self._age = self._tick.inputs[2 * dof :]
         answer = self._tick.outputs[2:]
-        self._prediction = Prediction(answer[:3], answer[3:4], answer[4:])
+        self._prediction = Prediction(answer[:3], answer[3:4], answer[4:7])
+        self._told_values = answer[7:]
         self._updated = False
         super().__init__(fmu, dof)
 
@@ -93,8 +95,9 @@ class CompiledObserver(ObserverEstimator):
         self._updated = True
         self._sample(angle_rad, current_a)
         if not self._run(step_s, 0.0):
-            return Estimate(math.nan, math.nan)
-        return Estimate(float(self._tick.outputs[0]), float(self._tick.outputs[1]))
+            return Estimate(math.nan, math.nan, self._told_values)
+        di, payload_kg = float(self._tick.outputs[0]), float(self._tick.outputs[1])
+        return Estimate(di, payload_kg, self._told_values)
 
     def predict(
         self,

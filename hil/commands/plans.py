@@ -1,7 +1,8 @@
 """HTML page about plans of the tip that were run on the rig: paths, errors, payloads.
 
 DIR holds what `make tip-demo` left: the plans inverse_Ndof.json and rigid_Ndof.json, and the
-results of 'python -m hil sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG and Ndof_unknown_KG.
+results of 'python -m hil sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG, Ndof_unknown_KG and, of
+a robot that was told too small a payload, Ndof_misled_KG.
 --json prints the RMS errors, and the largest ratio of the plan's to that of rigid kinematics.
 """
 
@@ -13,13 +14,14 @@ from pathlib import Path
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
 
-EXAMPLE = "python -m hil plans build/plans"
+EXAMPLE = "python -m hil plans build/plans --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
+    add("--plant", type=Path, help="plant that was inverted, for diagrams of the feedback")
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/plans.html)")
 
 
@@ -27,10 +29,11 @@ def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from hil.report.plans.planned_runs import plan_figures, read_planned_runs
     from hil.report.plans.plans_page import write_plans_page  # loads matplotlib
+    from models.plant.plant import read_plant  # loads CasADi
 
     runs = read_planned_runs(args.directory)
     out = args.out or args.directory / "plans.html"
-    write_plans_page(runs, out)
+    write_plans_page(runs, out, read_plant(args.plant) if args.plant else None)
     figures = plan_figures(runs)
     lines = ["tip off its path, RMS in mm   rigid    known  unknown"]
     for case in figures["cases"]:

@@ -152,6 +152,8 @@ class Inverter:
     def invert_from(self, found: Inverse) -> Inverse:
         """Goals for the payload of goals that nearly follow the path already.
 
+        The derivatives are renewed once at most: a link that is a fifth stiffer needs no more.
+
         Parameters
         ----------
         found : Inverse
@@ -160,7 +162,8 @@ class Inverter:
         start = np.asarray(
             np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
         )
-        return self.found(self._goals(self._solved(start, found.payload_kg)), found.payload_kg)
+        c = self._solved(start, found.payload_kg, most_derivatives=1)
+        return self.found(self._goals(c), found.payload_kg)
 
     def _goals(self, c: Array) -> Array:
         return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)
@@ -186,7 +189,9 @@ class Inverter:
         cost = float(error @ error + c @ self._rough @ c)
         return (cost if np.isfinite(cost) else np.inf), error
 
-    def _solved(self, c: Array, payload_kg: float) -> Array:
+    def _solved(
+        self, c: Array, payload_kg: float, most_derivatives: int = MOST_DERIVATIVES
+    ) -> Array:
         cost, error = self._cost(c, payload_kg)
         derived = 0
         for _ in range(MOST_STEPS):
@@ -205,9 +210,9 @@ class Inverter:
                     ratio = tried / cost
                     c, cost, error = c + part * step, tried, own_error
                     break
-            if ratio > ENOUGH and (new or derived >= MOST_DERIVATIVES):
+            if ratio > ENOUGH and (new or derived >= most_derivatives):
                 break
-            if ratio > GOOD_STEP and derived < MOST_DERIVATIVES:
+            if ratio > GOOD_STEP and derived < most_derivatives:
                 self._slopes = None
         return c
 

@@ -280,10 +280,8 @@ def case_source(
                                 rate_rad_s=0.16, innovation_a=0.8),
     )  # fmt: skip
     source = PlanGoals(plan, 1.0)
-    wanted: tuple[str, ...] = getattr(robot.bundle.predictor, "wanted", ())
-    correction = FaultyFeedback(
-        plan, source, TrustOptions(when_lost=setup.feedback), innovation_places(wanted, robot.dof)
-    )
+    places = innovation_places(robot.bundle.told, robot.dof)
+    correction = FaultyFeedback(plan, source, TrustOptions(when_lost=setup.feedback), places)
     correction.host = host
     return source, correction
 

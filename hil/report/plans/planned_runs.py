@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,14 @@ from hil.timing.timing_document import read_timing
 from models.trials.trial_files import read_trial
 
 Array = NDArray[np.float64]
-Knowledge = Literal["rigid", "known", "unknown"]
-KNOWLEDGE: Final[tuple[Knowledge, ...]] = get_args(Knowledge)
-"""Rigid kinematics; the plan with the payload known; the plan with the payload estimated."""
+Knowledge = Literal["rigid", "known", "unknown", "misled"]
+"""Rigid kinematics; the plan with the payload known, estimated, and told too small."""
+KNOWLEDGE: Final[tuple[Knowledge, ...]] = ("rigid", "known", "unknown")
+"""What is compared; the misled robot shows what happens when the estimate is not trusted."""
 TARGETS: Final = {"known": 1 / 25, "unknown": 1 / 20}
 """Largest RMS error over that of rigid kinematics that the project asks for."""
-_NAME: Final = re.compile(r"([12])dof_(rigid|known|unknown)_([\d.]+)")
+_ORDER: Final = (*KNOWLEDGE, "misled")
+_NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
 
 @dataclass(frozen=True)
@@ -35,16 +37,22 @@ class PlannedRun:
     ----------
     dof : int
         Joints.
-    knowledge : {"rigid", "known", "unknown"}
-        See `KNOWLEDGE`.
+    knowledge : {"rigid", "known", "unknown", "misled"}
+        See `Knowledge`.
     payload_kg : float
-        Mass at the tip of the rig.
+        Mass at the tip of the rig; for the misled robot what it was told.
     plan : TipPlan
         That was run.
     tip_m : ndarray, shape (n, dof)
         True tip at each row of the plan, in its last run.
     rms_m, max_m : float
         Distance from the path over that run, as `hil sil` judged it.
+    goals_rad : ndarray, shape (n, dof)
+        Goals sent.
+    trust : ndarray of int, shape (n,)
+        Trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`).
+    unknown_kg : float
+        Mass at the tip of which the robot does not know.
     """
 
     dof: int
@@ -54,6 +62,9 @@ class PlannedRun:
     tip_m: Array
     rms_m: float
     max_m: float
+    goals_rad: Array
+    trust: NDArray[np.int64]
+    unknown_kg: float = 0.0
 
     @property
     def away_m(self) -> Array:
@@ -81,11 +92,11 @@ def read_planned_runs(directory: Path) -> list[PlannedRun]:
             found.append(_read(directory, folder, *match.groups()))
     if not found:
         raise InputError(directory, "holds no run of a plan", "run 'make tip-demo'")
-    return sorted(found, key=lambda r: (r.dof, r.payload_kg, KNOWLEDGE.index(r.knowledge)))
+    return sorted(found, key=lambda r: (r.dof, r.payload_kg, _ORDER.index(r.knowledge)))
 
 
 def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> PlannedRun:
-    knowledge = next(k for k in KNOWLEDGE if k == kind)
+    knowledge = next(k for k in _ORDER if k == kind)
     method = "rigid" if knowledge == "rigid" else "inverse"
     plan = read_tip_plan(directory / f"{method}_{dof}dof.json")
     timing = read_timing(folder / "timing.json")
@@ -95,13 +106,16 @@ def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> P
             folder, f"holds no whole run of the plan ({timing.reason})", "run it again"
         )
     runs = len(timing.path_errors)
-    before = -int(read_recording(folder / LOG_NAME).columns["tick"][0])
-    start = before + (runs - 1) * plan.rows
+    log = read_recording(folder / LOG_NAME).columns
+    start = -int(log["tick"][0]) + (runs - 1) * plan.rows
+    rows = slice(start, start + plan.rows)
+    goals = np.column_stack([log[f"goal_{j}_rad"] for j in range(1, plan.dof + 1)])
     tip = np.column_stack([trial.columns[name] for name in tip_names()[: plan.dof]])
     last = timing.path_errors[-1]
     return PlannedRun(
-        int(dof), knowledge, float(payload), plan, tip[start : start + plan.rows],
-        last.rms_m, last.max_m,
+        int(dof), knowledge, float(payload), plan, tip[rows], last.rms_m, last.max_m, goals[rows],
+        log["trust"][rows].astype(np.int64),
+        timing.environment.hidden.get("unmodelled_payload", 0.0),
     )  # fmt: skip
 
 
@@ -114,6 +128,7 @@ def plan_figures(runs: list[PlannedRun]) -> dict[str, Any]:
         Of `read_planned_runs`.
     """
     cases: list[dict[str, Any]] = []
+    runs = [r for r in runs if r.knowledge in KNOWLEDGE]
     for dof, payload_kg in sorted({(r.dof, r.payload_kg) for r in runs}):
         own = {r.knowledge: r for r in runs if (r.dof, r.payload_kg) == (dof, payload_kg)}
         case: dict[str, Any] = {"dof": dof, "payload_kg": payload_kg}

@@ -1,4 +1,4 @@
-"""Page of plans on the rig: desired, rigid and achieved path, error over time, payloads."""
+"""Page of plans on the rig: paths, errors, payloads, margins of the feedback, lost trust."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.display_units import LENGTH, POSITION, TIME
+from hil.report.plans.feedback_section import feedback_section
 from hil.report.plans.planned_runs import KNOWLEDGE, TARGETS, Knowledge, PlannedRun, plan_figures
+from hil.report.plans.trust_section import trust_section
+from models.plant.plant import Plant
 from models.shared.html_page import render_page
 from models.shared.page_parts import (
     Cell,
@@ -22,18 +25,21 @@ from models.shared.page_parts import (
     Table,
     TableCell,
 )
-from models.shared.palette import BLUE, GREEN, INK, ORANGE
+from models.shared.palette import BLUE, GREEN, INK, ORANGE, PURPLE
 from models.shared.svg_drawing import Drawing
 
-COLOURS: Final[dict[Knowledge, str]] = {"rigid": ORANGE, "known": BLUE, "unknown": GREEN}
+COLOURS: Final[dict[Knowledge, str]] = {
+    "rigid": ORANGE, "known": BLUE, "unknown": GREEN, "misled": PURPLE,
+}  # fmt: skip
 WORDS: Final[dict[Knowledge, str]] = {
     "rigid": "rigid kinematics",
     "known": "plan, payload known",
     "unknown": "plan, payload estimated, second run",
+    "misled": "plan, payload told too small",
 }
 
 
-def write_plans_page(runs: Sequence[PlannedRun], path: Path) -> None:
+def write_plans_page(runs: Sequence[PlannedRun], path: Path, plant: Plant | None = None) -> None:
     """Write the page.
 
     Parameters
@@ -42,6 +48,8 @@ def write_plans_page(runs: Sequence[PlannedRun], path: Path) -> None:
         Of `hil.report.plans.planned_runs.read_planned_runs`.
     path : Path
         File to write.
+    plant : Plant, optional
+        Plant that was inverted, for the diagrams of the feedback.
     """
     lead: list[Part] = [
         Paragraph(
@@ -51,17 +59,13 @@ def write_plans_page(runs: Sequence[PlannedRun], path: Path) -> None:
         ),
         _table(list(runs)),
     ]  # fmt: skip
-    sections = [_section(dof, [r for r in runs if r.dof == dof]) for dof in _numbers(runs)]
-    missing = Section("missing", "What is not there yet", [Paragraph(
-        "Plans are open loop: there is no feedback of the estimated tip, no goals from other "
-        "programs, no learning from runs, and no shaping of point-to-point moves."
-    )])  # fmt: skip
-    page = render_page("The tip on its path", lead, [*sections, missing])
+    compared = [r for r in runs if r.knowledge in KNOWLEDGE]
+    numbers = sorted({r.dof for r in compared})
+    sections = [_section(dof, [r for r in compared if r.dof == dof]) for dof in numbers]
+    plans = {r.dof: r.plan for r in compared if r.knowledge != "rigid"}
+    more = (trust_section(runs), feedback_section(plans, plant))
+    page = render_page("The tip on its path", lead, [*sections, *filter(None, more)])
     path.write_text(page, encoding="utf-8")
-
-
-def _numbers(runs: Sequence[PlannedRun]) -> list[int]:
-    return sorted({r.dof for r in runs})
 
 
 def _table(runs: list[PlannedRun]) -> Table:

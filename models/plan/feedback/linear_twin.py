@@ -66,7 +66,7 @@ class LinearTwins:
             state = model.flow(state, u, p, period_s / count)
         state = (model.smooth_finish or model.finish)(state, u, p, period_s)
         y = model.output(x, u, p)
-        self._step = ca.Function("step", [x, u, p], [state])
+        self._step = ca.Function("step", [x, u, p], [state]).expand()
         self._slopes = ca.Function(
             "slopes", [x, u, p],
             [ca.jacobian(f, v) for f in (state, y) for v in (x, u)],

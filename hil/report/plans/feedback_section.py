@@ -1,0 +1,133 @@
+"""Section of the page of plans about feedback: margins, Bode and Nyquist diagrams."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_py.display_units import ANGLE
+from firmware_py.goals.tip_plan import TipPlan
+from models.plan.feedback.feedback_loops import ShapedLoops, shaped_loops
+from models.plan.feedback.linear_twin import LinearTwins
+from models.plan.feedback.loop_margins import LEAST_GAIN_DB, LEAST_PHASE_RAD
+from models.plant.plant import Plant
+from models.shared.page_parts import (
+    Figure,
+    LegendEntry,
+    Panel,
+    Paragraph,
+    Part,
+    Section,
+    Table,
+    TableCell,
+)
+from models.shared.palette import ALARM, INK, MUTED, ordered_colours
+from models.shared.svg_drawing import Drawing
+
+NYQUIST_HALF_WIDTH: Final = 2.0
+"""Half of the side of the square of the complex plane that the Nyquist diagram shows."""
+
+
+def feedback_section(plans: Mapping[int, TipPlan], plant: Plant | None) -> Section | None:
+    """Return the section; None where no plan has feedback.
+
+    Parameters
+    ----------
+    plans : mapping of int to TipPlan
+        Plans by number of joints.
+    plant : Plant or None
+        On whose linearised twin the loops are drawn; None draws none.
+    """
+    guided = {dof: plan for dof, plan in sorted(plans.items()) if plan.feedback is not None}
+    if not guided:
+        return None
+    parts: list[Part] = [
+        Paragraph(
+            "Each loop is opened at its joint, with the other one closed. One period of delay "
+            "stands for the loop and the bus. The margins are the least of sliding joints, "
+            "joints at rest, and a link that is 20 % stiffer or softer than the plant says; the "
+            "sliding one is drawn."
+        ),
+        _margin_table(guided),
+    ]
+    if plant is not None:
+        for plan in guided.values():
+            parts += _diagrams(plan, plant)
+    return Section("feedback", "Feedback of the estimated tip", parts)
+
+
+def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
+    rows = [
+        [
+            f"{dof}DOF, joint {joint}, {m.payload_kg:g} kg",
+            TableCell(f"{m.gain_db:.1f}", bool(m.gain_db >= LEAST_GAIN_DB)),
+            TableCell(ANGLE.number(m.phase_rad), bool(m.phase_rad >= LEAST_PHASE_RAD)),
+            f"{m.crossover_rad_s:.1f}",
+        ]
+        for dof, plan in plans.items()
+        if plan.feedback is not None
+        for joint, own in enumerate(plan.feedback.margins, start=1)
+        for m in own
+    ]
+    header = ["", "gain margin, dB", "phase margin, °", "crossover, rad/s"]
+    return Table("Margins over the grid of payloads", header, rows, "Targets: 6 dB and 45°.")
+
+
+def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
+    """Bode and Nyquist diagrams of every joint, one curve for each payload."""
+    if plan.feedback is None:
+        return []
+    grid = plan.grid_kg.tolist()
+    loops = shaped_loops(plan.feedback, LinearTwins(plant, plan.dof, plan.period_s), grid)
+    colours = ordered_colours(len(grid))
+    legend = [LegendEntry(c, f"{m:g} kg") for c, m in zip(colours, grid, strict=True)]
+    figures = []
+    for joint in range(1, plan.dof + 1):
+        own = [loop for loop in loops if loop.joint == joint]
+        name = f"{plan.dof}DOF, joint {joint}"
+        panels = [draw(own, colours, name) for draw in (_gain, _phase, _nyquist)]
+        note = "Nyquist: the red cross is −1; the marks are 6 dB and 45° beside it."
+        figures.append(Figure(f"Loop of {name}", note, panels, legend=legend))
+    return figures
+
+
+def _gain(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+    with Drawing() as (drawing, ax):
+        for loop, colour in zip(loops, colours, strict=True):
+            ax.loglog(loop.rates_rad_s, np.abs(loop.responses[0]), color=colour, lw=1.0)
+        ax.axhline(1.0, color=MUTED, lw=0.8)
+        ax.set(xlabel="frequency, rad/s", ylabel="gain")
+    return drawing.panel("Bode, gain", f"Gain of the loop of {name} over frequency, by payload.")
+
+
+def _phase(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+    with Drawing() as (drawing, ax):
+        for loop, colour in zip(loops, colours, strict=True):
+            phase = ANGLE.shown(np.unwrap(np.angle(loop.responses[0])))
+            ax.semilogx(loop.rates_rad_s, phase, color=colour, lw=1.0)
+        ax.axhline(-180.0, color=MUTED, lw=0.8)
+        ax.set(xlabel="frequency, rad/s", ylabel=ANGLE.label("phase"))
+    return drawing.panel("Bode, phase", f"Phase of the loop of {name} over frequency, by payload.")
+
+
+def _nyquist(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+    half = NYQUIST_HALF_WIDTH
+    with Drawing(3.6) as (drawing, ax):
+        for loop, colour in zip(loops, colours, strict=True):
+            ax.plot(loop.responses[0].real, loop.responses[0].imag, color=colour, lw=1.0)
+        _marks(ax)
+        ax.set(xlim=(-half, half), ylim=(-half, half), xlabel="real part", ylabel="imaginary part")
+        ax.set_aspect("equal")
+    return drawing.panel("Nyquist", f"Nyquist diagram of the loop of {name}, by payload.")
+
+
+def _marks(ax: Any) -> None:
+    """Unit circle, −1, and the least margins beside it."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    ax.plot(np.cos(turn), np.sin(turn), color=MUTED, lw=0.6)
+    ax.plot([-1.0], [0.0], "+", color=ALARM, ms=9)
+    ax.plot([-(10.0 ** (-LEAST_GAIN_DB / 20.0))], [0.0], "|", color=INK, ms=9)
+    side = np.sin(LEAST_PHASE_RAD)
+    ax.plot([-np.cos(LEAST_PHASE_RAD)] * 2, [side, -side], "x", color=INK, ms=6)
