@@ -118,6 +118,8 @@ class Setup:
     feedback : {"none", "continue", "stop"}
         Whether a plan with feedback of the tip runs in place of the motion, and what follows when
         the estimate is not trusted.
+    outside : bool
+        Whether another program sends the goals.
     """
 
     latency_s: float = 1e-3
@@ -140,6 +142,7 @@ class Setup:
     unplug_s: float | None = None
     port_renamed: bool = False
     feedback: Literal["none", "continue", "stop"] = "none"
+    outside: bool = False
 
 
 USUAL = Setup()

@@ -24,6 +24,7 @@ from firmware_py.bus.registers import HARDWARE_ERRORS, Register
 from firmware_py.safety.stop_reason import UNRELEASED
 from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.feedback_rows import FEEDBACK
+from hil.faults.goal_rows import GOALS
 from hil.faults.injection import FOREVER, Injection
 
 HOUR_S: Final = 3600.0
@@ -318,6 +319,7 @@ PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
     "Host": HOST,
     "While stopping": STOPPING,
     "Feedback of the tip": FEEDBACK,
+    "Goals of another program": GOALS,
     "Together": TOGETHER,
     "Processes": PROCESS,
 }

@@ -32,10 +32,18 @@ HOST_FAULTS: Final = (
     "port",
     "request",
     "flood",
+    "program silent",
+    "program stuck",
+    "program malformed",
+    "program too fast",
+    "program out of reach",
+    "program flooding",
+    "program gone",
 )
 """The first two return the plan's value; the next delay by that many seconds, step the clock by
 them, or remove the port for them. "request" requests a controlled stop; "flood" puts that many
-bytes per second in place of what the port receives."""
+bytes per second in place of what the port receives. The last are of a program that sends goals
+(`hil.faults.cases.goal_program`)."""
 _GARBAGE_CYCLES: Final = 300
 _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
 """Header of a long status packet: the costliest bytes to search."""

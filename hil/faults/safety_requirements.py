@@ -305,6 +305,15 @@ REQUIREMENTS: Final = (
             "host stall of 20 ms under feedback",
         ),
     ),
+    SafetyRequirement(
+        "SR-29", "Another program that sends wrong goals, or none, ends in a controlled stop.",
+        (
+            f"{_T}/goals/outside/test_outside_goals.py::"
+            "test_what_is_wrong_with_the_program_ends_in_a_controlled_stop",
+        ),
+        (),
+        ("program that sends the goals",),
+    ),
 )  # fmt: skip
 """Every requirement, in the order of the page."""
 

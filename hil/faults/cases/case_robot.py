@@ -30,6 +30,7 @@ from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary
 from hil.emulator.physics import Physics
+from hil.faults.cases.goal_program import program_goals
 from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.host_faults import (
     FaultyEstimator,
@@ -246,7 +247,7 @@ def run_case_loop(
 def case_source(
     robot: CaseRobot, config: RobotConfig, goals_rad: Array, setup: Setup, host: HostFaults
 ) -> tuple[GoalSource, Correction | None]:
-    """Return a table of goals; with feedback a plan of half of them, and its correction.
+    """Return a table of goals, or a program that sends them; with feedback a plan of half of them.
 
     The plan wants the tip where a rigid link would have it, so that there is always something to
     correct, and its filter is a gain of 1/s.
@@ -264,6 +265,8 @@ def case_source(
     host : HostFaults
         Faults of the host.
     """
+    if setup.outside:
+        return program_goals(config, goals_rad, host), None
     if setup.feedback == "none":
         return GoalTable(goals_rad), None
     columns = tuple(tuple(c) for c in (0.5 * goals_rad).T.tolist())

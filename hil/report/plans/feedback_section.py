@@ -14,6 +14,7 @@ from models.plan.feedback.linear_twin import LinearTwins
 from models.plan.feedback.loop_margins import LEAST_GAIN_DB, LEAST_PHASE_RAD
 from models.plant.plant import Plant
 from models.shared.page_parts import (
+    Cell,
     Figure,
     LegendEntry,
     Panel,
@@ -59,7 +60,7 @@ def feedback_section(plans: Mapping[int, TipPlan], plant: Plant | None) -> Secti
 
 
 def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
-    rows = [
+    rows: list[list[Cell]] = [
         [
             f"{dof}DOF, joint {joint}, {m.payload_kg:g} kg",
             TableCell(f"{m.gain_db:.1f}", bool(m.gain_db >= LEAST_GAIN_DB)),

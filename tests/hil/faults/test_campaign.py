@@ -43,6 +43,8 @@ VIRTUAL = [row for row in ROWS if "virtual" in row.lines]
 
 
 class StillPredictor:
+    wanted = ()
+
     def predict(self, angle_rad, current_a, di, *_):
         return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
 
