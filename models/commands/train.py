@@ -38,6 +38,9 @@ EXAMPLE = (
 STEPS: Final = 20
 """Progress steps of a study before its tests: DI, 18 cross-validations and the fits."""
 
+LARGEST_ASKEW_DEG: Final = 0.8
+"""Largest angle of a link mounted askew: 14 mm at the tip; with 15 mm nothing would be in range."""
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -62,10 +65,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--phase-deg", type=float, action="append", metavar="DEG",
         help="only 2DOF trials with this lead of joint 2; repeatable (default: all)",
     )  # fmt: skip
+    add(
+        "--askew-deg", type=float, default=math.degrees(0.005), metavar="DEG",
+        help="angle by which the link may be mounted askew, which no servo sees and the interval "
+        "covers; 0 where the mount is exact (default: 0.29, 5 mm at the tip)",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study, write the bundle, print the summary."""
+    if not 0.0 <= args.askew_deg <= LARGEST_ASKEW_DEG:
+        raise InputError(
+            "--askew-deg", f"is {args.askew_deg:g}, not within 0 to {LARGEST_ASKEW_DEG:g}",
+            "mount the link upright, or train on trials of it as it is",
+        )  # fmt: skip
     everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
@@ -91,7 +104,8 @@ def run(args: argparse.Namespace) -> int:
     tip = None
     if not args.study_only:
         together = (*training, *further)
-        tip = train_tip(together, tests, study.observer, progress=progress.step)
+        askew_rad = math.radians(args.askew_deg)
+        tip = train_tip(together, tests, study.observer, CANDIDATES, progress.step, askew_rad)
     try:
         parity = write_bundle(args.out, study, plant, tip)
     except ParityError as error:

@@ -23,7 +23,8 @@ largest error of a plant that is required to be noticed."""
 
 ASKEW_RAD: Final = 0.005
 """Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip; assumed for a link that is taken off and mounted again by hand."""
+the tip; assumed for a link that is taken off and mounted again by hand. `models train --askew-deg`
+sets another; 0 leaves out what the servos cannot see."""
 
 
 def observe(
@@ -65,19 +66,23 @@ def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
     return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
 
 
-def askew_shifts_m(rows: TipRows) -> list[Array]:
-    """Return what a link that is mounted askew by `ASKEW_RAD` adds to the tip, (n, 3) each.
+def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
+    """Return what a link that is mounted askew adds to the tip, (n, 3) each; none for zero.
 
     Parameters
     ----------
     rows : TipRows
         Any rows; one shift for either direction in the plane of each joint.
+    askew_rad : float
+        Angle.
     """
+    if askew_rad == 0.0:
+        return []
     joints = range(1, rows.dof + 1)
     angles_rad = rows.of([f"angle_{j}_rad" for j in joints])
     turn = base_rotation(angles_rad)
     # Joint 1 turns about y, joint 2 about -x (docs/architecture.md, "Physics").
     axes = {1: turn[:, :, 1], 2: -turn[:, :, 0]}
     return [
-        sign * ASKEW_RAD * np.cross(axes[j], rows.tip_m) for j in joints for sign in (-1.0, 1.0)
+        sign * askew_rad * np.cross(axes[j], rows.tip_m) for j in joints for sign in (-1.0, 1.0)
     ]

@@ -108,6 +108,9 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
         Their payloads.
     candidates : dict of str to CandidateEntry
         In the order in which they were compared, simplest first.
+    askew_rad : float or None
+        Angle by which the link may be mounted askew, which the interval covers; None in a bundle of
+        an earlier release, whose interval covers 0.005 rad.
     runtimes : dict of str to Latency
         Observer and predictor together, by runtime; added with the observer.
     """
@@ -122,6 +125,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     motions: tuple[str, ...]
     payload_kg: tuple[float, ...]
     candidates: dict[str, CandidateEntry]
+    askew_rad: float | None = None
     runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
 
 

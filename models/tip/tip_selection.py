@@ -19,7 +19,7 @@ from models.learning.predictors import Array, Fold
 from models.learning.validation import euclidean_distance_m
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.guarded_tip import GuardedTip
-from models.tip.observed_trials import askew_shifts_m
+from models.tip.observed_trials import ASKEW_RAD, askew_shifts_m
 from models.tip.predictors_document import TipScore
 from models.tip.tip_interval import TipInterval
 from models.tip.tip_predictor import TipPredictor
@@ -81,6 +81,7 @@ def choose_tip_predictor(
     disturbed: Sequence[TipRows],
     candidates: Sequence[type[TipPredictor]] = CANDIDATES,
     progress: Callable[[str], None] = lambda detail: None,
+    askew_rad: float = ASKEW_RAD,
 ) -> TipChoice:
     """Compare candidates and fit each on all rows.
 
@@ -94,15 +95,17 @@ def choose_tip_predictor(
         Classes of candidates, simplest first.
     progress : callable
         Called with the name of each finished candidate.
+    askew_rad : float
+        Angle by which the link may be mounted askew, which the interval covers.
     """
     few = rows.take(slice(None, None, STRIDE))
     others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
     results = []
     for candidate in candidates:
-        nested, left_out_m = _outer(candidate, few, others)
+        nested, left_out_m = _outer(candidate, few, others, askew_rad)
         variant = _best_variant(candidate, few)
         fitted = candidate(variant).fit(rows)
-        interval = _interval(fitted, few, left_out_m, others)
+        interval = _interval(fitted, few, left_out_m, others, askew_rad)
         results.append(
             CandidateResult(
                 candidate.name, candidate.summary, variant, nested,
@@ -178,7 +181,7 @@ def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]]) -> TipScore
 
 
 def _outer(
-    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows]
+    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows], askew_rad: float
 ) -> tuple[TipScore, Array]:
     """Score on the rows that outer folds leave out, and the mean error of each row there.
 
@@ -196,7 +199,8 @@ def _outer(
     parts = []
     for (train, test), predictor in zip(folds, fitted, strict=True):
         seen, inputs = rows.take(train), rows.inputs[test]
-        interval = _interval(predictor, seen, left_out_m[train], [w.take(train) for w in disturbed])
+        wrong = [other.take(train) for other in disturbed]
+        interval = _interval(predictor, seen, left_out_m[train], wrong, askew_rad)
         guarded = GuardedTip.of(seen, predictor, interval)
         parts.append((
             rows.tip_m[test] - guarded.predict(inputs), guarded.half_width(inputs),
@@ -230,8 +234,12 @@ def _mean_error_m(predictor: TipPredictor, rows: TipRows, folds: Sequence[Fold])
 
 
 def _interval(
-    fitted: TipPredictor, rows: TipRows, left_out_m: Array, disturbed: Sequence[TipRows]
+    fitted: TipPredictor,
+    rows: TipRows,
+    left_out_m: Array,
+    disturbed: Sequence[TipRows],
+    askew_rad: float,
 ) -> TipInterval:
     wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
-    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows)]
+    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows, askew_rad)]
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)

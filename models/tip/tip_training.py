@@ -11,7 +11,7 @@ from models.plant.simulation.compiled_model import CompiledModel
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.guarded_tip import GuardedTip
 from models.tip.latency import graph_latency
-from models.tip.observed_trials import WRONG_STIFFNESS, observe, wrong_stiffness
+from models.tip.observed_trials import ASKEW_RAD, WRONG_STIFFNESS, observe, wrong_stiffness
 from models.tip.predictors_document import CandidateEntry, PredictorsDocument, TipScore
 from models.tip.tip_predictor import TipPredictor
 from models.tip.tip_rows import TipRows, collect_rows
@@ -46,6 +46,7 @@ def train_tip(
     observer: CompiledModel,
     candidates: Sequence[type[TipPredictor]] = CANDIDATES,
     progress: Callable[[str], None] = lambda detail: None,
+    askew_rad: float = ASKEW_RAD,
 ) -> TipTraining:
     """Choose, fit and test the robot's tip predictor.
 
@@ -61,6 +62,8 @@ def train_tip(
         Classes of candidates, simplest first.
     progress : callable
         Called with the name of each finished part.
+    askew_rad : float
+        Angle by which the link may be mounted askew, which the interval covers.
 
     Raises
     ------
@@ -70,7 +73,7 @@ def train_tip(
     rows = collect_rows(observe(observer, training))
     wrong = [wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS]
     disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong if changes]
-    choice = choose_tip_predictor(rows, disturbed, candidates, progress)
+    choice = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
     seen = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
@@ -80,6 +83,7 @@ def train_tip(
         trials=tuple(t.name for t in training),
         motions=tuple(sorted({t.meta.motion for t in training})),
         payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
+        askew_rad=askew_rad,
         candidates={result.name: _entry(result, seen) for result in choice.candidates},
     )
     return TipTraining(choice.chosen.predictor, rows, document)

@@ -112,6 +112,17 @@ def test_a_violent_motion_widens_the_interval_only_so_far():
     assert first == pytest.approx(second)
 
 
+def test_the_angle_of_mounting_is_what_widens_an_interval_of_a_right_plant():
+    rows = made_up_rows()
+    widths_m = [
+        choose_tip_predictor(rows, [], (ObserverTip,), askew_rad=askew_rad)
+        .chosen.predictor.half_width(rows.inputs)[:, 0].mean()
+        for askew_rad in (0.0, 0.005, 0.01)
+    ]  # fmt: skip
+    assert widths_m[0] < widths_m[1] < widths_m[2]
+    assert not askew_shifts_m(rows, 0.0)
+
+
 def test_a_link_mounted_askew_shifts_the_tip_in_the_plane_of_a_joint():
     rows = made_up_rows(dof=2)
     angles = [rows.names.index(f"angle_{j}_rad") for j in (1, 2)]
