@@ -226,7 +226,29 @@ $(GAP)/sil_after_%/timing.json: $(GAP)/bundle_after/observer.fmu
 $(GAP)/sil_without_%/timing.json: build/bundle_1dof/observer.fmu
 	$(call on_robot)
 
-GAP_PARTS := $(GAP)/found/plant.json $(GAP)/check_twin_1dof.json \
+# The tip on a path at the heaviest payload: rigid kinematics, the plant before and after.
+GAP_PATH := line --size 0.45 --seconds 4.352 --turns 2 --payloads 2
+GAP_PLANS := $(foreach variant,rigid before after without,$(GAP)/plan_$(variant)/timing.json)
+
+$(GAP)/rigid.json: build/bundle_1dof/observer.fmu $(GAP)/found/plant.json
+	$(call run,python -m models plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --rigid --out $@)
+$(GAP)/before.json: build/bundle_1dof/observer.fmu $(GAP)/found/plant.json
+	$(call run,python -m models plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --out $@)
+$(GAP)/after.json: $(GAP)/bundle_after/observer.fmu
+	$(call run,python -m models plan $(GAP_PATH) --plant $(GAP)/found/plant.json --bundle $(<D) --out $@)
+
+plan_in_gap = $(call judge,python -m hil sil --bundle $(1) --rig $(2) --seed 5 --payload-kg 2 --payload-known --line virtual --plan $< --out $(@D))
+
+$(GAP)/plan_rigid/timing.json: $(GAP)/rigid.json
+	$(call plan_in_gap,build/bundle_1dof,$(HIDDEN))
+$(GAP)/plan_before/timing.json: $(GAP)/before.json
+	$(call plan_in_gap,build/bundle_1dof,$(HIDDEN))
+$(GAP)/plan_after/timing.json: $(GAP)/after.json
+	$(call plan_in_gap,$(GAP)/bundle_after,$(HIDDEN))
+$(GAP)/plan_without/timing.json: $(GAP)/before.json
+	$(call plan_in_gap,build/bundle_1dof)
+
+GAP_PARTS := $(GAP_PLANS) $(GAP)/found/plant.json $(GAP)/check_twin_1dof.json \
   $(foreach kg,$(GAP_PAYLOADS),$(foreach unit,before after without,$(GAP)/fmpy_$(unit)_$(kg).json) \
   $(foreach bundle,before retrained after without,$(GAP)/sil_$(bundle)_$(kg)/timing.json))
 

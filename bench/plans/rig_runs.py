@@ -23,7 +23,8 @@ from models.rig.rig_parameters import read_rig
 from models.trials.trial import Trial
 
 Array = NDArray[np.float64]
-SERVO: Final = "H54-200-S500-R"
+SERVO: Final = "H54-200-S500-R(A)"
+"""With a bus watchdog, so that the full limit of the rate holds."""
 SEED: Final = 5
 """First seed of the rig's variation; no plant was identified on it."""
 LARGER: Final = 1.2
@@ -46,16 +47,20 @@ class RigRun:
         Moves from rest to rest.
     trial : Trial
         With the true tip.
+    tip_m : ndarray, shape (n, dof)
+        True tip at each row of the plan.
     """
 
     rms_m: float
     moves: tuple[MoveFigures, ...]
     trial: Trial
+    tip_m: Array
 
 
 def run_on_rig(
     plan: TipPlan, bundle: Path, payload_kg: float, *,
     rig: str = "default", seed: int = SEED, known: bool = True, runs: int = 1,
+    open_loop: bool = False,
 ) -> RigRun:  # fmt: skip
     """Run a plan; the last of its runs counts.
 
@@ -75,6 +80,8 @@ def run_on_rig(
         Whether the robot is told the payload.
     runs : int
         Times to run the plan.
+    open_loop : bool
+        Whether feedback of the plan is left out.
 
     Raises
     ------
@@ -86,13 +93,15 @@ def run_on_rig(
             bundle=ModelBundle.load(bundle), model=model_named(SERVO), out=Path(scratch),
             rig=RigSource({}, seed, rig), line="virtual", seconds=runs * plan.duration_s,
             payload_kg=payload_kg, payload_known=known, plan=plan, seed=seed,
+            open_loop=open_loop,
         )  # fmt: skip
         result = run_sil(options)
         tip = tip_of_runs_m(result.records, result.outcome.truth, plan)
         errors = path_errors(result.records, result.outcome.truth, plan)
         if not errors:
             raise RuntimeError(f"the plan was not run to its end: {result.summary.reason}")
-        return RigRun(errors[-1].rms_m, move_figures(tip[-1], plan), as_trial(result, options))
+        moves = move_figures(tip[-1], plan)
+        return RigRun(errors[-1].rms_m, moves, as_trial(result, options), tip[-1])
 
 
 def larger_rig(what: str, directory: Path) -> Path:

@@ -103,6 +103,17 @@ class PlanGoals(OwnGoals):
         below = tables[k, row]
         return np.asarray(below + part * (tables[k + 1, row] - below) if part else below)
 
+    def along(self, tables: Array) -> Array:
+        """Interpolate whole tables for the payload of this tick, shape (n, dof).
+
+        Parameters
+        ----------
+        tables : ndarray, shape (p, n, dof)
+            One table per payload.
+        """
+        k, part = self._place()
+        return np.asarray(tables[k] + part * (tables[k + 1] - tables[k]) if part else tables[k])
+
     def blend(self, values: Array) -> Array:
         """Interpolate values for each payload of the grid, shape (dof,).
 

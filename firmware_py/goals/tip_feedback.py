@@ -11,12 +11,13 @@ of each run of the plan, where the arm rests.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.goals.feedback_design import StiffnessSlopes
+from firmware_py.goals.feedback_design import RateFilter, StiffnessSlopes
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.stiffness_estimate import StiffnessEstimate
 from firmware_py.goals.tip_plan import TipPlan
@@ -146,16 +147,16 @@ class TipFeedback:
         self._most_innovation_a = design.innovation_a
         self._desired_m = np.ascontiguousarray(plan.desired_tip_m())
         filters = [f for own in design.filters for f in own]
-        states = len(filters[0].a)
-        self._a = np.array([f.a for f in filters])
-        self._b = np.array([f.b for f in filters])[:, :, 0]
-        self._c = np.array([f.c for f in filters])[:, 0, :]
-        self._d = np.array([f.d for f in filters])[:, 0, 0]
-        self._x = np.zeros((len(filters), states))
+        self._a, self._b, self._c, self._d = _side_by_side(filters, plan.dof)
+        self._x = np.zeros(len(self._a))
         slopes = [own.stiffness for own in plan.payloads]
         known = [s for s in slopes if s is not None] if goals.known else []
-        self._slopes = _tables(known) if len(known) == len(slopes) else None
-        self._current_a = np.array([np.transpose(own.current_a) for own in plan.payloads])
+        # With a known payload the tables are interpolated once, not in every tick.
+        self._slopes: dict[str, Array] | None = None
+        if len(known) == len(slopes):
+            current = np.array([np.transpose(own.current_a) for own in plan.payloads])
+            self._slopes = {n: goals.along(table) for n, table in _tables(known).items()}
+            self._slopes["planned_a"] = goals.along(current)
         self._estimate = StiffnessEstimate(plan.dof)
         self.stiffness = 0.0
         self._integral = np.zeros(plan.dof)
@@ -199,10 +200,10 @@ class TipFeedback:
             self._x[:] = 0.0
         wanted = self._integral
         if self._slopes is not None:
-            wanted = wanted + self.stiffness * self._goals.between(self._slopes["goals_rad"], row)
-        size, most = self._size_rad, self._rate_rad_s * step_s
-        wanted = trust.fraction * np.clip(wanted, -size, size)
-        self.value_rad = self.value_rad + np.clip(wanted - self.value_rad, -most, most)
+            wanted = wanted + self.stiffness * self._slopes["goals_rad"][row]
+        wanted = trust.fraction * _within(wanted, self._size_rad)
+        step = _within(wanted - self.value_rad, self._rate_rad_s * step_s)
+        self.value_rad = self.value_rad + step
         return self.value_rad
 
     def _doubt(self, fresh: bool, estimate: Estimate, prediction: Prediction) -> str:
@@ -231,24 +232,45 @@ class TipFeedback:
 
     def _follow(self, row: int, step_s: float, current_a: Array, tip_m: Array) -> None:
         """Run the filters and the estimate of the stiffness for a sample."""
-        goals, slopes, dof = self._goals, self._slopes, self._dof
+        slopes, dof = self._slopes, self._dof
         error = self._desired_m[row] - tip_m[:dof]
         if slopes is not None:
-            planned = goals.between(self._current_a, row)
-            unmatched = goals.between(slopes["unmatched_a"], row)
-            moved = goals.between(slopes["current_a"], row) - unmatched
+            unmatched = slopes["unmatched_a"][row]
+            moved = slopes["current_a"][row] - unmatched
+            excess = current_a - slopes["planned_a"][row] - self.stiffness * moved
             self._estimate.update(
-                current_a - planned - self.stiffness * moved, unmatched,
-                goals.between(slopes["friction_a"], row), goals.between(slopes["weight"], row),
+                excess.tolist(), unmatched.tolist(), slopes["friction_a"][row].tolist(),
+                slopes["weight"][row].tolist(),
             )  # fmt: skip
-            error -= self.stiffness * goals.between(slopes["unseen_m"], row)
-        errors = np.tile(error, len(self._x) // dof)
-        rates = np.einsum("fn,fn->f", self._c, self._x) + self._d * errors
-        self._x = np.einsum("fij,fj->fi", self._a, self._x) + self._b * errors[:, None]
-        rate = goals.blend(rates.reshape(-1, dof))
-        most_rad_s, size = self._rate_rad_s, self._size_rad
-        moved_rad = self._integral + step_s * np.clip(rate, -most_rad_s, most_rad_s)
-        self._integral = np.clip(moved_rad, -size, size)
+            error -= self.stiffness * slopes["unseen_m"][row]
+        rates = self._c @ self._x + self._d @ error
+        self._x = self._a @ self._x + self._b @ error
+        rate = _within(self._goals.blend(rates.reshape(-1, dof)), self._rate_rad_s)
+        self._integral = _within(self._integral + step_s * rate, self._size_rad)
+
+
+def _side_by_side(
+    filters: Sequence[RateFilter], dof: int
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """State space of all filters at once, from the errors of the tip to the rates of all filters.
+
+    Filter k takes the error of coordinate k mod dof. One product of matrices costs a tick less than
+    small ones.
+    """
+    states = sum(len(f.a) for f in filters)
+    a, b = np.zeros((states, states)), np.zeros((states, dof))
+    c, d = np.zeros((len(filters), states)), np.zeros((len(filters), dof))
+    first = 0
+    for k, own in enumerate(filters):
+        here = slice(first, first := first + len(own.a))
+        a[here, here], c[k, here] = own.a, own.c[0]
+        b[here, k % dof], d[k, k % dof] = np.array(own.b)[:, 0], own.d[0][0]
+    return a, b, c, d
+
+
+def _within(values: Array, most: float) -> Array:
+    """Values within ±most; NumPy's clip takes four times as long."""
+    return np.minimum(np.maximum(values, -most), most)
 
 
 def _tables(slopes: list[StiffnessSlopes]) -> dict[str, Array]:

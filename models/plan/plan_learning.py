@@ -21,6 +21,7 @@ is measured on the recorded angles, and all goals are moved ahead by it.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Final
 
@@ -133,6 +134,30 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     return Improvement(improved, learned, went_back)
 
 
+def timed_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) -> TipPlan:
+    """Move the goals of a plan ahead by the time that the joints follow later than the twin's.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        That was run.
+    run : RecordedRun
+        The run; of it only the timing is learned.
+    plant : Plant
+        Of the twin.
+    limits : Limits
+        Limits of the robot, as in force.
+
+    Raises
+    ------
+    InputError
+        If the moved goals break a limit.
+    """
+    timed = _Step(plan, run, TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)).timed()
+    check_plan_goals(timed, limits, f"plan {plan.path}, moved in time")
+    return timed
+
+
 class _Step:
     """Change of the goals by one recorded run."""
 
@@ -148,13 +173,21 @@ class _Step:
         self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
         self._sent = self._late(run.goals_rad)
         self._own_tip = twin.tip_m(twin.run(self._sent, run.payload_kg))
-        self._full = self._solved()
+
+    def timed(self) -> TipPlan:
+        """Plan with the goals moved in time alone."""
+        plan, lead_s = self._plan, self.delay_s - self._plan.goal_lead_s
+        payloads = tuple(
+            msgspec.structs.replace(own, goals_rad=_columns(self._moved(table, lead_s), 7))
+            for own, table in zip(plan.payloads, plan.goals_rad(), strict=True)
+        )
+        return msgspec.structs.replace(plan, payloads=payloads, goal_lead_s=self.delay_s)
 
     def plan(self, gain: float) -> tuple[TipPlan, float]:
         """Plan with a part of the change, and the RMS error that it predicts for the next run."""
         plan, run, twin = self._plan, self._run, self._twin
         lead_s = self.delay_s - plan.goal_lead_s
-        c = gain * self._full
+        c = gain * self._solved
         wanted = run.goals_rad + self._goals(c)
         tables = [self._moved(t, lead_s) for t in plan.goals_rad()]
         weights = payload_weights(plan, run.payload_kg)
@@ -177,6 +210,7 @@ class _Step:
         predicted = self._predicted(interpolated(improved, run.payload_kg))
         return improved, _rms(predicted - plan.desired_tip_m())
 
+    @functools.cached_property
     def _solved(self) -> Array:
         """Coefficients of the change, as far as the moved twin says that it helps."""
         slopes = self._twin.slopes(self._sent, self._late(self._basis), self._run.payload_kg)

@@ -100,6 +100,8 @@ class BeforeAfter(msgspec.Struct, frozen=True):
         Over all payloads, and at the heaviest.
     heaviest_kg : float
         Heaviest payload.
+    path_rms_m : dict of variant to float
+        Distance of the tip from the path of a plan at that payload; `rigid` is of rigid kinematics.
     """
 
     verdict: str
@@ -109,6 +111,7 @@ class BeforeAfter(msgspec.Struct, frozen=True):
     robot: RobotErrors
     robot_heaviest: RobotErrors
     heaviest_kg: float
+    path_rms_m: ByVariant
 
 
 def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
@@ -139,6 +142,7 @@ def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
         robot=_robot_errors(inputs, sorted(inputs.loops["before"])),
         robot_heaviest=_robot_errors(inputs, [heaviest_kg]),
         heaviest_kg=heaviest_kg,
+        path_rms_m=dict(inputs.path_rms_m),
     )
 
 
@@ -178,6 +182,8 @@ def describe_before_after(data: BeforeAfter) -> str:
         f"  at {PAYLOAD.significant(data.heaviest_kg)}: "
         + _by_variant(heaviest.tip_mean_m, heaviest.fraction_removed),
     ]
+    if data.path_rms_m:
+        lines.append("tip off its path, RMS: " + _by_variant(data.path_rms_m, None))
     return "\n".join(lines)
 
 

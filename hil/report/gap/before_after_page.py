@@ -47,6 +47,7 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str,
         *own,
         _fmu(inputs, data),
         _robot(inputs),
+        *_plans(data),
         others,
         Section("made", "Commands", [CommandList(inputs.commands, folded=True)]),
     ]
@@ -135,6 +136,27 @@ def _robot(inputs: GapInputs) -> Section:
         robot_curves(inputs, payloads[-1]), legend=CURVE_LEGEND,
     )  # fmt: skip
     return Section("robot", "Prediction of the robot", [table, curves])
+
+
+def _plans(data: BeforeAfter) -> list[Section]:
+    """Tip of the robot on the path of a plan, with the old and with the improved plant."""
+    if not (errors := data.path_rms_m):
+        return []
+    headings = HEADINGS | {"rigid": "rigid kinematics"}
+    rigid = errors.get("rigid")
+    rows = [
+        [headings[v], _length(rms), f"{rigid / rms:.1f}" if rigid and rms else NO_VALUE]
+        for v, rms in errors.items()
+    ]
+    table = Table(
+        f"Distance of the tip from its path at {PAYLOAD.significant(data.heaviest_kg)}, RMS",
+        ["goals of the plan", "distance", "rigid over this"], rows,
+        "A sinusoid of the tip, planned with the plant before and after the diagnosis, run by the "
+        "robot's loop with the bundle of the same plant; the rig has the hidden effect. The "
+        "payload is known, and the estimated tip is fed back. The last row is the plan before, on "
+        "a rig without the effect.",
+    )  # fmt: skip
+    return [Section("plans", "The tip on its path", [table])]
 
 
 def _judged(loop: LoopRun | None) -> str:

@@ -8,11 +8,12 @@
     check_twin_1dof.json        python -m fmu check … --json            of the rebuilt FMU
     fmpy_VARIANT_PAYLOAD.json   python -m fmu simulate … --json         and …/result.csv
     sil_VARIANT_PAYLOAD/        python -m hil sil --rig --hide …
+    plan_VARIANT/               python -m hil sil --rig --hide … --plan    (may be absent)
     commands.log                make gap-demo
 
 Variants: `before` and `after` the diagnosis; `without` the effect, with FMU and bundle as before:
 the smallest error possible; of the loop also `retrained`, on the same trials as `after` with the
-plant as before: the effect of new data alone.
+plant as before: the effect of new data alone. Of plans also `rigid`: goals of rigid kinematics.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from models.trials.trial_files import TrialSet, read_trials
 
 MADE_BY: Final = "run 'make gap-demo'"
 VARIANTS: Final = ("before", "retrained", "after", "without")
+PLAN_VARIANTS: Final = ("rigid", "before", "after", "without")
 
 ByPayload = dict[float, Any]
 
@@ -79,6 +81,8 @@ class GapInputs:
         Rows that those runs wrote, with columns as fields.
     loops : dict of str to dict of float to LoopRun
         Of each variant, by payload in kg.
+    path_rms_m : dict of str to float
+        Distance of the tip from the path of a plan, by variant; empty where no plan was run.
     commands : list of str
         Commands that wrote the files.
     """
@@ -92,6 +96,7 @@ class GapInputs:
     fmus: dict[str, dict[float, FmuRunOutput]]
     outputs: dict[str, dict[float, NDArray[np.void]]]
     loops: dict[str, dict[float, LoopRun]]
+    path_rms_m: dict[str, float]
     commands: list[str]
 
 
@@ -124,6 +129,12 @@ def read_gap(directory: Path, plant: Path) -> GapInputs:
         fmus=_variants(directory, "fmpy_{}_{}.json", lambda path: read_output(path, FmuRunOutput)),
         outputs=_variants(directory, "fmpy_{}_{}/result.csv", _columns),
         loops=_variants(directory, "sil_{}_{}/timing.json", lambda path: read_loop(path.parent)),
+        path_rms_m={
+            v: errors[-1].rms_m
+            for v in PLAN_VARIANTS
+            if (path := directory / f"plan_{v}").is_dir()
+            and (errors := read_loop(path).timing.path_errors)
+        },
         commands=read_commands(directory / "commands.log"),
     )
 

@@ -95,9 +95,20 @@ def test_a_run_without_motion_has_no_figure(copy, plant_before, tmp_path):
 
     for timing in copy.glob("sil_after_*/timing.json"):
         edited(timing, stop)
-    data, _ = write_gap_report(copy, plant_before, HIDDEN, tmp_path / "page.html")
+    errors_m = {"rigid": 0.05, "before": 0.01, "after": 0.002}
+    for variant, rms_m in errors_m.items():
+        shutil.copytree(copy / "sil_before_2", copy / f"plan_{variant}")
+        path_error = {"rms_m": rms_m, "max_m": 0.1, "path_rms_m": 0.1, "rows": 9}
+        edited(
+            copy / f"plan_{variant}" / "timing.json",
+            lambda timing, own=path_error: timing.update(path_errors=[own]),
+        )
+    data, text = write_gap_report(copy, plant_before, HIDDEN, tmp_path / "page.html")
     assert data["robot"]["tip_mean_m"]["after"] is None
     assert data["robot"]["tip_mean_m"]["before"] > 0
+    assert data["path_rms_m"] == errors_m and "tip off its path" in text
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "The tip on its path" in page and "25.0" in page
 
 
 @pytest.mark.parametrize(
