@@ -303,9 +303,12 @@ $(PLANS)/plans.html: $(PLAN_RUNS)
 build/plans/plans.json: $(PLANS)/plans.html
 	$(BIN)/python -m hil plans $(@D) --json > $@
 
-# Speeds, learning with a wrong plant, and moves from rest to rest.
+# Speeds, rigs that differ from the plant, learning, moves from rest to rest, a text.
 build/bench_plans/%.json: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu
 	$(call run,python -m bench.plans $* --build build --out $(@D))
+
+build/bench_plans/%/other_rig.json: build/rig_%/plant.json build/bundle_1dof/observer.fmu
+	$(call run,python -m bench.plans other_rig --rig $* --plant $< --build build --out $(@D))
 
 # --- FMUs for other machines ----------------------------------------------------------------------
 
@@ -415,10 +418,12 @@ build/bench/tip_%dof.json: build/bundle_%dof/observer.fmu
 	$(BIN)/python -m bench.tip build/bundle_$*dof --out $(@D) >&2
 
 # The same on a named structure, with a plant and a predictor that were trained on trials of it.
-build/rig_%/bench/tip_1dof.json: | $(READY)
-	$(call run,python -m models simulate --out build/rig_$*/trials --rig $* --dof 1 --payloads 0 1 2 --seed $(SEED))
+build/rig_%/plant.json: | $(READY)
+	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 1 --payloads 0 1 2 --seed $(SEED))
+	$(call run,python -m models identify $(@D)/trials --plant models/plant/nominal.toml --out $@)
+
+build/rig_%/bench/tip_1dof.json: build/rig_%/plant.json
 	$(call run,python -m models simulate --out build/rig_$*/multisine --rig $* --dof 1 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
-	$(call run,python -m models identify build/rig_$*/trials --plant models/plant/nominal.toml --out build/rig_$*/plant.json)
 	$(call run,python -m models train build/rig_$*/trials --dof 1 --plant build/rig_$*/plant.json --motions build/rig_$*/multisine --out build/rig_$*/bundle)
 	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
 	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2

@@ -59,6 +59,19 @@ def test_the_design_states_its_margins(design):
     assert light.crossover_rad_s > heavy.crossover_rad_s > 1.0
 
 
+def test_both_loops_of_two_joints_are_stable_together_and_keep_their_margins():
+    """Closed loop of two filters and the coupled twin by its poles; each margin by the response."""
+    design = design_feedback(read_plant(), 2, PERIOD_S, (1.0,))
+    assert [len(own) for own in design.margins] == [1, 1] and keeps_margins(design)
+    twin = LinearTwins(read_plant(), 2, PERIOD_S).at(1.0)
+    integral = control.tf([PERIOD_S], [1.0, -1.0], PERIOD_S)
+    filters = control.append(*(as_system(f, PERIOD_S) * integral for f in design.filters[0]))
+    closed = control.feedback(tip_part(twin, 2) * filters, control.ss([], [], [], np.eye(2), True))
+    poles, own = (np.abs(np.linalg.eigvals(m)) for m in (closed.A, twin.A))
+    assert np.all(poles < 1.0 + 1e-6)
+    assert np.sum(poles > 1.0 - 1e-9) <= np.sum(own > 1.0 - 1e-9), "the integrators are closed"
+
+
 def test_margins_of_a_known_loop():
     """1/(s (s + 1)): crossover at 0.786 rad/s, phase margin 51.8°, no gain margin to lose."""
     w = np.geomspace(0.01, 100.0, 20_000)
