@@ -125,7 +125,7 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
         )
         return report
     model = parts.model()
-    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG)[:STEPS]
+    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG, rows=STEPS)
     report.checks += check_step_parity(archive, model, u, report.parity)
     report.checks.append(check_saved_states(archive, model, u))
     if parts.predictor:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from firmware_py.signals import DI, PAYLOAD, PERIOD_S, observer_signals
+from firmware_py.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
 from models.plant.simulation.compiled_model import model_inputs
 from models.plant.step_model import StepModel, names
@@ -22,12 +22,18 @@ Array = NDArray[np.float64]
 
 
 def inputs_from_motion(
-    parts: FmuParts, model: StepModel, motion: Motion, payload_kg: float, step_s: float = PERIOD_S
+    parts: FmuParts,
+    model: StepModel,
+    motion: Motion,
+    payload_kg: float,
+    step_s: float = PERIOD_S,
+    rows: int | None = None,
 ) -> Array:
     """Make the inputs of an FMU from a motion.
 
-    A twin gets the goals. An observer gets the angles and currents of the twin of its own plant. A
-    predictor gets the goals as angles, and currents and a DI that sweep through typical values.
+    A twin gets the goals. An observer gets the angles and currents of the twin of its own plant,
+    each sample of age zero. A predictor gets the goals as angles, and currents and a DI that sweep
+    through typical values.
 
     Parameters
     ----------
@@ -41,6 +47,8 @@ def inputs_from_motion(
         Mass at the tip.
     step_s : float
         Communication step.
+    rows : int, optional
+        Number of the first rows to make; by default the whole motion.
 
     Returns
     -------
@@ -49,14 +57,16 @@ def inputs_from_motion(
     """
     goal_rad = motion.table_rad(step_s)
     if parts.kind == "predictor":
-        return _sweep(model, goal_rad)
+        return _sweep(model, goal_rad)[:rows]
+    goal_rad = goal_rad[:rows]
     columns = {f"goal_{j + 1}_rad": goal_rad[:, j] for j in range(parts.dof)}
     columns[PAYLOAD.name] = np.full(len(goal_rad), payload_kg)
     if parts.kind == "twin":
         return _columns(model, columns)
     twin = parts.required_plant().step_model(parts.dof, "twin")
     y = twin.simulate(_columns(twin, columns), step_s)[1:]
-    return _columns(model, dict(zip(names(twin.outputs), y.T, strict=True)))
+    columns = dict(zip(names(twin.outputs), y.T, strict=True))
+    return _columns(model, columns | {AGE.name: np.zeros(len(y))})
 
 
 def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
@@ -96,6 +106,8 @@ def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
                 "simulate the twin of the same bundle, which holds this predictor",
             )  # fmt: skip
         trial = replace(trial, columns={**trial.columns, DI.name: deformation_index(trial)})
+    if parts.kind == "observer":
+        trial = replace(trial, columns={**trial.columns, AGE.name: np.zeros(len(trial))})
     return model_inputs(model, trial)
 
 

@@ -63,7 +63,7 @@ def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuCo
     InputError
         If a part that this kind needs is absent.
     """
-    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG)[: STEPS + 1]
+    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG, rows=STEPS + 1)
     related = {"documentation/index.html": "document"}
     if parts.plant:
         related["resources/plant.json"] = "model"

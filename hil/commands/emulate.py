@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
@@ -45,12 +46,14 @@ def run(args: argparse.Namespace) -> int:
     if args.line == "socket" and args.path.exists():
         raise InputError(args.path, "exists already", "name another --path, or remove it")
     with TemporaryDirectory(prefix="dropstitch-emulate-") as scratch:
-        fmu = args.fmu or build_twin(args.plant, len(args.ids), Path(scratch))
         specification = EmulatorSpecification(
-            fmu, model.number, tuple(args.ids), args.baud,
+            args.fmu or args.plant, model.number, tuple(args.ids), args.baud,
             latency_s=args.latency_ms * 1e-3, payload_kg=args.payload_kg,
             faults=parse_rates(args.faults), seed=args.seed,
         )  # fmt: skip
+        if args.plant:  # last: it takes seconds
+            twin = build_twin(args.plant, len(args.ids), Path(scratch))
+            specification = replace(specification, source=twin)
 
         def announce(name: str) -> None:
             announced = {"port": name, "model": model.name, "ids": args.ids, "baud": args.baud}

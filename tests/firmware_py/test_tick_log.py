@@ -84,7 +84,7 @@ def test_a_tick_leaves_no_memory_behind():
 
         def update(self, angle_rad, current_a, step_s):
             self.ticks += 1
-            if self.ticks % 500 == 200:
+            if self.ticks % 250 == 200:
                 gc.collect()
                 sizes.append(tracemalloc.get_traced_memory()[0])
             return Estimate(0.0, 0.0)
@@ -92,7 +92,7 @@ def test_a_tick_leaves_no_memory_behind():
     goals = Motion(dof=2).table_rad()
     loop = ControlLoop(
         bus, Measuring(), StillPredictor(), SafetySupervisor(Limits(), 2), GoalTable(goals), clock,
-        slots=2750, keep=64,
+        slots=1460, keep=64,
     )  # fmt: skip
     tracemalloc.start()
     try:
@@ -102,7 +102,7 @@ def test_a_tick_leaves_no_memory_behind():
     assert transport.get(1, Register.TORQUE_ENABLE) == 0
     assert len(sizes) == 6
     # The interpreter's pools grow now and then; what leaks grows every time.
-    assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
+    assert np.diff(sizes).min() < 50, "less than a fifth of a byte a tick"
 
 
 def test_lost_data_is_the_hosts_where_it_held_the_thread_up():

@@ -1,5 +1,6 @@
 """Twin, observer and predictor of the link: the numbers, from outside through FMPy."""
 
+import functools
 import json
 
 import numpy as np
@@ -25,14 +26,27 @@ OF_A_JOINT = [
 ]  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def fmu_of(tmp_path_factory):
+    """The FMU of a kind and bundle, built once; FMI 2.0 for 1DOF, FMI 3.0 for 2DOF."""
+    folder = tmp_path_factory.mktemp("fmus")
+
+    @functools.cache
+    def build(kind, bundle):
+        dof = read_manifest(bundle).dof
+        path = folder / f"{kind}_{dof}dof.fmu"
+        options = ["--unit", kind, "--fmi", str(dof + 1), "--out", str(path)]
+        assert main(["build", str(bundle), *options]) == 0
+        return path
+
+    return build
+
+
 @pytest.fixture(scope="module", params=["twin", "observer", "predictor"])
-def built(request, bundle, tmp_path_factory):
-    """The FMU of each kind and dof; FMI 2.0 for 1DOF, FMI 3.0 for 2DOF."""
-    dof = read_manifest(bundle).dof
-    path = tmp_path_factory.mktemp("fmus") / f"{request.param}.fmu"
-    options = ["--unit", request.param, "--fmi", str(dof + 1), "--out", str(path)]
-    assert main(["build", str(bundle), *options]) == 0
-    return path, read_parts(request.param, dof, bundle)
+def built(request, bundle, fmu_of):
+    """The FMU of each kind and dof, and its parts."""
+    kind, dof = request.param, read_manifest(bundle).dof
+    return fmu_of(kind, bundle), read_parts(kind, dof, bundle)
 
 
 def test_the_command_passes_each_fmu(built, capsys):
@@ -95,13 +109,12 @@ def test_the_fmu_carries_what_it_was_built_from(built):
             assert inside.predictor.read_bytes() == parts.predictor.read_bytes()
 
 
-def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, tmp_path):
+def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, fmu_of):
     """The twin's own outputs put into the ONNX file by onnxruntime, in and out of range."""
     dof = read_manifest(bundle).dof
     parts = read_parts("twin", dof, bundle)
-    path = tmp_path / "twin.fmu"
-    assert main(["build", str(bundle), "--out", str(path)]) == 0
-    u = inputs_from_motion(parts, parts.model(), Motion("multisine", dof=dof), 1.7)[:250]
+    path = fmu_of("twin", bundle)
+    u = inputs_from_motion(parts, parts.model(), Motion("multisine", dof=dof), 1.7, rows=250)
     predictor = OnnxPredictor(bundle / "predictor.onnx", dof)
     outputs = [
         *feature_names(dof), "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
@@ -117,7 +130,7 @@ def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, tmp_path):
     assert set(y[:, -1]) == {0.0, 1.0}
 
 
-def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
+def test_the_observer_follows_the_twin_of_its_plant(bundle, fmu_of):
     """Fed with the twin's angle and current it finds the twin's tip: the same link, measured."""
     dof = read_manifest(bundle).dof
     twin = read_parts("twin", dof, bundle)
@@ -126,8 +139,7 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, tmp_path):
     u = inputs_from_motion(twin, plant.model, Motion(dof=dof), payload_kg)
     y = plant.simulate(u, PERIOD_S)[1:]
     columns = dict(zip(names(plant.model.outputs), y.T, strict=True))
-    path = tmp_path / "observer.fmu"
-    assert main(["build", str(bundle), "--unit", "observer", "--out", str(path)]) == 0
+    path = fmu_of("observer", bundle)
     tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
     model = read_parts("observer", dof, bundle).model()
     with FmuArchive(path) as archive, archive.instance() as instance:
@@ -145,12 +157,11 @@ def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
         fmu_models._with_predictor(toy, 1, bundle_1dof / "predictor.onnx")
 
 
-def test_check_notices_another_plant(bundle_1dof, tmp_path, capsys):
+def test_check_notices_another_plant(bundle_1dof, fmu_of, tmp_path, capsys):
     plant = read_parts("twin", 1, bundle_1dof).plant
     mass_kg = plant.parameters["link_mass_kg"].value
     plant.with_values({"link_mass_kg": 1.001 * mass_kg}).write(tmp_path / "other.json")
-    path = tmp_path / "twin.fmu"
-    assert main(["build", str(bundle_1dof), "--out", str(path)]) == 0
+    path = fmu_of("twin", bundle_1dof)
     assert main(["check", str(path)]) == 0
     assert main(["check", str(path), "--plant", str(tmp_path / "other.json")]) == 1
     assert "NOT sound" in capsys.readouterr().out

@@ -76,6 +76,11 @@ def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(tra
     assert (late.half_width_m >= old).all()
 
 
+def test_the_observer_passes_its_check_and_takes_the_age_of_a_sample_as_zero(observed, capsys):
+    assert fmu(["check", str(observed / "observer.fmu")]) == 0
+    assert "NOT sound" not in capsys.readouterr().out
+
+
 def answers(models, samples, ages_s):
     """Tip, range and half width after each sample, and again for an older one."""
     models.estimator.reset()

@@ -35,6 +35,7 @@ from hil.sil.sil_loop import LOG_NAME
 from hil.timing.timing_document import read_timing
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial_files import read_trial
+from tests.fmu.toy import pendulum
 
 BASE_M, LENGTH_M = 0.06, 0.95
 
@@ -297,9 +298,9 @@ def test_what_cannot_be_run_is_refused_in_one_sentence(options, changes, complai
 def test_an_fmu_of_other_joints_or_no_twin_is_refused(options, twins, tmp_path):
     with pytest.raises(InputError, match="2 joints, 1 are needed"):
         run_sil(replace(options(), fmu=twins[2]))
-    observer = read_plant(NOMINAL).step_model(1, "observer")
+    pendulum_fmu = build_fmu(pendulum(), tmp_path / "pendulum.fmu", derivatives=False)
     with pytest.raises(InputError, match="--unit twin"):
-        run_sil(replace(options(), fmu=build_fmu(observer, tmp_path / "observer.fmu")))
+        run_sil(replace(options(), fmu=pendulum_fmu))
 
 
 def test_without_an_fmu_the_bundles_plant_is_built(options, bundles):
