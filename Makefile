@@ -44,7 +44,7 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  faults fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
+  wheelhouse link-demo faults fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -330,6 +330,37 @@ build/fmu_all/$(1)_$(2)dof_fmi$(3)_source.fmu: build/bundle_$(2)dof/observer.fmu
 	$$(call build_for_all,$(1),$(2),$(3),c-code)
 endef
 $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,$(eval $(call fmu_for_all,$(kind),$(dof),$(fmi))))))
+
+# --- a robot PC without network -----------------------------------------------------------------
+
+# Wheels of the robot's packages and of the project; WHEELS names another platform and Python.
+wheelhouse: $(READY)
+	rm -rf dist/wheelhouse
+	$(BIN)/python -m pip download --quiet --require-hashes --only-binary :all: --no-deps $(WHEELS) \
+	  -r requirements/robot.txt -d dist/wheelhouse
+	$(BIN)/python -m pip wheel --quiet --no-deps -w dist/wheelhouse .
+	@ls dist/wheelhouse
+
+# --- another link -------------------------------------------------------------------------------
+
+# The worked example of docs/plant/link.md: five commands, and the figures of its fit.
+LINK := build/link_demo
+
+link-demo: $(LINK)/sil/timing.json
+
+$(LINK)/link.toml: | $(READY)
+	$(call run,python -m models new $@ --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --joints 1 --pressure-pa 20700 --payload 0.4)
+$(LINK)/plant.json: $(LINK)/link.toml
+	$(call run,python -m models simulate --rig $< --out $(LINK)/trials --payloads 0 0.4 --seed 1)
+	$(call run,python -m models identify $(LINK)/trials --plant $< --out $@)
+$(LINK)/bundle/manifest.json: $(LINK)/plant.json
+	$(call run,python -m models train $(LINK)/trials --dof 1 --plant $< --out $(@D))
+$(LINK)/sil/timing.json: $(LINK)/bundle/manifest.json
+	$(call judge,python -m hil sil --bundle $(<D) --rig $(LINK)/link.toml --line virtual --out $(@D))
+
+# Errors of the identified plant on the held-out trials, as numbers.
+$(LINK)/errors.json: $(LINK)/plant.json
+	$(BIN)/python -m models evaluate $(LINK)/trials --plant $< --json > $@
 
 # --- checks -------------------------------------------------------------------------------------
 

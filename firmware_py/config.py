@@ -20,6 +20,7 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
 from firmware_py.inference.compiled_observer import Runtime
+from firmware_py.link.link_limits import limits_with_link
 from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
@@ -110,6 +111,9 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         Table `[bus]`.
     servos : tuple of ServoConfig
         One per joint, in joint order.
+    link : str
+        Description of the link, relative to the file: see `firmware_py.link.link_limits`; "" for
+        none.
     period_s : float
         Control period.
     payload_kg : float or None
@@ -128,6 +132,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     bundle: str
     bus: BusConfig
     servos: tuple[ServoConfig, ...]
+    link: str = ""
     period_s: float = PERIOD_S
     payload_kg: float | None = None
     runtime: Runtime | None = None
@@ -237,6 +242,10 @@ def read_config(path: Path | str) -> RobotConfig:
         design = read_motion_document(path.parent / config.motion.file)
         motion = msgspec.structs.replace(config.motion, design=design)
         config = msgspec.structs.replace(config, motion=motion)
+    if config.link:
+        models, given = [s.model for s in config.servos], document.get("limits", {})
+        bounded = limits_with_link(path, config.link, models, config.limits, given)
+        config = msgspec.structs.replace(config, limits=bounded)
     check_config(config, path)
     return config
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.link.link_description import STUDY_LINK
 from hil.emulator.line_faults import FAULT_KINDS
+from models.plant.plant_document import link_of_plant
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of an `EmulatorSpecification`."""
     models = ", ".join(model.name for model in MODELS.values())
     parser.add_argument(
-        "--model", default="H54-200-S500-R", help=f"servo (default: %(default)s): {models}"
+        "--model", help=f"servo (default: that of the link, or {STUDY_LINK.servo.model}): {models}"
     )
     parser.add_argument(
         "--baud", type=int, default=1_000_000, help="bits per second (default: %(default)s)"
@@ -22,10 +25,27 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         help="latency timer of the USB adapter (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--payload-kg", type=float, default=1.0, help="at the tip (default: %(default)s)"
+        "--payload-kg", type=float, help="at the tip (default: half of the link's largest, or 1.0)"
     )
     parser.add_argument(
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
         help="fractions of the status packets that are " + ", ".join(FAULT_KINDS),
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
+
+
+def complete_from_link(args: argparse.Namespace, plant: Path | None) -> None:
+    """Set servo and payload, where the user does not, by the link of a plant.
+
+    Parameters
+    ----------
+    args : Namespace
+        Of `add_line_arguments`.
+    plant : Path or None
+        Plant document, or the file of a link; None for the study's link.
+    """
+    link = link_of_plant(plant) if plant is not None and plant.is_file() else STUDY_LINK
+    if args.model is None:
+        args.model = link.servo.model
+    if args.payload_kg is None:
+        args.payload_kg = link.payload_kg / 2

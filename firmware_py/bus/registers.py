@@ -308,9 +308,6 @@ PRO_P: Final = _table(
 X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
 """X series (XM430): the table of the P with the RAM area at addresses 448 lower."""
 
-X330: Final = _with_ram_at(64, PRO_P, "X330", Indirect(168, 208, 20))
-"""XL330: the table of the X with fewer indirect addresses (docs/sources.md, "Control tables")."""
-
 ANSWERS_ALL: Final = 2
 """Status return level at which a servo answers every instruction; below it confirms no write."""
 POSITION_MODE: Final = 3

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 from firmware_py.bus.registers import (
     LEGACY_PRO,
     PRO_P,
-    X330,
     X_SERIES,
     ControlTable,
+    Indirect,
     Register,
     RegisterField,
 )
@@ -131,6 +131,9 @@ def _rpm(value: float) -> float:
 
 
 _H54_LSB_A, _H42_LSB_A = 33.0 / 2048.0, 8.25 / 2048.0
+
+X330: Final = replace(X_SERIES, name="X330", indirect=Indirect(168, 208, 20))
+"""XL330: the table of the X with fewer indirect addresses (docs/sources.md, "Control tables")."""
 
 MODELS: Final[Mapping[int, Model]] = {
     model.number: model

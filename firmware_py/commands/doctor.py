@@ -19,7 +19,8 @@ from firmware_py.realtime.doctor_checks import Severity, examine
 
 EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 
-_MARKS = {Severity.GOOD: "  ", Severity.NOTE: "? ", Severity.SPOILS: "! "}
+_MARKS = {Severity.GOOD: "  ", Severity.NOTE: "? ", Severity.SPOILS: "! ",
+          Severity.UNCHECKED: "- "}  # fmt: skip
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +52,15 @@ def _machine(args: argparse.Namespace) -> int:
     good = all(finding.verdict is not Severity.SPOILS for finding in findings)
     lines = []
     for finding in findings:
-        lines.append(f"{_MARKS[finding.verdict]}{finding.name}: {finding.found}")
+        unchecked = "not checked: " if finding.verdict is Severity.UNCHECKED else ""
+        lines.append(f"{_MARKS[finding.verdict]}{finding.name}: {unchecked}{finding.found}")
         if finding.remedy:
             lines.append(f"      {finding.remedy}")
-    lines.append("nothing here spoils the timing" if good else "correct what is marked with !")
+    missing = [f.name for f in findings if f.verdict is Severity.UNCHECKED]
+    said = "nothing that was checked spoils the timing" if good else "correct what is marked with !"
+    lines.append(f"{said}; not checked: {', '.join(missing)}" if missing else said)
     rows = [finding._asdict() | {"verdict": finding.verdict.value} for finding in findings]
-    emit(args, {"good": good, "findings": rows}, "\n".join(lines))
+    emit(args, {"good": good, "not_checked": missing, "findings": rows}, "\n".join(lines))
     return DONE if good else NEGATIVE
 
 

@@ -85,7 +85,7 @@ def load_predictor(files: BundleFiles) -> OnnxPredictor:
         raise InputError(
             files.directory / PREDICTOR,
             f"needs {predictor.wanted[0]} of an observer that is missing",
-            "add it with 'python -m fmu build --unit observer'",
+            "add it in a checkout ('python -m fmu build --unit observer'), copy the bundle again",
         )
     return OnnxPredictor(files.file(POLYNOMIAL), manifest.dof)
 
@@ -198,7 +198,7 @@ def _compiled(
         if required:
             raise InputError(
                 files.directory, "has no observer, so it has no compiled predictor",
-                "add it with 'python -m fmu build --unit observer'",
+                "add it in a checkout ('python -m fmu build --unit observer'), copy it again",
             )  # fmt: skip
         return None
     fmu = FmuInstance(files.file(OBSERVER))

@@ -78,7 +78,7 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
         If the file is missing or damaged, is of another FMI version or kind, or has no binary for
         this machine.
     """
-    remedy = "build it again with 'python -m fmu build' or copy it again"
+    remedy = "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
     path, data = content_of(source, remedy)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -114,7 +114,9 @@ def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
         raise InputError(path, f"is of FMI {version}", "build it with --fmi 3")
     simulation = root.find("CoSimulation")
     if simulation is None:
-        raise InputError(path, "is not for Co-Simulation", "build it with 'python -m fmu build'")
+        raise InputError(
+            path, "is not for Co-Simulation", "build it with 'python -m fmu build' in a checkout"
+        )
     system, suffix = _SYSTEMS.get(platform.system(), (platform.system().lower(), ".dll"))
     here = f"{_MACHINES.get(platform.machine(), platform.machine())}-{system}"
     name = f"binaries/{here}/{simulation.get('modelIdentifier')}{suffix}"

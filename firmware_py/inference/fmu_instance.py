@@ -150,7 +150,9 @@ class FmuInstance:
     """
 
     def __init__(self, source: Source) -> None:
-        content = content_of(source, "build it again with 'python -m fmu build' or copy it again")
+        content = content_of(
+            source, "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
+        )
         self.path = content.path
         root, self.variables, self._library = open_fmu(content)
         self.time_s = 0.0

@@ -173,7 +173,9 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
     """
     directory = Path(directory)
     path = directory / MANIFEST
-    raw = content_of(path, "make a bundle with 'python -m models train'")
+    raw = content_of(
+        path, "copy the whole bundle here; 'python -m models train' makes one, in a checkout"
+    )
     signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
     try:
         manifest = msgspec.json.decode(raw.data, type=Manifest)

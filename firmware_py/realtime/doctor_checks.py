@@ -33,6 +33,8 @@ class Severity(Enum):
     """Not ideal, or not known here; the loop runs well enough."""
     SPOILS = "spoils"
     """Deadlines will be missed."""
+    UNCHECKED = "not checked"
+    """What it is about is not there, or this kernel does not show it."""
 
 
 class Finding(NamedTuple):
@@ -103,7 +105,7 @@ def _latency_timer(root: Path) -> Finding:
             f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{next(iter(slow))}/latency_timer",
         )  # fmt: skip
     if not files:
-        return Finding(name, Severity.NOTE, "no USB serial adapter is plugged in",
+        return Finding(name, Severity.UNCHECKED, "no USB serial adapter is plugged in",
                        "plug it in and repeat the check")  # fmt: skip
     return Finding(name, Severity.GOOD, f"at most {_LATENCY_LIMIT_MS} ms")
 
@@ -145,7 +147,10 @@ def _locked_memory() -> Finding:
 
 
 def _swap(root: Path) -> Finding:
-    lines = (_read(root / "proc/swaps") or "").splitlines()[1:]
+    text = _read(root / "proc/swaps")
+    if text is None:
+        return Finding("swap", Severity.UNCHECKED, "/proc/swaps cannot be read", "mount /proc")
+    lines = text.splitlines()[1:]
     if not lines:
         return Finding("swap", Severity.GOOD, "off")
     return Finding("swap", Severity.NOTE, f"on ({lines[0].split()[0]})",
@@ -157,8 +162,9 @@ def _governor(root: Path) -> Finding:
     governors = {text for file in files if (text := _read(file))}
     if not governors:
         return Finding(
-            "frequency governor", Severity.GOOD, "none: the frequency is not scaled here"
-        )
+            "frequency governor", Severity.UNCHECKED, "this kernel shows none",
+            "on a virtual machine look at its host; else load the processor's cpufreq driver",
+        )  # fmt: skip
     if governors == {"performance"}:
         return Finding("frequency governor", Severity.GOOD, "performance")
     return Finding(
@@ -170,8 +176,12 @@ def _governor(root: Path) -> Finding:
 def _clock_source(root: Path) -> Finding:
     folder = root / "sys/devices/system/clocksource/clocksource0"
     current = _read(folder / "current_clocksource")
-    if current is None or current in _GOOD_CLOCKS:
-        return Finding("clock source", Severity.GOOD, current or "unknown")
+    if current is None:
+        return Finding(
+            "clock source", Severity.UNCHECKED, "this kernel does not show it", "mount /sys"
+        )
+    if current in _GOOD_CLOCKS:
+        return Finding("clock source", Severity.GOOD, current)
     return Finding(
         "clock source", Severity.SPOILS, f"{current}, slow to read and coarse",
         f"boot with clocksource=tsc (available: {_read(folder / 'available_clocksource')})",

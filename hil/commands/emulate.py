@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
-from hil.arguments import add_line_arguments
+from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.twin_fmu import build_twin
@@ -42,6 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
+    complete_from_link(args, args.plant)
     model = model_named(args.model)
     if args.line == "socket" and args.path.exists():
         raise InputError(args.path, "exists already", "name another --path, or remove it")

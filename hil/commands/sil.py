@@ -25,11 +25,13 @@ from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH, TIME
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_toml
 from firmware_py.goals.outside.for_robot import outside_goals
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.link.link_description import describes_link
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from hil.arguments import add_line_arguments
+from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
@@ -60,7 +62,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--rig", nargs="?", const="default", metavar="RIG",
-        help="put the rig behind the servos instead; RIG is a structure or a file that changes it",
+        help="put the rig behind the servos instead; RIG is a structure, a file that changes it, "
+        "or the file of a link",
     )  # fmt: skip
     parser.add_argument(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
@@ -112,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     if args.runs < 1 or (args.runs > 1 and plan is None):
         raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
+    complete_from_link(args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json")
     seconds = 10.0 if plan is None else args.runs * plan.duration_s
     options = SilOptions(
         bundle=ModelBundle.load(args.bundle, runtime=args.runtime),
@@ -147,6 +151,12 @@ def run(args: argparse.Namespace) -> int:
         timing = write_results(run_sil(options), options)
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
+
+
+def _is_link(rig: str | None) -> bool:
+    """Whether --rig names the file of a link."""
+    path = Path(rig or "")
+    return path.is_file() and describes_link(read_toml(path, "name a rig or a link"))
 
 
 def _rig_source(args: argparse.Namespace) -> RigSource | None:

@@ -7,14 +7,17 @@ held out. A figure that compares the plant with the measurement is written besid
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import evaluation_text
 from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.plant.identification.doubts import check_weight, doubts
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
 from models.plant.identified_gains import read_servo_gains
@@ -42,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
     trials = read_trials(args.trials, plant.signals)
+    check_weight(plant, trials)
     progress = Progress("identify", 110)
     found = identify(plant, trials, progress.step)
     plant = with_noise_floor(found.plant, trials)
@@ -65,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         [*rows, "", f"errors on {what}", "", evaluation_text(found.held_out), "",
          f"{args.out}; look at {picture}"]
     )  # fmt: skip
-    data = {
+    data: dict[str, Any] = {
         "plant": str(args.out),
         "picture": str(picture),
         "parameters": {
@@ -79,5 +83,9 @@ def run(args: argparse.Namespace) -> int:
         },
         "held_out": msgspec.to_builtins(found.held_out),
     }
+    warnings = doubts(found)
+    data["warnings"] = warnings
     emit(args, data, text)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     return DONE

@@ -29,7 +29,13 @@ import tomli_w
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_json, read_toml
-from firmware_py.link.link_description import LinkDescription, check_link
+from firmware_py.link.link_description import (
+    STUDY_LINK,
+    LinkDescription,
+    check_link,
+    describes_link,
+    read_link,
+)
 from models.plant.parameter import Role
 from models.plant.provenance import Provenance, read_provenance
 from models.trials.trial import SignalRole
@@ -39,6 +45,7 @@ __all__ = [
     "ParameterEntry",
     "PartKind",
     "PlantDocument",
+    "link_of_plant",
     "plain_plant",
     "plant_json",
     "read_plant_document",
@@ -145,6 +152,24 @@ def read_plant_document(path: Path) -> PlantDocument:
     if document.link is not None:
         check_link(document.link, path)
     return msgspec.structs.replace(document, provenance=read_provenance(path, table))
+
+
+def link_of_plant(path: Path) -> LinkDescription:
+    """Link that a plant's file describes, the study's where it does not; or that of a link's file.
+
+    Parameters
+    ----------
+    path : Path
+        Plant, or `link.toml`.
+
+    Raises
+    ------
+    InputError
+        See `read_plant_document`.
+    """
+    if path.suffix == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
+        return read_link(path)
+    return read_plant_document(path).link or STUDY_LINK
 
 
 def write_plant_document(document: PlantDocument, path: Path) -> None:

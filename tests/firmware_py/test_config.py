@@ -75,7 +75,9 @@ def test_the_example_shows_every_key():
 
 def test_a_second_joint_is_one_entry_more(tmp_path):
     text = uncommented(EXAMPLE.read_text(encoding="utf-8"))
-    text = re.sub(r"^(file|design) = .*$", "", text, flags=re.MULTILINE)  # there is no such file
+    text = re.sub(
+        r"^(file|design|link) = .*$", "", text, flags=re.MULTILINE
+    )  # there is no such file
     config = config_of(text, tmp_path)
     assert config.dof == 2
     assert [setup.id for setup in config.setups()] == [1, 2]

@@ -12,12 +12,12 @@ from firmware_py.bus.registers import (
     PRO_P,
     STOPPED_BY_WATCHDOG,
     TORQUE_LOST,
-    X330,
     X_SERIES,
     Register,
     RegisterField,
     describe_alert,
 )
+from firmware_py.bus.servo_models import X330
 
 TABLES = (LEGACY_PRO, PRO_P, X_SERIES, X330)
 int32 = st.integers(-(2**31), 2**31 - 1)

@@ -25,14 +25,16 @@ def verdict(root, name, granted=True):
 @pytest.mark.parametrize(
     ("name", "files", "expected"),
     [
-        ("USB latency timer", {}, Severity.NOTE),
+        ("USB latency timer", {}, Severity.UNCHECKED),
         ("USB latency timer", {LATENCY: "1"}, Severity.GOOD),
         ("USB latency timer", {LATENCY: "2"}, Severity.SPOILS),
         ("USB latency timer", {LATENCY: "16"}, Severity.SPOILS),
         ("USB latency timer", {LATENCY: "1", LATENCY.replace("B0", "B1"): "16"}, Severity.SPOILS),
         ("swap", {"proc/swaps": "Filename Type Size"}, Severity.GOOD),
         ("swap", {"proc/swaps": "Filename Type Size\n/dev/sda2 partition 1"}, Severity.NOTE),
-        ("frequency governor", {}, Severity.GOOD),
+        ("frequency governor", {}, Severity.UNCHECKED),
+        ("swap", {}, Severity.UNCHECKED),
+        ("clock source", {}, Severity.UNCHECKED),
         ("frequency governor", {GOVERNOR.format(0): "performance"}, Severity.GOOD),
         (
             "frequency governor",

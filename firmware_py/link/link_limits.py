@@ -1,0 +1,93 @@
+"""Limits of a robot that names its link, and the comparison of its servos with the link's."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.link.link_description import LinkDescription, read_link
+from firmware_py.safety.limits import Limits
+
+BOX_MARGIN: Final = 1.2
+"""Size of the tip's box over the reach of a straight link [assumed]: room for the bend."""
+
+
+def limits_with_link(
+    where: Path, link_file: str, models: Sequence[str], limits: Limits, given: Collection[str]
+) -> Limits:
+    """Limits of a configuration that names a link.
+
+    Parameters
+    ----------
+    where : Path
+        The configuration.
+    link_file : str
+        The link's file, relative to it.
+    models, limits, given
+        As for `refuse_other_servos` and `limits_of_link`.
+
+    Raises
+    ------
+    InputError
+        If the link's file cannot be used, or the servos are not the link's.
+    """
+    link = read_link(where.parent / link_file)
+    refuse_other_servos(link, models, where)
+    return limits_of_link(link, limits, given)
+
+
+def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Path | str) -> None:
+    """Refuse servos that are not the link's.
+
+    Parameters
+    ----------
+    link : LinkDescription
+        The link.
+    models : sequence of str
+        Models of the configured servos, in joint order.
+    where : Path or str
+        Configuration, for the message.
+
+    Raises
+    ------
+    InputError
+        If there are more than the link has joints, or one is of another model.
+    """
+    if len(models) > link.joints:
+        raise InputError(
+            where, f"servos has {len(models)} entries, the link {link.joints} joint",
+            "correct 'servos', or 'joints' in the link's file",
+        )  # fmt: skip
+    for model in models:
+        if model != link.servo.model:
+            raise InputError(
+                where, f"servo {model} is not the link's {link.servo.model}",
+                "correct 'servos', or [servo] in the link's file",
+            )  # fmt: skip
+
+
+def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]) -> Limits:
+    """Limits with the tip's box and the largest current of a link, where they are not given.
+
+    Parameters
+    ----------
+    link : LinkDescription
+        The link.
+    limits : Limits
+        As configured.
+    given : collection of str
+        Keys that the configuration gives itself.
+    """
+    reach_m = round(BOX_MARGIN * (link.base_offset_m + link.length_m), 3)
+    own = {
+        "tip_min_m": (-reach_m, -reach_m, -reach_m),
+        "tip_max_m": (reach_m, reach_m, reach_m),
+        "current_a": min(limits.current_a, link.preset.current_limit_a),
+    }
+    return msgspec.structs.replace(
+        limits, **{key: value for key, value in own.items() if key not in given}
+    )

@@ -1,0 +1,70 @@
+"""Another size, marker layout, mounting and servo on the rig, and the plant that starts from it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.link.link_description import LinkDescription, LinkGravity, LinkServo
+from firmware_py.link.link_file import link_toml
+from firmware_py.link.marker_layout import square_layout
+from firmware_py.motion import Motion
+from models.plant.identification.doubts import check_weight
+from models.plant.identification.evaluation import evaluate_plant
+from models.plant.plant import read_plant
+from models.rig.drawn_rig import rig_named
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.deformation import deformation_index
+from models.trials.trial import TrialSet
+from models.trials.trial_files import read_trial, write_trial
+from models.trials.verdict.trial_check import check_trial
+
+LINK = LinkDescription(
+    length_m=0.6, width_m=0.1, pressure_pa=20_700.0, payload_kg=0.2, joints=1,
+    markers=square_layout(0.6, 0.1, rows=3), servo=LinkServo(model="XM430-W350"),
+    gravity=LinkGravity(mounting="hanging"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def link_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("link") / "link.toml"
+    path.write_text(link_toml(LINK, 0.4, 0.1), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def trial(link_file):
+    rig = rig_named(str(link_file)).changed(**{"world.pause_s": 0.3, "world.settle_s": 0.3})
+    motion = Motion(dof=1, amplitude_rad=math.radians(30), period_s=2.0)
+    case = TrialCase(motion, 0.2, trial=1, pressure_pa=LINK.pressure_pa, gravity=LINK.gravity.unit)
+    trial = run_case(rig, case)
+    return read_trial(write_trial(trial, link_file.parent))
+
+
+def test_a_trial_of_the_link_has_its_markers_and_its_weight(trial):
+    assert trial.markers_m.shape[1:] == (12, 3) and trial.meta.gravity == (0.0, 0.0, 9.81)
+    rest_m = trial.marker_rows_m[: trial.meta.rest_samples].mean(axis=(0, 2))
+    np.testing.assert_allclose(rest_m[:, 2], [0.26, 0.46, 0.66], atol=2e-3)
+    assert np.nanmax(deformation_index(trial)) > 1e-3
+    assert check_trial(trial).refused == []
+
+
+def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
+    error = evaluate_plant(read_plant(link_file), TrialSet((trial,)))
+    assert error.tip_rms_m < 0.8 * error.rigid_tip_rms_m
+
+
+def test_a_plant_that_stands_otherwise_is_refused(trial):
+    with pytest.raises(InputError, match=r"gravity is \[0, 0, 9.81\]"):
+        check_weight(read_plant(), TrialSet((trial,)))
+
+
+def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file):
+    """A rotor of a millionth of its inertia is too light for steps of 1 ms."""
+    light = rig_named(str(link_file)).changed(**{"servo.inertia_kg_m2": 5e-8})
+    motion = Motion(dof=1, amplitude_rad=0.3, period_s=1.0)
+    with pytest.raises(InputError, match="the simulation is unstable"):
+        run_case(light, TrialCase(motion, 0.0, trial=1, gravity=LINK.gravity.unit))
