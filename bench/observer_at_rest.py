@@ -13,6 +13,7 @@ Exit 1 if a step at rest takes more than 1.1 times a step in motion (median).
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from pathlib import Path
@@ -77,7 +78,7 @@ def rest_times_us(dof: int, count: int) -> NDArray[np.float64]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure both observers and print their medians.
+    """Measure both observers; print their medians, and the ratios as one line of JSON.
 
     Parameters
     ----------
@@ -90,15 +91,17 @@ def main(argv: list[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--steps", type=int, default=4000, help="steps of each to time (4000)")
     args = parser.parse_args(argv)
-    met = True
+    met, ratios = True, {}
     for dof in (1, 2):
         moving_us, resting_us = np.median(rest_times_us(dof, args.steps), axis=0)
-        ratio = resting_us / moving_us
+        ratio = ratios[f"ratio_{dof}dof"] = float(resting_us / moving_us)
         met = met and ratio <= LIMIT
         print(
             f"{dof}DOF: moving {moving_us:.1f} µs, at rest {resting_us:.1f} µs, "
-            f"ratio {ratio:.2f} (at most {LIMIT})"
+            f"ratio {ratio:.2f} (at most {LIMIT})",
+            file=sys.stderr,
         )
+    print(json.dumps(ratios))
     return DONE if met else NEGATIVE
 
 

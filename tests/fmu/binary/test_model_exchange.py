@@ -181,11 +181,16 @@ def test_a_saved_state_continues_within_a_period(exchange):
     assert update(exchange)[5] == pytest.approx(PERIOD_S)
 
 
-def test_a_sampled_model_steps_at_its_events(toy, tmp_path):
+@pytest.fixture(scope="module")
+def sampled_fmu(toy, tmp_path_factory):
+    path = tmp_path_factory.mktemp("sampled") / "sampled.fmu"
+    return build_fmu(replace(toy, inputs_at_end=True), path, fmi=3)
+
+
+def test_a_sampled_model_steps_at_its_events(sampled_fmu):
     """Without continuous states the outputs are those of Co-Simulation, bit by bit."""
-    path = build_fmu(replace(toy, inputs_at_end=True), tmp_path / "sampled.fmu", fmi=3)
     with (
-        FmuArchive(path) as archive,
+        FmuArchive(sampled_fmu) as archive,
         archive.instance() as steps,
         archive.instance("ModelExchange") as events,
     ):
@@ -200,3 +205,25 @@ def test_a_sampled_model_steps_at_its_events(toy, tmp_path):
             steps.step(PERIOD_S)
             outputs = ["tip_x_m", "steps"]
             np.testing.assert_array_equal(events.get(outputs), steps.get(outputs))
+
+
+def test_a_sample_of_a_whole_step_has_derivatives(sampled_fmu, toy):
+    """Against central differences of the interpreted step, along a direction and adjoint."""
+    u, p = np.array([1.0, 0.25]), toy.parameter_values()
+    x, step = np.asarray(toy.initial(u, p)).ravel(), 1e-6
+    direction = np.array([0.3, -1.0, 0.0, 0.7, 1.5, 0.4])  # of states, then inputs
+
+    def after(size):
+        z = np.array([*x, *u]) + size * direction
+        return np.asarray(toy.advance(z[:4], z[4:], p, PERIOD_S)).ravel()
+
+    expected = (after(step) - after(-step)) / (2 * step)
+    with FmuArchive(sampled_fmu) as archive, archive.instance("ModelExchange") as events:
+        events.initialize({"torque_nm": 1.0})
+        table = {v.name: v.valueReference for v in archive.description.modelVariables}
+        states = [table[f"states.{name}"] for name in names(toy.states)]
+        knowns = [*states, *(table[name] for name in names(toy.inputs))]
+        found = events.fmu.getDirectionalDerivative(states, knowns, list(direction))
+        gradient = events.fmu.getAdjointDerivative(states, knowns, [1.0, 2.0, 3.0, 4.0], 6)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+    assert np.dot(gradient, direction) == pytest.approx(np.dot(found, [1, 2, 3, 4]), abs=1e-12)

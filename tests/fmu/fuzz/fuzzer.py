@@ -1,9 +1,10 @@
-"""Build and run of the fuzzer: the FMU's C and `fuzz_calls.c` in one program with sanitizers."""
+"""Builds of the FMU's C with a program of calls under sanitizers, and the run of the fuzzer."""
 
 from __future__ import annotations
 
 import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -26,17 +27,23 @@ class FuzzResult(NamedTuple):
     objection: str
 
 
-def build_fuzzer(model: StepModel, fmi: Literal[2, 3], directory: Path) -> Path:
-    """Compile the fuzzer with the FMU of a model; the system's gcc has all sanitizers."""
+def build_fuzzer(
+    model: StepModel,
+    fmi: Literal[2, 3],
+    directory: Path,
+    calls: str = "fuzz_calls.c",
+    sanitizers: Sequence[str] = SANITIZERS,
+) -> Path:
+    """Compile a program of calls with the FMU of a model; the system's gcc has all sanitizers."""
     example = [1.0 if v.name == "torque_nm" else 0.0 for v in model.inputs]
     interface = interface_of(model, "both" if fmi == 3 else "forward", example)
     model_c = write_equations(model, interface, directory)
     variables_c = write_variables(model, interface, "{fuzz}", directory)
     program = directory / f"fuzz_fmi{fmi}"
-    sources = [Path(__file__).with_name("fuzz_calls.c"), *core_sources(fmi), model_c, variables_c]
+    sources = [Path(__file__).with_name(calls), *core_sources(fmi), model_c, variables_c]
     subprocess.run(
         [
-            os.environ.get("CC", "gcc"), "-std=c99", "-O1", "-g", "-ffp-contract=off", *SANITIZERS,
+            os.environ.get("CC", "gcc"), "-std=c99", "-O1", "-g", "-ffp-contract=off", *sanitizers,
             f"-DFMI={fmi}", *(f"-I{path}" for path in (WRAPPER, directory, HEADERS)),
             *map(str, sources), "-o", str(program), "-lm",
         ],
