@@ -17,9 +17,7 @@ from typing import Final, NamedTuple
 class Register(Enum):
     """Registers that this project uses; the value is the name in the e-Manual."""
 
-    # By identity, in C: that of `Enum` is a Python function, and every tick looks registers up.
-    __hash__ = object.__hash__
-
+    __hash__ = object.__hash__  # every tick looks registers up; that of `Enum` is in Python
     MODEL_NUMBER = "Model Number"
     FIRMWARE_VERSION = "Firmware Version"
     ID = "ID"
@@ -247,8 +245,7 @@ LEGACY_PRO: Final = _table(
         Register.GOAL_POSITION: RegisterField(596, 4, _SIGNED),
         Register.GOAL_VELOCITY: RegisterField(600, 4, _SIGNED),
         Register.GOAL_CURRENT: RegisterField(604, 2, _SIGNED),
-        # The goal velocity limits the profile.
-        Register.PROFILE_VELOCITY: RegisterField(600, 4, _SIGNED),
+        Register.PROFILE_VELOCITY: RegisterField(600, 4, _SIGNED),  # the goal velocity limits it
         Register.PROFILE_ACCELERATION: (606, 4),  # called goal acceleration there
         Register.MOVING: RegisterField(610, 1, False, _READ_ONLY),
         Register.PRESENT_POSITION: RegisterField(611, 4, _SIGNED, _READ_ONLY),
