@@ -233,7 +233,7 @@ def text(build: Path, picture: Path) -> dict[str, Any]:
         File to draw.
     """
     options = PathOptions(size_m=0.45, seconds=40.0)
-    plan = _plan(build, 2, "text:HELLO", options, payloads_kg=(0.5, 1.0, 1.5), feedback=True)
+    plan = _plan(build, 2, "text:HELLO", options, payloads_kg=(1.0,), feedback=True)
     run = run_on_rig(plan, _bundle(build, 2), 1.0)
     draw_text(plan, run.tip_m, picture)
     strokes = np.concatenate([np.arange(a, b) for a, b in plan.drawn])

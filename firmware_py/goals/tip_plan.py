@@ -21,7 +21,7 @@ from firmware_py.goals.feedback_design import (
     wrong_in_feedback,
 )
 
-__all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "read_tip_plan"]
+__all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "as_columns", "read_tip_plan"]
 
 Array = NDArray[np.float64]
 MOST_ROWS: Final = 100_000
@@ -216,6 +216,19 @@ class TipPlan(Document, frozen=True):
     def desired_tip_m(self) -> Array:
         """Desired tip, shape (n, dof)."""
         return np.transpose(self.desired_m)
+
+
+def as_columns(table: Array, decimals: int) -> Columns:
+    """Columns of a table as a document holds them, without negative zeros.
+
+    Parameters
+    ----------
+    table : ndarray, shape (n, columns)
+        Values.
+    decimals : int
+        Digits after the point to which they are rounded.
+    """
+    return tuple(tuple(column) for column in (np.round(table, decimals) + 0.0).T.tolist())
 
 
 def read_tip_plan(path: Path) -> TipPlan:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
-from firmware_py.goals.tip_plan import BestRun, Columns, LearnedRun, PayloadPlan, TipPlan
+from firmware_py.goals.tip_plan import BestRun, LearnedRun, PayloadPlan, TipPlan, as_columns
 from firmware_py.safety.limits import Limits
 from models.plan.inversion import goal_splines
 from models.plan.plan_timeline import Timeline
@@ -126,8 +126,8 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     best = plan.best
     if before is None or measured_m < plan.learned[before.run].rms_m:
         own = BestRun(
-            run=len(plan.learned), goals_rad=_columns(run.goals_rad, 7),
-            tip_m=_columns(run.tip_m, 6), angle_rad=_columns(run.angle_rad, 6),
+            run=len(plan.learned), goals_rad=as_columns(run.goals_rad, 7),
+            tip_m=as_columns(run.tip_m, 6), angle_rad=as_columns(run.angle_rad, 6),
         )  # fmt: skip
         best = (*(b for b in plan.best if b is not before), own)
     improved = msgspec.structs.replace(improved, learned=(*plan.learned, learned), best=best)
@@ -178,7 +178,7 @@ class _Step:
         """Plan with the goals moved in time alone."""
         plan, lead_s = self._plan, self.delay_s - self._plan.goal_lead_s
         payloads = tuple(
-            msgspec.structs.replace(own, goals_rad=_columns(self._moved(table, lead_s), 7))
+            msgspec.structs.replace(own, goals_rad=as_columns(self._moved(table, lead_s), 7))
             for own, table in zip(plan.payloads, plan.goals_rad(), strict=True)
         )
         return msgspec.structs.replace(plan, payloads=payloads, goal_lead_s=self.delay_s)
@@ -275,8 +275,8 @@ def _next(
     """Plan for one payload, after a part of a change."""
     unknown = (1.0 - min(part, 1.0)) * (plan.plant_error_rms_m or 0.0)
     return msgspec.structs.replace(
-        own, goals_rad=_columns(goals, 7), tip_m=_columns(tip, 6),
-        current_a=_columns(current, 4), residual_rms_m=left_m,
+        own, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
+        current_a=as_columns(current, 4), residual_rms_m=left_m,
         expected_rms_m=float(np.hypot(left_m, unknown)),
     )  # fmt: skip
 
@@ -299,10 +299,6 @@ def _start(
 def _best_at(plan: TipPlan, payload_kg: float) -> BestRun | None:
     near = [b for b in plan.best if abs(plan.learned[b.run].payload_kg - payload_kg) < NEAR_KG]
     return near[-1] if near else None
-
-
-def _columns(table: Array, decimals: int) -> Columns:
-    return tuple(tuple(column) for column in (np.round(table, decimals) + 0.0).T.tolist())
 
 
 def _rms(error: Array) -> float:

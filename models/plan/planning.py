@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
-from firmware_py.goals.tip_plan import Columns, PayloadPlan, TipPlan
+from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, as_columns
 from firmware_py.safety.limits import Limits
 from models.plan.feedback.planned_feedback import with_feedback
 from models.plan.inversion import Inverse, Inverter
@@ -118,8 +118,8 @@ def plan_path(
     plan = _document(path, request, line, twin, list(zip(found, rigid, strict=True)))
     check_plan_goals(plan, request.limits, where)
     if request.feedback and request.method == "inverse":
-        plan = with_feedback(plan, request.plant, request.limits, twin, inverter, found)
-        report("feedback designed")
+        plan, refusal = with_feedback(plan, request.plant, request.limits, twin, inverter, found)
+        report(f"no feedback: {refusal}" if refusal else "feedback designed")
     for own in found:
         _check_prediction(twin, own, line, request.limits, where)
     return plan
@@ -141,13 +141,13 @@ def _document(
         start_row=line.start_row,
         end_row=line.end_row,
         drawn=line.drawn,
-        desired_m=_columns(line.desired_m, 6),
+        desired_m=as_columns(line.desired_m, 6),
         payloads=tuple(
             PayloadPlan(
                 payload_kg=own.payload_kg,
-                goals_rad=_columns(own.goals_rad, 7),
-                tip_m=_columns(twin.tip_m(own.outputs), 6),
-                current_a=_columns(twin.current_a(own.outputs), 4),
+                goals_rad=as_columns(own.goals_rad, 7),
+                tip_m=as_columns(twin.tip_m(own.outputs), 6),
+                current_a=as_columns(twin.current_a(own.outputs), 4),
                 residual_rms_m=own.residual_rms_m,
                 rigid_rms_m=straight.residual_rms_m,
                 expected_rms_m=math.hypot(own.residual_rms_m, own_error or 0.0),
@@ -301,8 +301,3 @@ def _check_prediction(
                 where, f"row {row} ({row * twin.period_s:.2f} s), {found.payload_kg:g} kg: the "
                 f"twin predicts that {violation}", _REMEDY,
             )  # fmt: skip
-
-
-def _columns(table: Array, decimals: int) -> Columns:
-    rounded = np.round(table, decimals) + 0.0  # no negative zeros
-    return tuple(tuple(column) for column in rounded.T.tolist())

@@ -21,8 +21,10 @@ from models.plant.simulation.compiled_model import CompiledModel
 def with_feedback(
     plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
     found: Sequence[Inverse],
-) -> TipPlan:  # fmt: skip
-    """Add feedback where it keeps the margins and the limits leave room for corrections.
+) -> tuple[TipPlan, str]:  # fmt: skip
+    """Add feedback; where it cannot be, return the plan as it was, and why.
+
+    It needs loops that keep the margins, and limits that leave room for corrections.
 
     Parameters
     ----------
@@ -41,12 +43,12 @@ def with_feedback(
     """
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
     if not keeps_margins(design):
-        return plan
+        return plan, "no gain of a loop keeps its margins"
     guided = msgspec.structs.replace(plan, feedback=design)
     try:
         check_plan_goals(guided, limits, f"path {plan.path}")
-    except InputError:
-        return plan
+    except InputError as error:
+        return plan, f"the limits leave no room for corrections ({error})"
     driven = CompiledModel(plant.step_model(plan.dof, "driven"))
     payloads = tuple(
         msgspec.structs.replace(
@@ -54,4 +56,4 @@ def with_feedback(
         )
         for own, inverse in zip(plan.payloads, found, strict=True)
     )
-    return msgspec.structs.replace(guided, payloads=payloads)
+    return msgspec.structs.replace(guided, payloads=payloads), ""

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.goals.feedback_design import Columns, StiffnessSlopes
+from firmware_py.goals.feedback_design import StiffnessSlopes
+from firmware_py.goals.tip_plan import as_columns
 from models.plan.feedback.linear_twin import DRY_FRICTION, STIFFNESS
 from models.plan.inversion import Inverse, Inverter
 from models.plan.twin_sensitivity import TipTwin
@@ -20,6 +21,8 @@ STIFFER: Final = 0.2
 """Relative stiffness over which the differences are taken: that which a plan has to bear."""
 MORE_FRICTION: Final = 0.2
 """The same for friction [assumed]."""
+DECIMALS: Final = 5
+"""Digits of the differences in the document: of goals 10 µrad, of the tip 10 µm."""
 MOVING_RAD_S: Final = 0.1
 """Joint rate at which a sample has half its weight: the observer's `learning_rate_rad_s`."""
 
@@ -59,12 +62,12 @@ def stiffness_slopes(
     moved = twin.tip_m(follows.outputs) - twin.tip_m(found.outputs)
     rate = np.gradient(twin.angle_rad(found.outputs), twin.period_s, axis=0)
     return StiffnessSlopes(
-        goals_rad=_columns((follows.goals_rad - found.goals_rad) / STIFFER),
-        current_a=_columns((twin.current_a(follows.outputs) - currents) / STIFFER),
-        unmatched_a=_columns((twin.current_a(same) - currents) / STIFFER),
-        friction_a=_columns((twin.current_a(friction) - currents) / MORE_FRICTION),
-        weight=_columns(rate**2 / (rate**2 + MOVING_RAD_S**2)),
-        unseen_m=_columns((moved - seen) / STIFFER),
+        goals_rad=as_columns((follows.goals_rad - found.goals_rad) / STIFFER, DECIMALS),
+        current_a=as_columns((twin.current_a(follows.outputs) - currents) / STIFFER, DECIMALS),
+        unmatched_a=as_columns((twin.current_a(same) - currents) / STIFFER, DECIMALS),
+        friction_a=as_columns((twin.current_a(friction) - currents) / MORE_FRICTION, DECIMALS),
+        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), DECIMALS),
+        unseen_m=as_columns((moved - seen) / STIFFER, DECIMALS),
     )
 
 
@@ -76,7 +79,3 @@ def _seen_tip_m(driven: CompiledModel, twin: TipTwin, own: Inverse) -> Array:
     y = driven.simulate(u[1:], twin.period_s, p, driven.start(u[0], p))
     places = [names(driven.model.outputs).index(n) for n in ("tip_x_m", "tip_y_m")[: twin.dof]]
     return y[:, places]
-
-
-def _columns(table: Array) -> Columns:
-    return tuple(tuple(column) for column in (np.round(table, 5) + 0.0).T.tolist())
