@@ -134,30 +134,6 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     return Improvement(improved, learned, went_back)
 
 
-def timed_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) -> TipPlan:
-    """Move the goals of a plan ahead by the time that the joints follow later than the twin's.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        That was run.
-    run : RecordedRun
-        The run; of it only the timing is learned.
-    plant : Plant
-        Of the twin.
-    limits : Limits
-        Limits of the robot, as in force.
-
-    Raises
-    ------
-    InputError
-        If the moved goals break a limit.
-    """
-    timed = _Step(plan, run, TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)).timed()
-    check_plan_goals(timed, limits, f"plan {plan.path}, moved in time")
-    return timed
-
-
 class _Step:
     """Change of the goals by one recorded run."""
 
@@ -173,15 +149,6 @@ class _Step:
         self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
         self._sent = self._late(run.goals_rad)
         self._own_tip = twin.tip_m(twin.run(self._sent, run.payload_kg))
-
-    def timed(self) -> TipPlan:
-        """Plan with the goals moved in time alone."""
-        plan, lead_s = self._plan, self.delay_s - self._plan.goal_lead_s
-        payloads = tuple(
-            msgspec.structs.replace(own, goals_rad=as_columns(self._moved(table, lead_s), 7))
-            for own, table in zip(plan.payloads, plan.goals_rad(), strict=True)
-        )
-        return msgspec.structs.replace(plan, payloads=payloads, goal_lead_s=self.delay_s)
 
     def plan(self, gain: float) -> tuple[TipPlan, float]:
         """Plan with a part of the change, and the RMS error that it predicts for the next run."""
