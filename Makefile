@@ -44,7 +44,8 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  wheelhouse link-demo faults fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real claims claims-accept lock clean
+  wheelhouse link-demo faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
+  bench-live bench-files claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -78,6 +79,7 @@ help:
 	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
 	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
+	@echo "make bench-files  memory and time of every reader on valid and hostile files of 100 MB"
 	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
 	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
@@ -420,7 +422,6 @@ bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
 	$(BIN)/python -m bench.sdk_loop --bundle build/bundle_2dof --fmu $<
 
-# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
 fuzz-fmu: $(READY)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
 
@@ -428,8 +429,12 @@ bench-fmu: $(READY)
 	$(BIN)/python -m bench.fmu_host --dof 1
 	$(BIN)/python -m bench.fmu_host --dof 2
 
+# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
 bench-live: build/twin_2dof.fmu
 	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $<
+
+bench-files: $(READY)
+	$(BIN)/python -m bench.files --out build/bench
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)
@@ -458,6 +463,19 @@ build/rig_%/bench/tip_1dof.json: build/rig_%/plant.json
 	$(call run,python -m models train build/rig_$*/trials --dof 1 --plant build/rig_$*/plant.json --motions build/rig_$*/multisine --out build/rig_$*/bundle)
 	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
 	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2
+
+# 4100 inputs for each reader, 10⁵ and more together; and every reader on files of 100 MB.
+build/bench/fuzz.json: build/bundle_1dof/observer.fmu
+	$(BIN)/python -m tests.fuzz --inputs 4100 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
+
+build/bench/files.json: | $(READY)
+	$(BIN)/python -m bench.files --out $(@D) >&2 || [ -f $@ ]
+
+build/bench/live_viewers.json: build/twin_2dof.fmu
+	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $< --out $(@D) >&2 || [ -f $@ ]
+
+build/bench/mutants.json: | $(READY)
+	$(BIN)/python tests/firmware_py/safety/mutation.py $@ >&2 || [ -f $@ ]
 
 build/bench/onnx.json: $(READY)
 	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]

@@ -90,10 +90,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows.append(one_run(args))
         progress.step(json.dumps(rows[-1]))
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "live_viewers.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    result = {
+        "runs": rows, "ticks": sum(row["ticks"] for row in rows),
+        "misses": sum(row["misses"] for row in rows),
+        "longest_read_ms": max(row["longest_read_ms"] for row in rows),
+        "unexplained": sum(len(row["unexplained"]) for row in rows),
+    }  # fmt: skip
+    text = json.dumps(result, indent=1) + "\n"
+    (args.out / "live_viewers.json").write_text(text, encoding="utf-8")
     for row in rows:
         print("  ".join(f"{name} {value}" for name, value in row.items()))
-    return NEGATIVE if any(row["unexplained"] for row in rows) else DONE
+    return NEGATIVE if result["unexplained"] else DONE
 
 
 def one_run(args: argparse.Namespace) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_JSON_BYTES, check_json, convert, read_bytes
+from firmware_py.files.memory_limit import limited_memory
 
 __all__ = ["Document", "read_document", "schema_of", "write_document"]
 
@@ -56,7 +57,8 @@ def read_document(path: Path, kind: type[T]) -> T:
     data = read_bytes(path, remedy, MOST_JSON_BYTES)
     check_json(path, data, remedy)
     try:
-        raw = msgspec.json.decode(data)
+        with limited_memory(path, remedy):
+            raw = msgspec.json.decode(data)
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"is no JSON document ({error})", remedy) from error
     version = raw.get("schema") if isinstance(raw, dict) else None

@@ -20,10 +20,10 @@ MOST_UNPACKED_BYTES: Final = 100_000_000
 MOST_TEXT_BYTES: Final = 4_000_000
 """Size of the largest XML member, unpacked: as a tree it takes thirty times as much."""
 ARCHIVE_DAMAGE: Final = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, KeyError, RuntimeError,
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, LookupError, RuntimeError,
     ValueError,
 )  # fmt: skip
-"""Errors that a damaged archive raises."""
+"""Errors that a damaged archive raises, or XML in it that names an unknown encoding."""
 
 
 def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:

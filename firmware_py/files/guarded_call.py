@@ -12,7 +12,6 @@ import math
 import os
 import select
 import signal
-import sys
 import tempfile
 import time
 import warnings
@@ -24,12 +23,10 @@ import msgspec
 
 from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
+from firmware_py.files.memory_limit import MEMORY_BYTES, limit_memory
 
-__all__ = ["MEMORY_BYTES", "SECONDS", "guarded_call"]
+__all__ = ["SECONDS", "guarded_call"]
 
-MEMORY_BYTES: Final = 350_000_000
-"""Memory that a child may take beyond its parent's: an importer has 100 MB of libraries loaded and
-stays below 500 MB."""
 SECONDS: Final = 8.0
 """Processor time for a small file; the demo's recordings need less than a second."""
 ELAPSED_FACTOR: Final = 10.0
@@ -143,9 +140,7 @@ def _limit(memory_bytes: int, seconds: float) -> None:
         resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: math.ceil(seconds),
         resource.RLIMIT_FSIZE: MOST_WRITTEN_BYTES,
     }  # fmt: skip
-    if sys.platform == "linux":
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        limits[resource.RLIMIT_AS] = pages * os.sysconf("SC_PAGE_SIZE") + memory_bytes
+    limit_memory(memory_bytes)
     for limit, most in limits.items():
         hard = resource.getrlimit(limit)[1]
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)

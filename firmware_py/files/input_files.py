@@ -21,6 +21,7 @@ import msgspec
 
 from firmware_py.display_units import DATA_SIZE
 from firmware_py.errors import InputError
+from firmware_py.files.memory_limit import limited_memory
 
 __all__ = [
     "MOST_BYTES", "MOST_CELLS", "check_json", "convert", "open_bounded", "read_bytes", "read_json",
@@ -232,12 +233,14 @@ def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any
     Raises
     ------
     InputError
-        If the file cannot be read, is too large or too deeply nested, or is not JSON.
+        If the file cannot be read, is too large or too deeply nested, takes too much memory (text
+        in wide characters has four times the size of its file), or is not JSON.
     """
     data = read_bytes(path, remedy, most)
     check_json(path, data, remedy)
     try:
-        return json.loads(data, object_pairs_hook=_object)
+        with limited_memory(path, remedy):
+            return json.loads(data, object_pairs_hook=_object)
     except RecursionError:
         raise InputError(path, "is not JSON (it is too deeply nested)", remedy) from None
     except ValueError as error:  # of the form, of the encoding, or a number of too many digits

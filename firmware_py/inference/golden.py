@@ -25,7 +25,7 @@ GOLDEN: Final = "golden.npz"
 TOLERANCE: Final = 1e-9
 """Largest permitted difference, in the SI unit of each quantity."""
 FEWEST_TICKS: Final = 100
-"""Fewest golden ticks: 1.7 s of a motion at 17 ms. [assumed]"""
+"""Fewest golden ticks in which a joint moves: 1.7 s of a motion at 17 ms. [assumed]"""
 _SHORTEST_S, _LONGEST_S = 1e-3, 1.0
 """Range of the period in robot.toml and in the manifest, too."""
 _LEAST_WAY_RAD: Final = 1e-3
@@ -139,9 +139,10 @@ def _check_evidence(golden: Golden, path: Path) -> None:
     finite = all(np.isfinite(part).all() for part in golden[:-1])  # a payload may be unknown
     finite &= _SHORTEST_S <= golden.step_s <= _LONGEST_S
     way_rad = np.ptp(golden.angle_rad, axis=0).max()
-    if len(golden.angle_rad) < FEWEST_TICKS or not finite or not way_rad >= _LEAST_WAY_RAD:
+    moving = np.count_nonzero(np.diff(golden.angle_rad, axis=0).any(axis=1))
+    if moving < FEWEST_TICKS or not finite or not way_rad >= _LEAST_WAY_RAD:
         raise InputError(
-            path, f"proves nothing: it does not hold {FEWEST_TICKS} finite ticks of a motion",
+            path, f"proves nothing: it does not hold {FEWEST_TICKS} finite ticks that move",
             "train the bundle again",
         )  # fmt: skip
 

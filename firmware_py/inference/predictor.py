@@ -12,6 +12,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.files.memory_limit import limited_memory
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.signals import AGE, feature_names, observer_signals
 
@@ -119,12 +120,14 @@ class OnnxGraph:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.log_severity_level = 4  # a damaged file is reported below, in one sentence
+        remedy = "train or copy the bundle again"
         try:
-            session = ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+            with limited_memory(path, remedy):
+                session = ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except InputError:
+            raise
         except Exception:  # onnxruntime raises its own types, which differ between versions
-            raise InputError(
-                path, "is not a graph that onnxruntime can load", "train or copy the bundle again"
-            ) from None
+            raise InputError(path, "is not a graph that onnxruntime can load", remedy) from None
         found = [
             (o.name, (o.shape or [0])[-1], o.type)
             for o in (*session.get_inputs(), *session.get_outputs())
@@ -143,20 +146,19 @@ class OnnxGraph:
         try:
             self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
         except UnicodeDecodeError as error:
-            raise InputError(
-                path, f"has damaged metadata ({error})", "train or copy the bundle again"
-            ) from None
+            raise InputError(path, f"has damaged metadata ({error})", remedy) from None
         self._session = session
         self._binding: Any = session.io_binding()
         self._binding.bind_input(name, "cpu", 0, np.float64, (1, inputs), self.row.ctypes.data)
         for (output, width), buffer in zip(outputs, self.results, strict=True):
             self._binding.bind_output(output, "cpu", 0, np.float64, (1, width), buffer.ctypes.data)
         try:
-            self.run()  # the first call allocates inside onnxruntime: not in the loop
+            with limited_memory(path, remedy):
+                self.run()  # the first call allocates inside onnxruntime: not in the loop
+        except InputError:
+            raise
         except Exception as error:
-            raise InputError(
-                path, f"cannot be evaluated ({error})", "train or copy the bundle again"
-            ) from None
+            raise InputError(path, f"cannot be evaluated ({error})", remedy) from None
 
     def run(self) -> None:
         """Evaluate the graph on `row` into `results`."""

@@ -15,14 +15,17 @@ import os
 import resource
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final, Protocol
 
 import msgspec
 
-__all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "real_time"]
+__all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "may_lock_memory", "real_time"]
 
 _PR_SET_TIMERSLACK: Final = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CAP_IPC_LOCK: Final = 14
+"""Number of the capability in capabilities(7)."""
 
 
 class Clock(Protocol):
@@ -160,9 +163,25 @@ def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
                 gc.enable()
 
 
-def _lock_memory(libc: ctypes.CDLL) -> bool:
-    # Under a finite limit MCL_FUTURE would make a later allocation fail: do not lock then.
+def may_lock_memory() -> bool:
+    """Whether the kernel lets this process lock all its memory, present and future.
+
+    Under a finite limit MCL_FUTURE would make a later allocation fail. The limit does not bind a
+    process with CAP_IPC_LOCK (mlock(2)).
+    """
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if soft != resource.RLIM_INFINITY and os.geteuid() != 0:
-        return False
-    return bool(libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0)
+    return soft == resource.RLIM_INFINITY or _has_capability(_CAP_IPC_LOCK)
+
+
+def _has_capability(number: int) -> bool:
+    """Whether a capability is in the effective set; without /proc, whether the user is root."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return os.geteuid() == 0
+    effective = status.partition("CapEff:")[2].split()
+    return bool(effective) and bool(int(effective[0], 16) >> number & 1)
+
+
+def _lock_memory(libc: ctypes.CDLL) -> bool:
+    return may_lock_memory() and bool(libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0)

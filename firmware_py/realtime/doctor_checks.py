@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 from firmware_py.errors import InputError
 from firmware_py.log.recording import require_packages
+from firmware_py.realtime.clock import may_lock_memory
 
 _GOOD_CLOCKS: Final = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
 _LATENCY_LIMIT_MS: Final = 1
@@ -136,9 +137,9 @@ def _scheduler(may_be_real_time: Callable[[], bool]) -> Finding:
 
 
 def _locked_memory() -> Finding:
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if soft == resource.RLIM_INFINITY or os.geteuid() == 0:
+    if may_lock_memory():
         return Finding("locked memory", Severity.GOOD, "unlimited")
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     return Finding(
         "locked memory", Severity.NOTE, f"limited to {soft // 1024} KiB, so it will not be locked",
         "run 'dropstitch install-service', or add '@realtime - memlock unlimited' to "

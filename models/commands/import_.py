@@ -26,7 +26,7 @@ from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.trials.importers import KINDS
-from models.trials.importers.mapping import read_mapping
+from models.trials.importers.mapping import RecordingMap, read_mapping
 from models.trials.importers.robot_log import with_log_conditions
 from models.trials.importers.table_file import read_scalars
 from models.trials.takes import Take, find_takes
@@ -130,10 +130,8 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     cut_off = []
     for path in (take.file, servo):
         if path is not None and path.suffix == ".mcap":
-            log = read_recording(path)
-            mapping = with_log_conditions(mapping, log)
-            if not log.complete:
-                cut_off.append(str(path))
+            mapping, complete = _with_log(mapping, path)
+            cut_off += [] if complete else [str(path)]
     if args.kind == "table":
         mapping = mapping.with_scalars(read_scalars(take.file), take.file)
     offset_s = args.offset if args.offset is not None else take.offset_s
@@ -167,6 +165,12 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         if clock.by == "motion":
             result["correlation"] = clock.correlation
     return result
+
+
+def _with_log(mapping: RecordingMap, path: Path) -> tuple[RecordingMap, bool]:
+    """Map with the conditions of a log, and whether that is whole; its ticks are not kept."""
+    log = read_recording(path)
+    return with_log_conditions(mapping, log), log.complete
 
 
 def _described(result: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ An input succeeds if the reader uses it or refuses it in one sentence. Exit 1 if
 
 import argparse
 import contextlib
+import json
 import os
 import sys
 import tempfile
@@ -26,6 +27,7 @@ def main():
     parser.add_argument(
         "--keep", action="store_true", help="keep failing inputs in tests/fuzz/found"
     )
+    parser.add_argument("--out", type=Path, help="JSON file for the counts")
     args = parser.parse_args()
     readers = [r for r in every_reader(args.bundle) if not args.only or r.name in args.only]
     with tempfile.TemporaryDirectory(prefix="dropstitch-fuzz-") as scratch:
@@ -36,7 +38,7 @@ def campaign(readers, scratch, args):
     print(
         f"{'reader':12}" + "".join(f"{c:>9}" for c in COLUMNS) + "  peak MB  slowest s", flush=True
     )
-    total, failed = 0, 0
+    total, failed, rows = 0, 0, {}
     for reader, name, changed in kept(readers):
         verdict = verdicts_on(reader, [lambda changed=changed: changed], scratch)[0]
         if verdict.failed:
@@ -52,12 +54,20 @@ def campaign(readers, scratch, args):
             f"{reader.name:12}" + "".join(f"{n:9}" for n in row)
             + f"{tally.peak_bytes / 1e6:9.0f}{tally.slowest_s:11.2f}", flush=True,
         )  # fmt: skip
+        rows[reader.name] = dict(zip(COLUMNS, row, strict=True)) | {
+            "peak_mb": tally.peak_bytes / 1e6, "slowest_s": tally.slowest_s
+        }  # fmt: skip
         for seed, verdict in tally.failures:
             print(f"--- {reader.name}, input {seed}: {verdict.kind}\n{verdict.text}", flush=True)
             if args.keep:
                 print(f"kept in {keep(reader, seed)}")
         total, failed = total + count, failed + bad
     print(f"{total} inputs, {failed} failures")
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        peak_mb = max((row["peak_mb"] for row in rows.values()), default=0.0)
+        result = {"inputs": total, "failed": failed, "peak_mb": peak_mb, "readers": rows}
+        args.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
     return 1 if failed else 0
 
 

@@ -102,10 +102,17 @@ def one_tick(golden):
     return golden._replace(**parts)
 
 
+def one_step(golden):
+    stands = np.zeros_like(golden.angle_rad)
+    stands[len(stands) // 2 :] = 0.3
+    return golden._replace(angle_rad=stands)
+
+
 @pytest.mark.parametrize(
     "change",
     [
         one_tick,
+        one_step,
         lambda golden: golden._replace(tip_m=golden.tip_m * np.nan),
         lambda golden: golden._replace(di=golden.di + np.inf),
         lambda golden: golden._replace(angle_rad=golden.angle_rad * np.nan),

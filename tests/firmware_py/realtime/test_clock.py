@@ -50,7 +50,7 @@ def test_what_is_refused_is_said(monkeypatch):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr("firmware_py.realtime.clock._has_capability", lambda _: False)
     monkeypatch.setattr("resource.getrlimit", lambda _: (65536, 65536))
     with real_time(RealTimeOptions(cpu=10_000)) as refused:
         assert [s.split()[0] for s in refused] == ["memory", "processor", "SCHED_FIFO"]

@@ -181,3 +181,32 @@ def test_the_hardened_service_is_still_real_time(config):
         capture_output=True, text=True,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
+
+
+def bounded_by(lines):
+    """Command that takes the rights of a service without systemd, as user 65534; None without."""
+    given = dict(line.split("=", 1) for line in lines)
+    assert given["NoNewPrivileges"] == "yes"
+    assert given["AmbientCapabilities"] == given["CapabilityBoundingSet"]
+    names = [name.removeprefix("CAP_").lower() for name in given["AmbientCapabilities"].split()]
+    rights = ",".join(["-all", *(f"+{name}" for name in names)])
+    sets = [f"--{name}={rights}" for name in ("bounding-set", "inh-caps", "ambient-caps")]
+    return ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--no-new-privs", *sets]
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("setpriv") is None, reason="needs root and setpriv"
+)
+def test_the_rights_of_the_service_are_enough_for_real_time(config):
+    """Also where systemd does not run: the same capabilities, a plain user, no new privileges."""
+    lines = [line for line in directives(config) if not line.startswith("DeviceAllow")]
+    command = bounded_by(lines)
+    if subprocess.run([*command, "true"], capture_output=True).returncode:
+        pytest.skip("this machine does not grant the capabilities")
+    python = [sys.executable, "-c", REAL_TIME]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])}
+    result = subprocess.run([*command, *python], capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    none = [word.partition("=")[0] + "=-all" if "-all" in word else word for word in command]
+    refused = subprocess.run([*none, *python], capture_output=True, text=True, env=environment)
+    assert "SCHED_FIFO is refused" in refused.stderr

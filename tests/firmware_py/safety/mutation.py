@@ -1,6 +1,7 @@
 """Change one comparison, constant or operator of supervisor or signals: do its tests notice?
 
     python tests/firmware_py/safety/mutation.py          # every mutant, exit 1 where one survives
+    python tests/firmware_py/safety/mutation.py OUT.json # and the two numbers in a file
 
 A mutant is one module of supervisor or signal handling with one node of its syntax tree changed.
 Each runs in a process forked from one that has everything imported, against the tests of supervisor
@@ -13,6 +14,7 @@ import ast
 import contextlib
 import copy
 import io
+import json
 import os
 import sys
 import types
@@ -158,4 +160,7 @@ if __name__ == "__main__":
     count, alive = survivors()
     print(f"{count} mutants, {len(alive)} survive")
     print("\n".join(map(str, alive)))
+    for out in map(Path, sys.argv[1:]):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps({"mutants": count, "survive": len(alive)}), encoding="utf-8")
     sys.exit(bool(alive))

@@ -1,0 +1,1 @@
+"""Memory and time that files of 100 MB take from their readers."""
