@@ -74,7 +74,7 @@ goal_1_rad = {{ from = "angle_1_rad" }}
 """
 
 
-class Reading(NamedTuple):
+class FileReading(NamedTuple):
     """One file and its end.
 
     Attributes
@@ -102,7 +102,7 @@ class Reading(NamedTuple):
     said: str
 
 
-def read_file(file: str, content: str, folder: Path) -> Reading:
+def read_file(file: str, content: str, folder: Path) -> FileReading:
     """Write a file in one process and read it in another.
 
     Parameters
@@ -139,7 +139,7 @@ def read_file(file: str, content: str, folder: Path) -> Reading:
         refused = child.returncode in (1, 2) and len(lines) == 1 and lines[0].endswith(".")
         ended = "refused" if refused else "failed"
     cpu_s = usage.ru_utime + usage.ru_stime
-    return Reading(file, content, size, ended, 1024 * usage.ru_maxrss, cpu_s, lines[-1])
+    return FileReading(file, content, size, ended, 1024 * usage.ru_maxrss, cpu_s, lines[-1])
 
 
 def servo_log() -> str:

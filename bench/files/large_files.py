@@ -44,7 +44,7 @@ def motive_csv(path: Path) -> None:
 
     def line(k: int) -> str:
         angle = angle_rad(k // 2)
-        cells = [f"{v:.6f}" for m in range(16) for v in marker_m(m, angle)]
+        cells = [f"{v:.8f}" for m in range(16) for v in marker_m(m, angle)]
         return ",".join([str(k), f"{k / 120:.6f}", *cells]) + "\n"
 
     filled_by_lines(path, "\n".join(map(",".join, head)) + "\n", line)

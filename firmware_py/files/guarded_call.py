@@ -7,6 +7,7 @@ child, all of that ends in one sentence of the parent.
 from __future__ import annotations
 
 import contextlib
+import errno
 import faulthandler
 import math
 import os
@@ -34,7 +35,9 @@ ELAPSED_FACTOR: Final = 10.0
 MOST_WRITTEN_BYTES: Final = 400_000_000
 """Size of the largest file that a child may write: a trial of 10⁷ numbers of 20 digits, doubled."""
 
-_RESULT, _REFUSED, _MEMORY = b"r", b"i", b"m"
+_RESULT, _REFUSED, _MEMORY, _DISK = b"r", b"i", b"m", b"d"
+_DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What ends the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
 
 
 def guarded_call(
@@ -63,6 +66,8 @@ def guarded_call(
     ------
     InputError
         That of `work`; or if the child dies, or needs more memory or time than it may.
+    OSError
+        If the disk is full, or the child writes a larger file than it may.
     """
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
@@ -86,6 +91,8 @@ def guarded_call(
         return content
     if kind == _REFUSED and not late:
         raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
+    if kind == _DISK and not late:
+        raise OSError(int(content), os.strerror(int(content)))
     if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         raise InputError(where, f"takes more than {seconds:g} s to read", remedy)
     if kind == _MEMORY:
@@ -125,6 +132,10 @@ def _live(
             answer = _REFUSED + msgspec.msgpack.encode(said)
         except MemoryError:
             answer = _MEMORY
+        except OSError as error:
+            if error.errno not in _DISK_ERRORS:
+                raise
+            answer = _DISK + str(error.errno).encode()
         while answer:
             answer = answer[os.write(writer, answer) :]
     except MemoryError:

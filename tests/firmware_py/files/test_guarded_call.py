@@ -1,5 +1,6 @@
 """Work in a child process: whatever becomes of the child, the parent says one sentence."""
 
+import errno
 import os
 import signal
 import tempfile
@@ -58,6 +59,14 @@ def test_processor_time_is_limited():
 
     with pytest.raises(InputError, match=r"takes more than 0\.9 s to read"):
         call(work, seconds=0.9)
+
+
+def test_a_full_disk_is_said_and_is_no_damage_of_the_file():
+    def work():
+        raise OSError(errno.ENOSPC, "No space left on device", "trial.csv")
+
+    with pytest.raises(OSError, match="No space left"):
+        call(work)
 
 
 def test_temporary_files_go_with_the_child_and_files_are_limited(monkeypatch):
