@@ -79,7 +79,7 @@ def wide_text(path: Path) -> None:
         file.write(b"]")
 
 
-def plant_json(path: Path) -> None:
+def long_plant(path: Path) -> None:
     """Plant with a long text."""
     root = Path(__file__).parents[2] / "models" / "plant" / "examples"
     document = json.loads((root / "xl330_pendulum_identified.json").read_text(encoding="utf-8"))
@@ -117,7 +117,7 @@ LARGE_FILES: Final[dict[str, dict[str, LargeFile]]] = {
         "zeros": _of(recorded.matlab_head(), bytes(8)),
     },
     "log.mcap": {
-        "valid": recorded.log, "metadata": recorded.log_metadata, "chunks": recorded.log_chunks,
+        "valid": recorded.log, "metadata": recorded.log_of_metadata, "chunks": recorded.log_chunks,
         "zeros": _of(recorded.MCAP, bytes(9)),
     },
     "take.csv": {
@@ -136,7 +136,7 @@ LARGE_FILES: Final[dict[str, dict[str, LargeFile]]] = {
         "numbers": _of(b"a=[", b"1,", 10**6), "100 MB": _of(b"", b"#"),
     },
     "plant.json": {
-        "valid": plant_json, "wide text": wide_text, "short records": json_short_records,
+        "valid": long_plant, "wide text": wide_text, "short records": json_short_records,
         "digits": _of(b"[", b"9", _JSON),
         "numbers": _of(b"[1", b",1", _JSON), "lists": _of(b"[[]", b",[]", 1_490_000),
     },

@@ -104,7 +104,7 @@ def _mcap_text(text: bytes) -> bytes:
     return struct.pack("<I", len(text)) + text
 
 
-def log_metadata(path: Path) -> None:
+def log_of_metadata(path: Path) -> None:
     """Metadata of ten million names."""
     head = MCAP + _mcap_record(1, _mcap_text(b"") * 2)
     pairs = b"".join(_mcap_text(b"%07d" % k) + _mcap_text(b"") for k in range(6_600_000))
