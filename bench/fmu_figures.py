@@ -3,6 +3,7 @@
 exchange:  largest distance of the tip between Model Exchange (CVode, 1e-9) and Co-Simulation
 platforms: rows of a trajectory in 17 digits that differ from those of Linux on x86_64
 sample:    derivative of a whole step of the observer along a direction, against that step
+picture:   curves of the twin without inputs, as docs/images/fmu-example.svg
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import fmpy
+import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,16 +26,21 @@ from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S, tip_names
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_builder import build_fmu
+from fmu.fmu_models import FmuParts
 from fmu.host.host_run import emulator_of, run_in_host
+from fmu.packaging.fmu_contents import fmu_contents
 from fmu.packaging.platforms import HOST
 from models.plant.plant import read_plant
 from models.plant.step_model import StepModel, names
+from models.shared.palette import SERIES
+from models.shared.svg_drawing import FILE_STYLE
 
 PAYLOAD_KG = 1.0
 DURATION_S = 10.0
 ROWS = 588
 """Rows of the trajectory on each platform: 10 s."""
 ROUNDS, STEPS = 15, 40
+PICTURE = Path(__file__).parents[1] / "docs/images/fmu-example.svg"
 
 
 def _goals(model: StepModel, dof: int, count: int) -> NDArray[np.float64]:
@@ -98,6 +105,27 @@ def sample(dof: int, scratch: Path) -> dict[str, Any]:
     return {"dof": dof, "step_us": step_us, "ratio": derivative_us / step_us}
 
 
+def picture(dof: int, scratch: Path) -> dict[str, Any]:
+    """Draw what a tool shows that simulates the twin without inputs."""
+    parts = FmuParts("twin", dof, read_plant(), None)
+    model = parts.required_plant().step_model(dof, "twin")
+    example = fmu_contents(parts, model, 3).example
+    fmu = build_fmu(model, scratch / "twin.fmu", example=example)
+    shown = ["angle_1_rad", "current_1_a", "tip_x_m", "di"]
+    run = fmpy.simulate_fmu(str(fmu), output=shown, start_values={"payload_kg": PAYLOAD_KG})
+    run = run[::4]
+    with plt.rc_context({**FILE_STYLE, "svg.hashsalt": "fmu"}):
+        figure, axes = plt.subplots(2, 2, figsize=(8.0, 4.0), sharex=True, layout="constrained")
+        for axis, name, colour in zip(axes.ravel(), shown, SERIES, strict=False):
+            axis.plot(run["time"], run[name], color=colour, lw=1.2)
+            axis.set_title(name, fontsize="small")
+        for axis in axes[-1]:
+            axis.set_xlabel("time in s")
+        figure.savefig(PICTURE, format="svg", metadata={"Date": None})
+        plt.close(figure)
+    return {"path": str(PICTURE), "rows": len(run)}
+
+
 def _stepping(instance: FmpyInstance) -> Callable[[], object]:
     return lambda: instance.step(PERIOD_S)
 
@@ -115,7 +143,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    figures = {"exchange": exchange, "platforms": platforms, "sample": sample}
+    figures = {"exchange": exchange, "platforms": platforms, "sample": sample, "picture": picture}
     parser.add_argument("figure", choices=list(figures))
     parser.add_argument("--dof", type=int, choices=(1, 2), default=1)
     args = parser.parse_args()

@@ -118,11 +118,14 @@ def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:
 _AMPLITUDE: Final = {"A": 0.2, "kg": 1.0, "m": 0.1, "rad": 0.05, "rad/s": 0.3, "s": 0.01}
 """Amplitude of a predictor's input that is not measured, by its unit; assumed."""
 
+REACH_M: Final = 1.0
+"""Length of a rigid link, whose tip the observer's follows in the sweep; assumed."""
+
 
 def _sweep(model: StepModel, angle_rad: Array) -> Array:
     """Inputs of a predictor: angles as given, all others at frequencies of their own.
 
-    Currents to 3 A, DI to 1 %, the rest to `_AMPLITUDE`.
+    Currents to 3 A, DI to 1 %, the tip along that of a rigid link, the rest to `_AMPLITUDE`.
     """
     count, dof = angle_rad.shape
     turn = 2.0 * np.pi * np.arange(count) / count
@@ -133,4 +136,5 @@ def _sweep(model: StepModel, angle_rad: Array) -> Array:
     columns |= {f"angle_{j + 1}_rad": angle_rad[:, j] for j in range(dof)}
     columns |= {f"current_{j + 1}_a": 3.0 * np.sin((j + 3) * turn) for j in range(dof)}
     columns[DI.name] = 0.005 * (1.0 - np.cos(5.0 * turn))
+    columns["tip_x_m"] = REACH_M * np.sin(angle_rad[:, 0])
     return _columns(model, columns)
