@@ -346,23 +346,21 @@ wheelhouse: $(READY)
 # --- another link -------------------------------------------------------------------------------
 
 # The worked example of docs/plant/link.md: five commands, and the figures of its fit.
-LINK := build/link_demo
+link-demo: build/link_demo/sil/timing.json
 
-link-demo: $(LINK)/sil/timing.json
-
-$(LINK)/link.toml: | $(READY)
+build/link_demo/link.toml: | $(READY)
 	$(call run,python -m models new $@ --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --joints 1 --pressure-pa 20700 --payload 0.4)
-$(LINK)/plant.json: $(LINK)/link.toml
-	$(call run,python -m models simulate --rig $< --out $(LINK)/trials --payloads 0 0.4 --seed 1)
-	$(call run,python -m models identify $(LINK)/trials --plant $< --out $@)
-$(LINK)/bundle/manifest.json: $(LINK)/plant.json
-	$(call run,python -m models train $(LINK)/trials --dof 1 --plant $< --out $(@D))
-$(LINK)/sil/timing.json: $(LINK)/bundle/manifest.json
-	$(call judge,python -m hil sil --bundle $(<D) --rig $(LINK)/link.toml --line virtual --out $(@D))
+build/link_demo/plant.json: build/link_demo/link.toml
+	$(call run,python -m models simulate --rig $< --out build/link_demo/trials --payloads 0 0.4 --seed 1)
+	$(call run,python -m models identify build/link_demo/trials --plant $< --out $@)
+build/link_demo/bundle/manifest.json: build/link_demo/plant.json
+	$(call run,python -m models train build/link_demo/trials --dof 1 --plant $< --out $(@D))
+build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
+	$(call judge,python -m hil sil --bundle $(<D) --rig build/link_demo/link.toml --line virtual --out $(@D))
 
 # Errors of the identified plant on the held-out trials, as numbers.
-$(LINK)/errors.json: $(LINK)/plant.json
-	$(BIN)/python -m models evaluate $(LINK)/trials --plant $< --json > $@
+build/link_demo/errors.json: build/link_demo/plant.json
+	$(BIN)/python -m models evaluate build/link_demo/trials --plant $< --json > $@
 
 # --- checks -------------------------------------------------------------------------------------
 
@@ -479,6 +477,9 @@ build/bench/mutants.json: | $(READY)
 
 build/bench/onnx.json: $(READY)
 	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]
+
+build/bench/imports.json: $(READY)
+	$(BIN)/python -m bench.imports --out $@ >&2 || [ -f $@ ]
 
 build/faults/faults.json: build/twin_2dof.fmu
 	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out $(@D))

@@ -30,8 +30,9 @@ def doubts(found: Identification) -> list[str]:
     said = []
     for q in found.fitted:
         reached = bound_reached(q)
-        if reached:
-            limit = q.low if reached == "lower" else q.high
+        limit = q.low if reached == "lower" else q.high
+        # Nothing of it, or the whole of a fraction, is an answer; an edge of a range is none.
+        if reached and limit != 0.0 and not (q.unit == "1" and limit == 1.0):
             said.append(
                 f"{q.name} is at its {reached} bound, {limit:g} {q.unit}: the trials do not "
                 "determine it, or the plant lacks something that it stands in for"

@@ -118,10 +118,7 @@ def _upward_axis(pose: RestPose, mapping: RecordingMap, default_up: str) -> Impo
     in_file = world_rotation(mapping.frame, default_up).T @ pose.axis
     k = int(np.argmax(np.abs(in_file)))
     axis, sign = "xyz"[k], "-" if in_file[k] < 0 else ""
-    if sign:
-        remedy = "hang the robot's axes the other way round, or correct base_offset_m and angles"
-    else:
-        remedy = f'set up = "{axis}" under [frame]'
+    remedy = f'set up = "{sign}{axis}" under [frame]'
     return ImportFinding(
         "refused", "up axis",
         f"the file is {sign}{axis}-up: the link points along its {sign}{axis} axis, the map takes "

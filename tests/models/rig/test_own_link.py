@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,8 +18,11 @@ from models.rig.drawn_rig import rig_named
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.deformation import deformation_index
+from models.trials.importers.mapping import MocapFrame, read_mapping
 from models.trials.trial import TrialSet
 from models.trials.trial_files import read_trial, write_trial
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.inspected_import import Source, inspect_import
 from models.trials.verdict.trial_check import check_trial
 
 LINK = LinkDescription(
@@ -68,3 +72,32 @@ def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file):
     motion = Motion(dof=1, amplitude_rad=0.3, period_s=1.0)
     with pytest.raises(InputError, match="the simulation is unstable"):
         run_case(light, TrialCase(motion, 0.0, trial=1, gravity=LINK.gravity.unit))
+
+
+def test_a_hanging_link_is_imported_from_a_capture_with_z_up(trial, link_file):
+    """In the capture the link points down; size and markers follow from the link that is named."""
+    names = trial.meta.layout.names
+    columns = dict(trial.columns)
+    for name in (*names, "tip"):
+        for axis in "yz":
+            columns[f"{name}_{axis}_m"] = -columns[f"{name}_{axis}_m"]
+    folder = link_file.parent / "capture"
+    folder.mkdir()
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(folder / "take.csv", table, delimiter=",", header=",".join(columns), comments="")
+    conditions = (
+        f'dof = 1\npayload_kg = 0.2\ntrial = 1\nmotion = "sinusoid"\nperiod_s = 2.0\n'
+        f"amplitude_rad = {math.radians(30)}\n"
+    )
+    sources = "".join(f'{name} = {{ from = "{name}" }}\n' for name in columns)
+    (folder / "map.toml").write_text(
+        f'link = "../link.toml"\n[trial]\n{conditions}[frame]\nup = "-z"\n[columns]\n{sources}'
+    )
+    mapping = read_mapping(folder / "map.toml")
+    verdict = ImportVerdict("take")
+    imported = inspect_import(Source(folder / "take.csv", "table"), mapping, verdict)
+    assert verdict.refused == [] and imported.meta.gravity == trial.meta.gravity
+    np.testing.assert_allclose(imported.markers_m, trial.markers_m, atol=1e-9)
+    with pytest.raises(InputError, match="-z-up"):
+        upright = msgspec.structs.replace(mapping, frame=MocapFrame())
+        inspect_import(Source(folder / "take.csv", "table"), upright, ImportVerdict("take"))
