@@ -74,7 +74,8 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nested : TipScore
         Nested cross-validation: payloads and motions left out.
     tests : dict of test and part to TipScore
-        Trials that nothing was trained on: "all" rows, "rest", "motion".
+        Trials that nothing was trained on: "all" rows, "rest", "motion". "stiffness_x_0.8" and the
+        like are all of them with an observer whose plant is wrong.
     graph_bytes : int
         Size of its ONNX graph.
     latency : Latency or None

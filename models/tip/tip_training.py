@@ -71,10 +71,16 @@ def train_tip(
         If the observer does not tell what the candidates want.
     """
     rows = collect_rows(observe(observer, training))
-    wrong = [wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS]
-    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong if changes]
+    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
+    wrong = {factor: changes for factor, changes in changed.items() if changes}
+    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
     choice = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
     seen = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
+    if together := [trial for trials in tests.values() for trial in trials]:
+        seen |= {
+            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
+            for factor, changes in wrong.items()
+        }
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
         dof=rows.dof,

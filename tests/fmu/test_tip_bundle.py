@@ -45,6 +45,7 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
     for entry in document.candidates.values():
         assert entry.latency is not None and entry.graph_bytes > 0
         assert min(entry.latency.warm_s, entry.latency.cold_s) > 0
+        assert {"stiffness_x_0.8", "stiffness_x_1.2"} < set(entry.tests)
     assert document.runtimes == {} and "warm / cold" in card
 
 
