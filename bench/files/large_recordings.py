@@ -150,10 +150,15 @@ def c3d(path: Path) -> None:
 
 def c3d_claims(path: Path) -> None:
     """Header that claims 65535 points in 65535 frames, and 100 MB of zeros."""
-    small = path.with_name("small.c3d")
     import ezc3d
+    import numpy as np
 
-    file = ezc3d.c3d()
+    small, file = path.with_name("small.c3d"), ezc3d.c3d()
+    for group, labels in (("POINT", ["m01"]), ("ANALOG", [])):
+        file["parameters"][group]["RATE"]["value"] = [120.0]
+        file["parameters"][group]["LABELS"]["value"] = labels
+    file["data"]["points"] = np.ones((4, 1, 3))
+    file["data"]["analogs"] = np.zeros((1, 0, 3))
     file.write(str(small))
     data = bytearray(small.read_bytes())
     small.unlink()
