@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import pytest
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.asymmetric.rsa import generate_private_key
 
 from firmware_py.config import read_config
 from firmware_py.documents import read_document
@@ -198,14 +198,14 @@ def test_a_key_of_openssh_signs_too(bundle, tmp_path):
     assert models(["sign", str(bundle), "--key", str(path)]) == 0
 
 
-@pytest.mark.parametrize("kind", ["missing", "text", "rsa"])
+@pytest.mark.parametrize("kind", ["missing", "text", "ed448"])
 def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys):
     path = tmp_path / "other"
     if kind == "text":
         path.write_text("no key", encoding="utf-8")
-    if kind == "rsa":
+    if kind == "ed448":
         path.write_bytes(
-            generate_private_key(65537, 2048).private_bytes(
+            Ed448PrivateKey.generate().private_bytes(
                 serialization.Encoding.PEM,
                 serialization.PrivateFormat.PKCS8,
                 serialization.NoEncryption(),
