@@ -69,6 +69,7 @@ effort_unit = "mA"
 {CONDITIONS}
 [topics]
 "/joints" = "joints"
+"/goals" = "goals"
 [columns]
 goal_1_rad = {{ from = "angle_1_rad" }}
 """

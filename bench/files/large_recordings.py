@@ -167,27 +167,35 @@ def c3d_claims(path: Path) -> None:
 
 
 def _bag(path: Path, messages: Iterator[tuple[int, bytes]], more: str = "") -> None:
-    """Bag of one topic of joint states, written as a database."""
+    """Bag of joint states and goals in turn, written as a database."""
     path.mkdir()
     with sqlite3.connect(path / "a.db3") as file:
         file.executescript(
             "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, "
             "serialization_format TEXT, offered_qos_profiles TEXT);"
             "INSERT INTO topics VALUES(1, '/joints', 'sensor_msgs/msg/JointState', 'cdr', '');"
+            "INSERT INTO topics VALUES(2, '/goals', 'sensor_msgs/msg/JointState', 'cdr', '');"
             + (more or "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
                        "timestamp INTEGER, data BLOB);")
         )  # fmt: skip
         if not more:
-            file.executemany("INSERT INTO messages VALUES(NULL, 1, ?, ?)", messages)
+            file.executemany(
+                "INSERT INTO messages VALUES(NULL, ?1 % 2 + 1, ?2, ?3)",
+                ((k, time_ns, data) for k, (time_ns, data) in enumerate(messages)),
+            )
         count = 10**6
     (path / "metadata.yaml").write_text(
         "rosbag2_bagfile_information:\n  version: 4\n  storage_identifier: sqlite3\n"
         "  relative_file_paths: [a.db3]\n  duration: {nanoseconds: 1}\n"
         "  starting_time: {nanoseconds_since_epoch: 0}\n"
         f"  message_count: {count}\n  compression_format: ''\n  compression_mode: ''\n"
-        "  topics_with_message_count:\n    - topic_metadata: {name: /joints, type: "
-        "sensor_msgs/msg/JointState, serialization_format: cdr, offered_qos_profiles: ''}\n"
-        f"      message_count: {count}\n",
+        "  topics_with_message_count:\n"
+        + "".join(
+            f"    - topic_metadata: {{name: {topic}, type: sensor_msgs/msg/JointState, "
+            "serialization_format: cdr, offered_qos_profiles: ''}\n"
+            f"      message_count: {count // 2}\n"
+            for topic in ("/joints", "/goals")
+        ),
         encoding="utf-8",
     )
 
@@ -204,14 +212,14 @@ def _joint_state(k: int, name: bytes = b"base\0") -> bytes:
 
 
 def bag(path: Path) -> None:
-    """Joint states in 158,000 messages; a long name fills them."""
+    """Joint states and goals in 150,000 messages; a long name fills them."""
     name = b"base".ljust(491) + b"\0"
-    _bag(path, ((round(k * STEP_S * 1e9), _joint_state(k, name)) for k in range(150_000)))
+    _bag(path, ((round(k // 2 * STEP_S * 1e9), _joint_state(k // 2, name)) for k in range(150_000)))
 
 
 def bag_short(path: Path) -> None:
     """A million short joint states."""
-    _bag(path, ((round(k * STEP_S * 1e9), _joint_state(k)) for k in range(900_000)))
+    _bag(path, ((round(k // 2 * STEP_S * 1e9), _joint_state(k // 2)) for k in range(900_000)))
 
 
 def bag_endless(path: Path) -> None:

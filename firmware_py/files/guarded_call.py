@@ -99,7 +99,9 @@ def guarded_call(
         raise InputError(
             where, f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read", remedy
         )
-    raise InputError(where, "is damaged: the program that reads it has crashed", remedy)
+    raise InputError(
+        where, "is damaged or too large: the program that reads it has crashed", remedy
+    )
 
 
 def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
