@@ -70,6 +70,8 @@ effort_unit = "mA"
 [topics]
 "/joints" = "joints"
 "/goals" = "goals"
+[frame]
+up = "z"
 [columns]
 goal_1_rad = {{ from = "angle_1_rad" }}
 """
