@@ -26,6 +26,7 @@ import numpy as np
 
 from bench.plans.rig_runs import SEED, by_mocap, larger_rig, run_on_rig
 from bench.plans.text_picture import draw_text
+from firmware_py.config import UNWATCHED_RATE_RAD_S
 from firmware_py.console import DONE, Progress
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.manifest import read_bundle_files
@@ -38,6 +39,8 @@ from models.plant.plant import Plant, read_plant
 from models.trials.trial_files import write_trial
 
 LIMITS: Final = Limits()
+MOVE_LIMITS: Final = Limits(rate_rad_s=UNWATCHED_RATE_RAD_S)
+"""A rigid move with 2 kg at the full rate draws 8.4 A, beyond `limits.current_a`."""
 PAYLOADS_KG: Final = (0.5, 1.0, 1.5, 2.0)
 RUN_KG: Final = (0.7, 1.8)
 LEARNING_RUNS: Final = 5
@@ -81,12 +84,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _plan(
     build: Path, dof: int, name: str, options: PathOptions, method: Method = "inverse",
     payloads_kg: Sequence[float] = PAYLOADS_KG, *, fastest: bool = False, feedback: bool = False,
-    plant: Plant | None = None,
+    plant: Plant | None = None, limits: Limits = LIMITS,
 ) -> TipPlan:  # fmt: skip
     files = read_bundle_files(_bundle(build, dof))
     period_s = files.manifest.period_s
     request = PlanRequest(
-        plant or _plant(build), dof, period_s, LIMITS, payloads_kg, files.manifest_sha256, method,
+        plant or _plant(build), dof, period_s, limits, payloads_kg, files.manifest_sha256, method,
         feedback,
     )  # fmt: skip
     if fastest:
@@ -177,7 +180,10 @@ def moves(build: Path) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for method in ("rigid", "zvd", "inverse"):
-        plan = _plan(build, 1, "point_to_point", MOVE, method, (2.0,), fastest=method == "inverse")
+        plan = _plan(
+            build, 1, "point_to_point", MOVE, method, (2.0,), fastest=method == "inverse",
+            limits=MOVE_LIMITS,
+        )  # fmt: skip
         own = run_on_rig(plan, _bundle(build, 1), 2.0).moves
         found[method] = {
             "settling_s": max(m.settling_s for m in own),
