@@ -427,12 +427,9 @@ bench-fmu: $(READY)
 	$(BIN)/python -m bench.fmu_host --dof 1
 	$(BIN)/python -m bench.fmu_host --dof 2
 
-# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
-bench-live: build/twin_2dof.fmu
-	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $<
+bench-live: build/bench/live_viewers.json
 
-bench-files: $(READY)
-	$(BIN)/python -m bench.files --out build/bench
+bench-files: build/bench/files.json
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)
@@ -462,17 +459,26 @@ build/rig_%/bench/tip_1dof.json: build/rig_%/plant.json
 	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
 	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2
 
-# 4100 inputs for each reader, 10⁵ and more together; and every reader on files of 100 MB.
-build/bench/fuzz.json: build/bundle_1dof/observer.fmu
+# What is measured anew whenever it is asked for.
+FORCE:
+
+# 4100 inputs for each reader, 10⁵ and more together.
+build/bench/fuzz.json: build/bundle_1dof/observer.fmu FORCE
+	@rm -f $@
 	$(BIN)/python -m tests.fuzz --inputs 4100 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
 
-build/bench/files.json: | $(READY)
+# Every reader on files of 100 MB.
+build/bench/files.json: FORCE | $(READY)
+	@rm -f $@
 	$(BIN)/python -m bench.files --out $(@D) >&2 || [ -f $@ ]
 
-build/bench/live_viewers.json: build/twin_2dof.fmu
+# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
+build/bench/live_viewers.json: build/twin_2dof.fmu FORCE
+	@rm -f $@
 	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $< --out $(@D) >&2 || [ -f $@ ]
 
-build/bench/mutants.json: | $(READY)
+build/bench/mutants.json: FORCE | $(READY)
+	@rm -f $@
 	$(BIN)/python tests/firmware_py/safety/mutation.py $@ >&2 || [ -f $@ ]
 
 build/bench/onnx.json: $(READY)

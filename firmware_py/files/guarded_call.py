@@ -71,10 +71,7 @@ def guarded_call(
     """
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
-        with warnings.catch_warnings():
-            # Python 3.12 warns of threads; those of OpenBLAS survive a fork by its own handlers.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            child = os.fork()
+        child = _fork()
         if child == 0:
             os.close(reader)
             _live(work, writer, scratch, memory_bytes, seconds)
@@ -102,6 +99,16 @@ def guarded_call(
     raise InputError(
         where, "is damaged or too large: the program that reads it has crashed", remedy
     )
+
+
+def _fork() -> int:
+    """Fork, without the warning that Python 3.12 gives where there are threads.
+
+    Those of OpenBLAS survive a fork by its own handlers.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
 
 
 def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
