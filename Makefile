@@ -59,6 +59,7 @@ help:
 	@echo "                them, runs it on the rig, diagnoses again"
 	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
 	@echo "                with the payload known and unknown; prints the page's path"
+	@echo "make link-demo  a link of another size, mounting and servo: from link.toml to a run in software"
 	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
 	@echo "                platforms, and with their sources alone; and the SSP packages"
 	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
@@ -84,6 +85,7 @@ help:
 	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
+	@echo "make wheelhouse  the wheels that a robot PC without network installs from"
 	@echo "make lock       renews requirements/ from pyproject.toml"
 	@echo "make clean      removes what was built (keeps .venv)"
 

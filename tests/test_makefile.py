@@ -33,7 +33,7 @@ def commands():
 def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
     own = [c for c in commands if "build/gap_demo/" in c]
     for what in ("models simulate", "hil sil", "hil gap"):
-        told = [c for c in own if what in c and "sil_without" not in c]
+        told = [c for c in own if what in c and "_without" not in c]
         assert told
         assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in told)
 

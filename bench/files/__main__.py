@@ -22,6 +22,7 @@ from typing import Final, NamedTuple
 from bench.files.file_filling import STEP_S, angle_rad
 from bench.files.large_files import LARGE_FILES
 from firmware_py.console import DONE, NEGATIVE
+from firmware_py.display_units import DATA_SIZE
 
 MOST_BYTES: Final = 500_000_000
 KINDS: Final = {
@@ -169,8 +170,9 @@ def main() -> int:
                 one = read_file(file, content, Path(folder))
             readings.append(one)
             print(
-                f"{file:16}{content:18}{one.size_bytes / 1e6:6.1f}  {one.ended:8}"
-                f"{one.peak_bytes / 1e6:8.0f}{one.cpu_s:8.1f}  {one.said[:110]}", flush=True,
+                f"{file:16}{content:18}{DATA_SIZE.number(one.size_bytes, 1):>6}  {one.ended:8}"
+                f"{DATA_SIZE.number(one.peak_bytes):>8}{one.cpu_s:8.1f}  {one.said[:110]}",
+                flush=True,
             )  # fmt: skip
     peak = max(one.peak_bytes for one in readings)
     failed = [one for one in readings if one.ended == "failed"]
@@ -180,7 +182,7 @@ def main() -> int:
                   "slowest_s": max(one.cpu_s for one in readings),
                   "readings": [one._asdict() for one in readings]}  # fmt: skip
         (args.out / "files.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
-    print(f"{len(readings)} files, peak {peak / 1e6:.0f} MB, {len(failed)} failed")
+    print(f"{len(readings)} files, peak {DATA_SIZE.number(peak)} MB, {len(failed)} failed")
     return NEGATIVE if failed or peak > MOST_BYTES else DONE
 
 

@@ -228,12 +228,8 @@ class Link:
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         add_rod(masses, mass_kg * position, 0, 1)
         add_rod(masses, mass_kg * (1 - position), 1, 2)
-        offset_m = ca.SX(scope.payload_offset_m)
-        if offset_m.is_zero():
-            masses[2, 2] += scope.payload_kg
-        else:
-            masses[3, 3] = scope.payload_kg
-            nodes.append(tip_m + section @ ca.vertcat(offset_m, 0, 0))
+        masses[3, 3] = scope.payload_kg  # beside the tip's mass: an offset of zero changes no bit
+        nodes.append(tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0))
         return nodes, masses
 
     def _deformation_index(

@@ -42,6 +42,19 @@ class Weighing(NoEstimator):
         return Estimate(0.0, 0.0 if self.ticks % 100 < 50 else 2.0)
 
 
+class UnbentPredictor(RigidPredictor):
+    """Knows no bend, and takes the innovation of the current."""
+
+    wanted = ("innovation_1_a",)
+
+
+class Unsurprised(NoEstimator):
+    """Estimates nothing, and is never surprised."""
+
+    def update(self, angle_rad, current_a, step_s):
+        return Estimate(0.0, 0.0, np.zeros(1))
+
+
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
     directory = tmp_path_factory.mktemp("bundle")
@@ -52,7 +65,7 @@ def bundle(tmp_path_factory):
     )  # fmt: skip
     write_manifest(directory, manifest)
     sha256 = hashlib.sha256((directory / MANIFEST).read_bytes()).hexdigest()
-    return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor(), sha256)
+    return ModelBundle(directory, manifest, Unsurprised(), UnbentPredictor(), sha256)
 
 
 @pytest.fixture(scope="module")
