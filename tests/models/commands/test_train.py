@@ -60,14 +60,9 @@ def test_trials_of_another_time_step_are_refused(toy_trials):
         refuse_mixed_steps((first, slower))
 
 
-def test_train_writes_a_bundle_and_says_how_to_make_an_unseen_motion(toy_trials, tmp_path, capsys):
-    for trial in toy_trials(1, amplitudes_deg=(30,)):
-        write_trial(trial, tmp_path / "trials")
-    arguments = ["train", str(tmp_path / "trials"), "--dof", "1", "--out", str(tmp_path / "out"),
+def test_trials_of_other_joints_are_refused(toy_trials, tmp_path, capsys):
+    write_trial(toy_trials(1, amplitudes_deg=(30,))[0], tmp_path)
+    arguments = ["train", str(tmp_path), "--dof", "2", "--out", str(tmp_path / "out"),
                  "--plant", "models/plant/nominal.toml"]  # fmt: skip
-    assert main(arguments) == 0
-    text = capsys.readouterr().out
-    assert "no unseen motion" in text and "--amplitude-deg 20" in text
-    assert (tmp_path / "out" / "manifest.json").is_file()
-    assert main([*arguments[:3], "2", *arguments[4:]]) == 2
+    assert main(arguments) == 2
     assert "2DOF" in capsys.readouterr().err

@@ -1,0 +1,82 @@
+"""Worked example of docs/plant/link.md: five commands from a link's size to a run in software."""
+
+import json
+
+import numpy as np
+import pytest
+
+from firmware_py.log.recording import read_recording
+from hil.__main__ import main as hil
+from hil.timing.timing_document import read_timing
+from models.__main__ import main as models
+from models.plant.plant import read_plant
+from models.rig.drawn_rig import rig_named
+from models.shared.c_compiler import OPTIONS_VARIABLE
+from models.tip.candidates import candidate_list
+from models.tip.candidates.observer_tip import ObserverTip
+from models.tip.candidates.paper_polynomial import PaperPolynomial
+from models.trials.trial_files import read_trial
+
+LINK = (
+    "--length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --joints 1 "
+    "--pressure-pa 20700 --payload 0.4"
+)
+MOTION = "--period 2.2 --amplitude-deg 20"
+"""Brief, and within the robot's default limit of acceleration."""
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Leave out what costs most: long rests, optimised C, second fits, costly candidates."""
+    monkeypatch.setenv(OPTIONS_VARIABLE, "-O1")
+    monkeypatch.setattr(
+        "models.commands.simulate.rig_named",
+        lambda name: rig_named(name).changed(**{"world.pause_s": 0.3, "world.settle_s": 0.1}),
+    )
+    monkeypatch.setattr(
+        "models.plant.identification.identification.profiled_starts", lambda plant: []
+    )
+    monkeypatch.setattr("models.commands.identify.with_noise_floor", lambda plant, trials: plant)
+    monkeypatch.setattr(candidate_list, "CANDIDATES", (ObserverTip, PaperPolynomial))
+
+
+@pytest.mark.usefixtures("brief")
+def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, capsys):
+    link, trials, plant, bundle, sil = (
+        tmp_path / name for name in ("link.toml", "trials", "plant.json", "bundle", "sil")
+    )
+
+    def passes(main, arguments):
+        assert main(arguments.split()) == 0, arguments
+        return capsys.readouterr().out
+
+    passes(models, f"new {link} {LINK}")
+    passes(
+        models, f"simulate --rig {link} --out {trials} --payloads 0.4 {MOTION} --workers 1 --seed 1"
+    )
+    found = passes(models, f"identify {trials} --plant {link} --out {plant} --json")
+    held_out = json.loads(found)["held_out"]
+    assert held_out["tip_rms_m"] < held_out["rigid_tip_rms_m"] / 4
+
+    text = passes(models, f"train {trials} --dof 1 --plant {plant} --out {bundle}")
+    assert "no unseen motion" in text and "--amplitude-deg 20" in text
+    kept = read_plant(bundle / "plant.json").link
+    assert kept.layout.count == 12 and kept.servo.model == "XM430-W350"
+    assert kept.gravity.mounting == "hanging"
+
+    text = passes(
+        hil,
+        f"sil --bundle {bundle} --rig {link} --line virtual --out {sil} --payload-kg 0.4 "
+        f"--seconds 2.2 {MOTION}",
+    )
+    timing = read_timing(sil / "timing.json")
+    assert timing.run.ended == "finished" and timing.own_misses == 0
+    assert timing.environment.servo == "XM430-W350"
+    log, trial = read_recording(sil / "ticks.mcap"), read_trial(sil / "trial" / "sil.csv")
+    assert log.complete and len(log.columns["tick"]) == timing.ticks
+    assert trial.markers_m.shape[1] == 12 and trial.meta.gravity == (0.0, 0.0, 9.81)
+    reach_m = kept.base_offset_m + kept.length_m
+    angle_rad = trial.angle_rad[:, 0]
+    rigid_m = reach_m * np.column_stack([np.sin(angle_rad), 0 * angle_rad, np.cos(angle_rad)])
+    rigid_rms_m = np.sqrt(np.mean(np.sum((trial.tip_m - rigid_m) ** 2, axis=1)))
+    assert timing.prediction_error.rms_m < rigid_rms_m / 2
