@@ -103,7 +103,7 @@ $(READY): requirements/workshop.txt pyproject.toml
 	else \
 	  $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 	    { echo "Python's venv is incomplete here: apt install python3-venv, then make again"; exit 1; }; \
-	  echo "setting up .venv (1.5 GB, a minute or two)"; \
+	  echo "setting up .venv (2.2 GB, a minute or two)"; \
 	  $(PYTHON) -m venv .venv && \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
 	    -r requirements/workshop.txt && \
