@@ -111,6 +111,9 @@ class Setup:
         Whether the recorder can write no further byte.
     bundle_swapped : bool
         Whether every file of the bundle is overwritten on disk.
+    bundle_damage : str
+        Damage of the bundle before the start, a key of
+        `hil.faults.cases.damaged_bundle.BUNDLE_DAMAGES`; empty for none.
     unplug_s : float or None
         How long the port is gone.
     port_renamed : bool
@@ -139,6 +142,7 @@ class Setup:
     recorder_signal: int | None = None
     disk_full: bool = False
     bundle_swapped: bool = False
+    bundle_damage: str = ""
     unplug_s: float | None = None
     port_renamed: bool = False
     feedback: Literal["none", "continue", "stop"] = "none"

@@ -1,8 +1,9 @@
 """Table of faults: how each is tried, and what must happen.
 
-Four conditions hold in every case (`hil.faults.fault_verdict`): no servo that has a watchdog is
+Some conditions hold in every case (`hil.faults.fault_verdict`): no servo that has a watchdog is
 driven for longer than the watchdog's time without an instruction; no goal jumps; no data is taken
-as fresh that the servo did not send in the same tick; at the end no servo is driven.
+as fresh that the servo did not send in the same tick; at the end no servo is driven; where the
+robot was refused, its torque was never on.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import math
 from signal import (
     SIGHUP,
+    SIGKILL,
     SIGPIPE,
     SIGQUIT,
+    SIGSTOP,
     SIGTERM,
     SIGTSTP,
     SIGUSR1,
@@ -28,8 +31,6 @@ from hil.faults.goal_rows import GOALS
 from hil.faults.injection import FOREVER, Injection
 
 HOUR_S: Final = 3600.0
-
-
 HARMLESS: Final = Expectation("finished", lost=0)
 RECOVERED: Final = Expectation("finished", within=1, lost=0)
 """By the second read of the tick."""
@@ -118,6 +119,11 @@ def _process(
     fault: str, how: str, must: Expectation, setup: Setup, models: tuple[int, ...] = WATCHED
 ) -> FaultRow:
     return FaultRow(fault, how, must, (), ("process",), setup, models)
+
+
+def _unfit_bundle(damage: str, reason: str) -> FaultRow:
+    """Bundle that is refused before anything of it runs; `damage` is its key and its name."""
+    return _process("unfit bundle", damage, _refused(reason), Setup(bundle_damage=damage))
 
 
 _KILLED: Final = Expectation("killed")
@@ -232,8 +238,7 @@ HOST: Final = (
         (Injection("port", FOREVER, math.inf),)),
     FaultRow("unplug and replug", "configured to stay stopped",
         _tripped("no fresh data for 3 ticks (PORT_GONE)", 1), (Injection("port", FOREVER, 1.2),)),
-    FaultRow("unplug and replug", "configured to go on",
-        _BACK,
+    FaultRow("unplug and replug", "configured to go on", _BACK,
         (Injection("port", FOREVER, 1.2),), setup=Setup(replug_s=5.0)),
 )  # fmt: skip
 
@@ -256,10 +261,9 @@ TOGETHER: Final = (
         _tripped(f"{_STALE}|overheating", 1),
         (Injection("silent", FOREVER, joint=1), Injection("hardware error", 1, 4, joint=0)),
         joints=2),
-    FaultRow("together: NaN out of the predictor, then lost", "two and one",
-        HARMLESS, (Injection("predictor", 2, math.nan), Injection("lost", after=2))),
-    FaultRow("together: unplugged during a bad stretch", "configured to go on",
-        _BACK,
+    FaultRow("together: NaN out of the predictor, then lost", "two and one", HARMLESS,
+        (Injection("predictor", 2, math.nan), Injection("lost", after=2))),
+    FaultRow("together: unplugged during a bad stretch", "configured to go on", _BACK,
         (Injection("flip in payload", 2 * BOTH_READS), Injection("port", FOREVER, 1.0, after=2)),
         setup=Setup(replug_s=5.0)),
     FaultRow("together: 5 % each of six faults of the line", "all along",
@@ -295,22 +299,30 @@ PROCESS: Final = (
     ),
     _process("SIGHUP in motion", "once, legacy PRO", _signalled(SIGHUP), Setup(signal=SIGHUP),
              (LEGACY,)),
-    _process("SIGKILL in motion", "once", _KILLED, Setup(signal=9)),
-    _process("SIGKILL in motion", "once, legacy PRO", _KILLED, Setup(signal=9), (LEGACY,)),
+    _process("SIGKILL in motion", "once", _KILLED, Setup(signal=SIGKILL)),
+    _process("SIGKILL in motion", "once, legacy PRO", _KILLED, Setup(signal=SIGKILL), (LEGACY,)),
     _process("host stall of 5 ms", "process stopped", _loses(1), Setup(freeze_s=5e-3)),
     _process("host stall of 20 ms", "process stopped", _loses(3), Setup(freeze_s=20e-3)),
     _process("host stall of 100 ms", "process stopped", _tripped(_STALLED, 2), Setup(freeze_s=0.1)),
-    _process("recorder dead", "killed", _UNLOGGED, Setup(recorder_signal=9)),
-    _process("recorder blocked", "stopped for good", _UNLOGGED, Setup(recorder_signal=19)),
+    _process("recorder dead", "killed", _UNLOGGED, Setup(recorder_signal=SIGKILL)),
+    _process("recorder blocked", "stopped for good", _UNLOGGED, Setup(recorder_signal=SIGSTOP)),
     _process("full disk", "no byte more from now on", _UNLOGGED, Setup(disk_full=True)),
     _process("bundle swapped on disk", "every file", HARMLESS, Setup(bundle_swapped=True)),
+    _unfit_bundle("changed file", "predictor.onnx: does not match the hash"),
+    _unfit_bundle("unnamed file", "names no predictor.onnx"),
+    _unfit_bundle("file outside", "is no file of a bundle"),
+    _unfit_bundle("other golden ticks", "the bundle expects"),
+    _unfit_bundle("golden ticks at rest", "proves nothing"),
+    _unfit_bundle("unsigned", "is not signed, and [trust] keys are given"),
+    _unfit_bundle("foreign signature", "which [trust] does not name"),
+    _unfit_bundle("changed after the signature", "the bundle was changed after it was signed"),
     _process("unplug", "for good", _tripped("PORT_GONE", 1), Setup(unplug_s=9.0)),
     _process("unplug and replug", "same name, configured to go on", _BACK,
              Setup(unplug_s=1.0, replug_s=5.0)),
     _process("unplug and replug", "another name, configured to go on", _BACK,
              Setup(unplug_s=1.0, replug_s=5.0, port_renamed=True)),
     _process("together: recorder dead, disk full, SIGTERM", "at once",
-             _signalled(SIGTERM), Setup(recorder_signal=9, disk_full=True, signal=15)),
+             _signalled(SIGTERM), Setup(recorder_signal=SIGKILL, disk_full=True, signal=SIGTERM)),
 )  # fmt: skip
 
 PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {

@@ -20,7 +20,7 @@ from firmware_py.display_units import TICK_TIME
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.estimate_trust import FADE_S
 from hil.faults.fault_row import FaultRow
-from hil.faults.observation import CaseObservation
+from hil.faults.observation import TOLD_NOTHING, CaseObservation
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 RESOLUTION_RAD: Final = 2e-3
@@ -86,8 +86,9 @@ class CaseVerdict:
         seen = self.observation
         preempted = seen.misses.get(Cause.PREEMPTED.value, 0)
         held_up = preempted or seen.late_replies or seen.held_up_replies or seen.held_up_ticks
-        excused = held_up and self.case.line != "virtual"
-        return Verdict.INCONCLUSIVE if excused else Verdict.FAIL
+        if held_up and self.case.line != "virtual":
+            return Verdict.INCONCLUSIVE
+        return Verdict.FAIL
 
 
 def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseVerdict:
@@ -116,6 +117,8 @@ def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
         )
     if seen.live and (seen.watched or seen.ended == "finished"):
         complaints.append("a servo still drives in the end")
+    if seen.ended == "refused" and seen.told != TOLD_NOTHING:
+        complaints.append(f"the torque was on although it was refused: {seen.told}")
     if seen.live and seen.drift_rad > HELD_RAD:
         complaints.append(f"it moved {seen.drift_rad:.3f} rad after the last that it heard")
     if seen.fade_ticks is not None and seen.fade_ticks > math.ceil(FADE_S / period_s):

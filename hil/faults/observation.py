@@ -17,6 +17,8 @@ from firmware_py.safety.states import SafetyState
 from hil.faults.servo_log import ServoLog
 
 Columns = Mapping[str, NDArray[Any]]
+TOLD_NOTHING: Final = "nothing, the torque stayed off"
+"""What the servos of a robot that was refused were told."""
 _SAME_RAD: Final = 1e-12
 _READS_PER_TICK: Final = 2
 
@@ -102,7 +104,7 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     injected: bool = True
     detected_ticks: int | None = None
     state: str = SafetyState.STARTING.name
-    told: str = "nothing, the torque stayed off"
+    told: str = TOLD_NOTHING
     recovered_ticks: int | None = None
     lost_ticks: int = 0
     unlogged_ticks: int = 0
@@ -184,19 +186,18 @@ def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
     ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
     stale = columns["bus_status"] > BusStatus.ALERT
     missed = columns["missed"].astype(int)
-    span = np.arange(len(ticks))
-    span = span[(span >= (first or 0)) & (ticks - missed < slots)]
+    rows = np.arange(len(ticks))
+    span = rows[(rows >= (first or 0)) & (ticks - missed < slots)]
     bad = span[
         (columns["bus_status"][span] != BusStatus.OK)
         | (states[span] != SafetyState.RUNNING)
         | (missed[span] > 0)
     ]
     good_after = span[span > bad[-1]] if len(bad) else bad
+    highest = int(states[span].max()) if len(span) else SafetyState.RUNNING
     return {
         "detected_ticks": int(bad[0] - first + 1) if len(bad) and first is not None else None,
-        "state": SafetyState(int(states[span].max())).name
-        if len(span)
-        else SafetyState.RUNNING.name,
+        "state": SafetyState(highest).name,
         "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
         "lost_ticks": int(stale[span].sum() + missed[span].sum()),
     } | _trust(columns)
@@ -252,8 +253,8 @@ def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> f
 
 def _told(outcome: CaseOutcome, servo_log: ServoLog) -> str:
     """Commands that the servos received from the fault on, in words."""
-    if outcome.ended == "refused":
-        return "nothing, the torque stayed off"
+    if not len(servo_log.goal_ns) and not servo_log.live:
+        return TOLD_NOTHING
     if servo_log.live:
         return "nothing: without a watchdog it holds its last goal"
     if servo_log.stopped_by_watchdog:

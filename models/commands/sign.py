@@ -52,20 +52,36 @@ def run(args: argparse.Namespace) -> int:
     """
     ModelBundle.load(args.bundle)  # nobody signs what the robot would refuse
     key = make_key(args.key) if args.new_key else read_key(args.key)
+    public = sign_bundle(args.bundle, key)
     manifest = content_of(args.bundle / MANIFEST)
-    public = key_text(key.public_key().public_bytes_raw())
-    signature = base64.b64encode(key.sign(signed_message(manifest))).decode()
-    path = args.bundle / SIGNATURE
-    scratch = path.with_name(f".{SIGNATURE}")
-    write_document(scratch, BundleSignature(schema=1, key=public, signature=signature))
-    scratch.replace(path)
-    check_signature(manifest, path, (public,))
     emit(
         args,
         {"bundle": str(args.bundle), "key": public, "manifest_sha256": manifest.sha256},
-        f'{path}: signed; in robot.toml:\n\n[trust]\nkeys = ["{public}"]',
+        f'{args.bundle / SIGNATURE}: signed; in robot.toml:\n\n[trust]\nkeys = ["{public}"]',
     )
     return DONE
+
+
+def sign_bundle(directory: Path, key: Ed25519PrivateKey) -> str:
+    """Sign the manifest of a bundle; return the public key.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+    key : Ed25519PrivateKey
+        Private key.
+    """
+    manifest = content_of(directory / MANIFEST)
+    public = key_text(key.public_key().public_bytes_raw())
+    signature = base64.b64encode(key.sign(signed_message(manifest))).decode()
+    path = directory / SIGNATURE
+    scratch = path.with_name(f".{SIGNATURE}")
+    document = BundleSignature(schema=BundleSignature.VERSION, key=public, signature=signature)
+    write_document(scratch, document)
+    scratch.replace(path)
+    check_signature(manifest, path, (public,))
+    return public
 
 
 def make_key(path: Path) -> Ed25519PrivateKey:

@@ -25,10 +25,13 @@ import tomli_w
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
+from firmware_py.console import BAD_INPUT
 from firmware_py.errors import InputError
+from firmware_py.inference.bundle_signature import TrustConfig
 from firmware_py.log.recording import read_recording
 from firmware_py.realtime.clock import RealTimeOptions
 from hil.faults.cases.case_robot import CaseRobot, case_config
+from hil.faults.cases.damaged_bundle import BUNDLE_DAMAGES
 from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.injection import FaultSchedule
@@ -57,20 +60,24 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
         )
         servo_process = stack.enter_context(contextlib.closing(ServoProcess(task)))
         bundle = Path(shutil.copytree(robot.bundle.directory, scratch / "bundle"))
+        keys = BUNDLE_DAMAGES[setup.bundle_damage](bundle) if setup.bundle_damage else ()
         port = str(scratch / "tty-*") if setup.port_renamed else str(task.port)
         config = msgspec.structs.replace(
             case_config(robot, row, number, port if kind == "pty" else f"unix:{port}"),
             bundle=str(bundle), real_time=RealTimeOptions(cpu=loop_cpu),
+            trust=TrustConfig(keys=keys),
         )  # fmt: skip
         seconds = REPLUG_SECONDS if setup.replug_s else SECONDS
         process = stack.enter_context(_robot(config, scratch, seconds))
-        _await(servo_process, FaultSchedule((), seed).start, process)
-        began_ns = _act(setup, process, servo_process, scratch, task.port)
-        output = _end(process, servo_process)
+        began_ns = None
+        if row.must.ended != "refused":
+            _await(servo_process, FaultSchedule((), seed).start, process)
+            began_ns = _act(setup, process, servo_process, scratch, task.port)
+        output, errors = _end(process, servo_process)
         time.sleep(SETTLE_S)
         servo_log = servo_process.stop()
         columns = _columns(scratch / "ticks.mcap")
-        outcome = _outcome(process, output, columns)
+        outcome = _outcome(process, output, errors, columns)
     slots = round(seconds / config.period_s)
     return observe_case(
         outcome, columns, servo_log, began_ns, slots, config.period_s,
@@ -156,8 +163,14 @@ def _recorders(pid: int) -> list[int]:
     return found
 
 
-def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> str:
-    """Wait for the robot's end; a recorder that hangs then is ended as well."""
+def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> tuple[str, str]:
+    """Wait for the robot's end; a recorder that hangs then is ended as well.
+
+    Returns
+    -------
+    tuple of str
+        Its standard output and standard error.
+    """
     seen, since_s = servo_process.exchange, time.monotonic()
     deadline_s = since_s + _END_TIMEOUT_S
     while process.poll() is None and time.monotonic() < deadline_s:
@@ -168,7 +181,7 @@ def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> str:
             for pid in _recorders(process.pid):
                 if _stopped(pid):
                     os.kill(pid, signal.SIGKILL)
-    return process.communicate(timeout=_END_TIMEOUT_S)[0]
+    return process.communicate(timeout=_END_TIMEOUT_S)
 
 
 def _stopped(pid: int) -> bool:
@@ -190,8 +203,12 @@ def _columns(log: Path) -> Columns:
         time.sleep(0.05)
 
 
-def _outcome(process: subprocess.Popen[str], output: str, columns: Columns) -> CaseOutcome:
+def _outcome(
+    process: subprocess.Popen[str], output: str, errors: str, columns: Columns
+) -> CaseOutcome:
     if not output:
+        if process.returncode == BAD_INPUT:
+            return CaseOutcome("refused", errors.strip())
         killed = process.returncode == -signal.SIGKILL
         return CaseOutcome("killed" if killed else f"exit {process.returncode}", "no last words")
     summary = json.loads(output)

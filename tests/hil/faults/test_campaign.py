@@ -138,6 +138,7 @@ def test_goals_that_jump_after_a_replug_are_found_out(robot, monkeypatch):
     [
         ({"unheard_ns": 60_000_001}, "without supervision"),
         ({"live": True}, "still drives"),
+        ({"ended": "refused", "told": "goals along the motion"}, "although it was refused"),
         ({"live": True, "watched": False, "ended": "killed", "drift_rad": 0.201}, "it moved"),
         ({"goal_jump_rad": 2.1e-3}, "a goal jumped"),
         ({"stale_as_fresh": 1}, "old data"),

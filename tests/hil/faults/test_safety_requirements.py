@@ -28,6 +28,7 @@ def test_every_identifier_stands_in_the_text_and_no_other():
 @pytest.mark.parametrize("requirement", REQUIREMENTS, ids=lambda r: r.identifier)
 def test_what_verifies_a_requirement_is_there(requirement):
     assert requirement.tests
+    assert bool(requirement.faults) != bool(requirement.no_fault)
     for test in requirement.tests:
         file, _, name = test.partition("::")
         tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
