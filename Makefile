@@ -26,7 +26,7 @@ SPACE := $() $()
 GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
 HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))
 
-# Recordings of other machines (docs/real-data.md).
+# Recordings of other machines (docs/gap/real-data.md).
 DATA ?= $(or $(DROPSTITCH_DATA),../shared/data)
 
 # Claims to measure, by name or group; empty: all whose command takes 20 minutes at most.

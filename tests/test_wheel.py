@@ -63,10 +63,10 @@ def complete_bundle(toy_bundle: Path, tmp_path_factory: pytest.TempPathFactory) 
     return bundle
 
 
-def test_wheel_holds_the_robot_room_only(wheel: Path) -> None:
+def test_wheel_holds_the_robot_room_and_the_library_only(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         rooms = {name.split("/")[0] for name in archive.namelist()}
-    assert {r for r in rooms if not r.endswith(".dist-info")} == {"firmware_py"}
+    assert {r for r in rooms if not r.endswith(".dist-info")} == {"firmware_py", "dropstitch"}
 
 
 def sbom(wheel: Path) -> dict:
@@ -120,6 +120,27 @@ def test_nothing_of_the_workshop_is_importable(robot: Path, tmp_path: Path) -> N
     probe = f"import importlib.util as u; print([m for m in {WORKSHOP_ONLY!r} if u.find_spec(m)])"
     found = run(robot / "python", "-c", probe, cwd=tmp_path)
     assert found.stdout.strip() == "[]", found.stdout + found.stderr
+
+
+LIBRARY = """
+import sys
+import dropstitch
+bundle = dropstitch.ModelBundle.load(sys.argv[1])
+print(bundle.predict_many([0.0, 0.1], [0.0, 0.2]).tip_m.shape)
+try:
+    dropstitch.diagnose
+except ImportError as error:
+    print(error)
+"""
+
+
+def test_the_library_predicts_and_names_what_the_robot_lacks(
+    robot: Path, complete_bundle: Path, tmp_path: Path
+) -> None:
+    shown = run(robot / "python", "-c", LIBRARY, complete_bundle, cwd=tmp_path)
+    shape, sentence = shown.stdout.splitlines()
+    assert shape == "(2, 3)" and not shown.stderr
+    assert sentence.startswith("dropstitch.diagnose belongs to the workshop")
 
 
 def test_golden_ticks_replay(robot: Path, complete_bundle: Path, tmp_path: Path) -> None:

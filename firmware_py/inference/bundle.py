@@ -21,14 +21,24 @@ runs on the robot PC**.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from numpy.typing import ArrayLike
+
 from firmware_py.errors import InputError
+from firmware_py.inference.batch_prediction import Predictions, predict_rows, predict_run
 from firmware_py.inference.compiled_observer import CompiledObserver, Runtime
-from firmware_py.inference.estimator import DeformationEstimator, ObserverEstimator, load_estimator
+from firmware_py.inference.estimator import (
+    DeformationEstimator,
+    LaggedEstimator,
+    ObserverEstimator,
+    load_estimator,
+)
+from firmware_py.inference.file_content import FileContent
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import GOLDEN, Golden, read_golden, verify, verify_equal
 from firmware_py.inference.manifest import (
@@ -109,6 +119,8 @@ class ModelBundle:
         Hash of `manifest.json` as it was loaded.
     signed_by : str
         Trusted key that has signed it; empty where none was asked for.
+    memoryless : FileContent or None
+        Graph that predicts from angle, current and DI alone; None where the bundle has none.
     """
 
     directory: Path
@@ -117,6 +129,7 @@ class ModelBundle:
     predictor: OnnxPredictor | CompiledObserver
     manifest_sha256: str = ""
     signed_by: str = ""
+    memoryless: FileContent | None = None
 
     @property
     def runtime(self) -> Runtime:
@@ -144,6 +157,56 @@ class ModelBundle:
         """
         if isinstance(self.estimator, ObserverEstimator):
             self.estimator.assume_payload(payload_kg)
+
+    def predict_many(
+        self,
+        angle_rad: ArrayLike,
+        current_a: ArrayLike,
+        di: ArrayLike | None = None,
+        *,
+        step_s: float | None = None,
+    ) -> Predictions:
+        """Predict for arrays of measurements.
+
+        Without `di` the rows are one run: the bundle's estimator follows them from rest, as on the
+        robot. With `di` every row is predicted by itself, by the paper's polynomial.
+
+        Parameters
+        ----------
+        angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
+            As measured; positive current pushes its angle positive.
+        di : array_like, shape (n,) or (), optional
+            Deformation Index, dimensionless.
+        step_s : float, optional
+            Time between two rows of a run; by default the period of the bundle.
+
+        Returns
+        -------
+        Predictions
+            Arrays of n rows, which no later call overwrites.
+
+        Raises
+        ------
+        InputError
+            If an array has another shape, the estimator is only valid at another period, or `di` is
+            given and the bundle has no predictor from it alone.
+        """
+        dof = self.manifest.dof
+        if di is None:
+            period_s = self.manifest.period_s
+            step_s = period_s if step_s is None else step_s
+            if isinstance(self.estimator, LaggedEstimator) and not math.isclose(step_s, period_s):
+                raise InputError(
+                    "step_s", f"is {step_s}, the lagged estimator was trained at {period_s}",
+                    "resample, or use a bundle with the observer",
+                )  # fmt: skip
+            return predict_run(self.estimator, self.predictor, angle_rad, current_a, step_s, dof)
+        if self.memoryless is None:
+            raise InputError(
+                self.directory, "has no predictor from angle, current and DI alone",
+                "leave di out, or train the bundle again",
+            )  # fmt: skip
+        return predict_rows(OnnxPredictor(self.memoryless, dof), angle_rad, current_a, di, dof)
 
     @classmethod
     def load(
@@ -183,6 +246,7 @@ class ModelBundle:
         return cls(
             files.directory, manifest, compiled or estimator, compiled or predictor,
             files.manifest_sha256, files.signed_by,
+            files.contents.get(POLYNOMIAL) or (None if predictor.wanted else files.file(PREDICTOR)),
         )  # fmt: skip
 
 

@@ -28,8 +28,8 @@ PREDICTED: Final = (
 class CompiledObserver(ObserverEstimator):
     """`DeformationEstimator` and `Predictor` at once: `update` computes both answers.
 
-    `predict` returns the answer to the sample of the latest `update`. It computes again only where
-    the sample has another age than a fresh one.
+    `predict` returns the answer to the sample of the latest `update`, and refuses another fresh
+    one. It computes again only where the sample has another age than a fresh one.
 
     Parameters
     ----------
@@ -110,13 +110,30 @@ class CompiledObserver(ObserverEstimator):
         """Return the answer to the latest sample; see `Predictor.predict`.
 
         Before the first `update` it is that of a link that rests at the sample given here.
+
+        Raises
+        ------
+        InputError
+            If a fresh sample is given that `update` has not had: the observer needs every sample.
         """
         if not self._updated:
             self._sample(angle_rad, current_a)
             self._run(0.0, age_s)
+        elif age_s == 0.0 and not self._refused and not self._had(angle_rad, current_a):
+            raise InputError(
+                "predict", "is given a sample that update has not had",
+                "give the observer every sample, or use ModelBundle.predict_many",
+            )  # fmt: skip
         elif age_s != self._known_age_s and not self._refused:
             self._run(0.0, age_s)
-        return self._prediction
+        return self._prediction.copy()
+
+    def _had(self, angle_rad: Array, current_a: Array) -> bool:
+        """Whether the latest sample is this one; by items, which is fast for two joints."""
+        inputs, dof = self._tick.inputs, self._dof
+        return all(
+            inputs[j] == angle_rad[j] and inputs[dof + j] == current_a[j] for j in range(dof)
+        )
 
     def _sample(self, angle_rad: Array, current_a: Array) -> None:
         inputs, dof = self._tick.inputs, self._dof

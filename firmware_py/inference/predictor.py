@@ -27,7 +27,7 @@ NO_SIGNALS: Final[Array] = np.zeros(0)
 
 
 class Prediction:
-    """Latest prediction, in buffers that the next call overwrites.
+    """Prediction from one sample.
 
     Attributes
     ----------
@@ -41,6 +41,10 @@ class Prediction:
 
     def __init__(self, tip_m: Array, in_range: Array, half_width_m: Array) -> None:
         self.tip_m, self._in_range, self.half_width_m = tip_m, in_range, half_width_m
+
+    def copy(self) -> Prediction:
+        """Return the same in arrays of its own."""
+        return Prediction(self.tip_m.copy(), self._in_range.copy(), self.half_width_m.copy())
 
     @property
     def in_range(self) -> bool:
@@ -75,7 +79,7 @@ class Predictor(Protocol):
         Returns
         -------
         Prediction
-            Tip and prediction interval; overwritten by the next call.
+            Tip and prediction interval, in arrays of its own.
         """
 
 
@@ -221,7 +225,7 @@ class OnnxPredictor:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Predict from one sample, without net allocation; see `Predictor.predict`."""
+        """Predict from one sample; see `Predictor.predict`."""
         self._angle_rad[:] = angle_rad
         self._current_a[:] = current_a
         self._di[0] = di
@@ -229,7 +233,7 @@ class OnnxPredictor:
         if self.wanted:
             self._signals[:] = signals
         self._graph.run()
-        return self._prediction
+        return self._prediction.copy()
 
 
 class _Feature(msgspec.Struct, frozen=True):

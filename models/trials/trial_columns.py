@@ -22,6 +22,8 @@ PlantSignals = Mapping[str, SignalRole]
 
 MOST_COLUMNS: Final = 1000
 """Most columns of a table [assumed]; a trial of the link has 62 with 16 markers."""
+FEWEST_ROWS: Final = 3
+"""Fewest rows of a trial: a rate needs two, its change three."""
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
 """Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
@@ -70,12 +72,41 @@ def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) 
         samples = _read_rows(path, header, reader, required)
     except csv.Error as error:
         raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
-    if len(samples) < 3:
+    if len(samples) < FEWEST_ROWS:
         raise InputError(path, f"has {len(samples)} rows", "give at least three")
     columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
     for name in required:
         _check_magnitude(path, name, columns[name])
     return columns
+
+
+def check_columns(
+    where: Path, columns: Mapping[str, Array], signals: Sequence[Signal], known: set[str]
+) -> None:
+    """Refuse columns that are no samples of a trial.
+
+    Parameters
+    ----------
+    where : Path
+        Subject of the message.
+    columns : mapping of str to ndarray, shape (n,)
+        Samples by name.
+    signals, known
+        As for `read_sample_columns`.
+
+    Raises
+    ------
+    InputError
+        As `read_sample_columns`.
+    """
+    required = [s.name for s in signals]
+    _check_header(where, list(columns), required, known)
+    for name in required:
+        missing = np.flatnonzero(~np.isfinite(columns[name]))
+        tip = name in tip_names() and len(missing) == len(columns[name])
+        if len(missing) and not (tip or _MARKER.fullmatch(name)):
+            raise _no_number(where, int(missing[0]) + 2, name, str(columns[name][missing[0]]))
+        _check_magnitude(where, name, columns[name])
 
 
 def _read_rows(

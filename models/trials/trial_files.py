@@ -28,13 +28,20 @@ from models.trials.trial import (
     TrialMeta,
     TrialSet,
 )
-from models.trials.trial_columns import PlantSignals, columns_of, read_sample_columns
+from models.trials.trial_columns import (
+    FEWEST_ROWS,
+    PlantSignals,
+    check_columns,
+    columns_of,
+    read_sample_columns,
+)
 
 __all__ = [
     "Trial",
     "TrialMeta",
     "TrialSet",
     "check_meta",
+    "check_samples",
     "check_trial_name",
     "read_trial",
     "read_trials",
@@ -135,14 +142,33 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
         {s.name for s in tick_signals(meta.dof)},
     )
     trial = Trial(path.stem, _own_conditions(meta, signals), _own_columns(columns, signals), path)
-    _check_time(trial)
-    if not 0 <= meta.rest_samples < len(trial):
-        raise InputError(
-            path.with_suffix(".toml"),
-            f"rest_samples is {meta.rest_samples}, the trial has {len(trial)} rows",
-            "set rest_samples to the number of leading rows at rest",
-        )
+    _check_rows(trial)
     return trial
+
+
+def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
+    """Refuse a trial whose samples or conditions no file may hold.
+
+    Parameters
+    ----------
+    trial : Trial
+        Made in memory.
+    signals : mapping of str to SignalRole, optional
+        As for `read_trials`.
+
+    Raises
+    ------
+    InputError
+        As `read_trial`.
+    """
+    where = Path(trial.name)
+    own = {s.quantity or name: s for name, s in (signals or {}).items()}
+    meta = check_meta(trial.meta.document(), where, own)
+    known = {s.name for s in tick_signals(meta.dof)}
+    check_columns(where, trial.columns, columns_of(meta.dof, own, meta.layout.count), known)
+    if len(trial) < FEWEST_ROWS:
+        raise InputError(where, f"has {len(trial)} rows", "give at least three")
+    _check_rows(trial)
 
 
 def _own_columns(columns: Mapping[str, Array], signals: PlantSignals | None) -> dict[str, Array]:
@@ -285,13 +311,19 @@ def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
     return check_meta(document, path, signals)
 
 
-def _check_time(trial: Trial) -> None:
+def _check_rows(trial: Trial) -> None:
+    where = trial.path if trial.path.name else Path(trial.name)
     steps = np.diff(trial.time_s)
     mean = trial.step_s
     worst = int(np.argmax(np.abs(steps - mean)))
     if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
         raise InputError(
-            trial.path,
-            f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
+            where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
             "resample to a uniform step with 'python -m models import --as table'",
+        )  # fmt: skip
+    if not 0 <= trial.meta.rest_samples < len(trial):
+        raise InputError(
+            where.with_suffix(".toml"),
+            f"rest_samples is {trial.meta.rest_samples}, the trial has {len(trial)} rows",
+            "set rest_samples to the number of leading rows at rest",
         )

@@ -114,6 +114,15 @@ def test_compiled_and_onnx_give_the_same_answers_also_to_what_is_old_or_no_numbe
     assert early[1].predict(np.zeros(1), np.zeros(1), 0.0).tip_m[2] == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_sample_that_the_compiled_observer_has_not_had_is_refused(observed):
+    compiled = ModelBundle.load(observed, runtime="compiled")
+    compiled.estimator.update(np.zeros(1), np.zeros(1), 0.017)
+    with pytest.raises(InputError, match="update has not had"):
+        compiled.predictor.predict(np.full(1, 0.1), np.zeros(1), 0.0)
+    angle_rad, current_a = np.linspace(0.0, 0.3, 30), np.linspace(0.0, 0.9, 30)
+    assert len(np.unique(compiled.predict_many(angle_rad, current_a).tip_m[:, 0])) == 30
+
+
 def test_a_payload_that_is_known_reaches_the_compiled_predictor(observed):
     compiled = ModelBundle.load(observed, runtime="compiled")
     compiled.assume_payload(1.5)

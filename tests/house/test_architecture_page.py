@@ -13,6 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 ROOMS = ("firmware_py", "models", "fmu", "hil")
+PACKAGES = (*ROOMS, "dropstitch")
 NOT_LISTED = {"c"}
 """Folders that the page names with their parent."""
 
@@ -35,12 +36,12 @@ def folders_of_the_page():
 def test_the_tree_is_that_of_the_rooms():
     code = {
         str(folder.relative_to(ROOT))
-        for room in ROOMS
+        for room in PACKAGES
         for folder in [ROOT / room, *(ROOT / room).rglob("*")]
         if folder.is_dir() and any(f.is_file() for f in folder.iterdir())
         and "__pycache__" not in folder.parts and folder.name not in NOT_LISTED
     }  # fmt: skip
-    page = {f for f in folders_of_the_page() if f.split("/")[0] in ROOMS}
+    page = {f for f in folders_of_the_page() if f.split("/")[0] in PACKAGES}
     named = {f for f in code if f"{f.rsplit('/', 1)[-1]}/ " in PAGE}  # in the words of a parent
     assert page <= code
     assert code - page <= named

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.house.each_file import ROOT, each_file, tree_of
 
-ROOMS = ("firmware_py", "models", "fmu", "hil", "bench", "tests")
+ROOMS = ("firmware_py", "models", "fmu", "hil", "dropstitch", "bench", "tests")
 MARKDOWN = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 PYTHON = [
     *sorted(ROOT.glob("*.py")),
@@ -28,7 +28,7 @@ OUTSIDE = (*(word.upper() for word in ("facts", "design")), "data " + "README")
 
 SECTION = re.compile(r'(docs/[\w-]+\.md), "([^"]+)"')
 FILE = re.compile(
-    r"(?<![\w/.-])((?:firmware_py|models|fmu|hil|bench|tests|docs|requirements)/[\w./-]*\w)"
+    r"(?<![\w/.-])((?:firmware_py|models|fmu|hil|dropstitch|bench|tests|docs|requirements)/[\w./-]*\w)"
     r"(?=[\s`'\",.;:)\]]|$)"
 )
 DOTTED = re.compile(r"`((?:firmware_py|models|fmu|hil|bench)(?:\.\w+)+)(?:\(\))?`")

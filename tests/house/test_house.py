@@ -10,7 +10,9 @@ from pathlib import Path
 from tests.house.each_file import ROOT, each_file, place, tree_of
 
 ROOMS = ("firmware_py", "models", "fmu", "hil")
-SOURCE = [p for room in (*ROOMS, "bench") for p in sorted((ROOT / room).rglob("*.py"))]
+SOURCE = [
+    p for room in (*ROOMS, "dropstitch", "bench") for p in sorted((ROOT / room).rglob("*.py"))
+]
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 CODE = sorted(
     p for room in ROOMS for p in (ROOT / room).rglob("*") if p.suffix in (".c", ".h", ".html")

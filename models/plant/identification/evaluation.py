@@ -47,6 +47,13 @@ class Comparison(NamedTuple):
         """Simulated minus measured; NaN where nothing was measured."""
         return self.simulated[signal] - self.measured[signal]
 
+    def columns(self) -> dict[str, Array]:
+        """Time and both courses of every signal, as `measured_NAME` and `simulated_NAME`."""
+        both = {"measured": self.measured, "simulated": self.simulated}
+        return {"time_s": self.trial.time_s} | {
+            f"{which}_{s}": both[which][s] for s in self.simulated for which in both
+        }
+
 
 def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Comparison]:
     """Simulate trials with the twin: goals as sent, payload as declared.

@@ -56,7 +56,7 @@ def test_range_ends_at_the_bounds_that_the_manifest_names(predictor, toy_bundle)
 
 def test_a_tick_leaves_nothing_allocated(predictor):
     angle_rad, current_a = np.array([0.1]), np.array([0.4])
-    answer = predictor.predict(angle_rad, current_a, 0.002)
+    predictor.predict(angle_rad, current_a, 0.002)
     tracemalloc.start()
     try:
         sizes = []
@@ -69,7 +69,12 @@ def test_a_tick_leaves_nothing_allocated(predictor):
         tracemalloc.stop()
     # The interpreter's pools grow now and then; what leaks grows every time.
     assert np.diff(sizes).min() < 100, "less than a fifth of a byte a tick"
-    assert predictor.predict(angle_rad, current_a, 0.002) is answer
+
+
+def test_an_answer_is_not_changed_by_the_next_one(predictor):
+    current_a = np.array([0.4])
+    answers = [predictor.predict(np.array([a]), current_a, 0.002) for a in (0.0, 0.1, 0.2)]
+    assert len({float(a.tip_m[0]) for a in answers}) == 3
 
 
 @pytest.mark.parametrize("features", ["no JSON", '["angle_1_rad"]', '{"name": "di"}', "[{}]"])

@@ -1,0 +1,167 @@
+"""Batch prediction: arrays of measurements to arrays of predictions."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.inference.estimator import DeformationEstimator
+from firmware_py.inference.predictor import NO_SIGNALS, OnnxPredictor, Predictor
+from firmware_py.signals import DI, IN_RANGE, PAYLOAD, tip_names
+
+__all__ = ["Predictions", "predict_rows", "predict_run"]
+
+Array = NDArray[np.float64]
+
+
+class Predictions(NamedTuple):
+    """Predictions of n samples, in arrays of their own.
+
+    Attributes
+    ----------
+    tip_m : ndarray, shape (n, 3)
+        End effector in the world frame.
+    half_width_m : ndarray, shape (n, 3)
+        Half width of the 95 % prediction interval.
+    in_range : ndarray of bool, shape (n,)
+        Whether the prediction may be relied on.
+    di : ndarray, shape (n,)
+        Deformation Index that it was predicted with, dimensionless.
+    payload_kg : ndarray, shape (n,)
+        Estimated mass at the tip; NaN where none is estimated.
+    """
+
+    tip_m: Array
+    half_width_m: Array
+    in_range: NDArray[np.bool_]
+    di: Array
+    payload_kg: Array
+
+    def columns(self) -> dict[str, Array | NDArray[np.bool_]]:
+        """Arrays by the names of the robot's log, units included: `pandas.DataFrame` takes them."""
+        return {
+            **dict(zip(tip_names("predicted_"), self.tip_m.T, strict=True)),
+            **{f"half_width_{axis}_m": self.half_width_m[:, k] for k, axis in enumerate("xyz")},
+            IN_RANGE.name: self.in_range,
+            DI.name: self.di,
+            PAYLOAD.name: self.payload_kg,
+        }
+
+
+def predict_rows(
+    predictor: OnnxPredictor, angle_rad: ArrayLike, current_a: ArrayLike, di: ArrayLike, dof: int
+) -> Predictions:
+    """Predict each row by itself, from angle, current and DI.
+
+    Parameters
+    ----------
+    predictor : OnnxPredictor
+        One that wants nothing else.
+    angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
+        As measured.
+    di : array_like, shape (n,) or ()
+        Deformation Index, dimensionless.
+    dof : int
+        Number of joints.
+
+    Raises
+    ------
+    InputError
+        If an array has another shape, or the predictor wants signals of the observer.
+    """
+    if predictor.wanted:
+        raise InputError(
+            "di", f"is not enough for this predictor, which wants {predictor.wanted[0]}",
+            "leave it out: the bundle's estimator then follows the samples",
+        )  # fmt: skip
+    angle_rad, current_a = _samples(angle_rad, current_a, dof)
+    given = np.asarray(di, dtype=np.float64)
+    if given.shape not in ((), (len(angle_rad),)):
+        raise InputError(
+            "di", f"has the shape {given.shape}", f"give ({len(angle_rad)},) or one number"
+        )
+    found = _empty(len(angle_rad))
+    found.di[:] = given
+    found.payload_kg[:] = math.nan
+    for k in range(len(angle_rad)):
+        _store(found, k, predictor, angle_rad[k], current_a[k])
+    return found
+
+
+def predict_run(
+    estimator: DeformationEstimator,
+    predictor: Predictor,
+    angle_rad: ArrayLike,
+    current_a: ArrayLike,
+    step_s: float,
+    dof: int,
+) -> Predictions:
+    """Predict the samples of one run, whose DI the estimator follows from the first one on.
+
+    Parameters
+    ----------
+    estimator : DeformationEstimator
+        Of a bundle; reset before and after.
+    predictor : Predictor
+        Of the same bundle.
+    angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
+        As measured, one row per step; the link rests at the first.
+    step_s : float
+        Time between two rows.
+    dof : int
+        Number of joints.
+
+    Raises
+    ------
+    InputError
+        If an array has another shape, or the step is no time.
+    """
+    angle_rad, current_a = _samples(angle_rad, current_a, dof)
+    if not 0.0 < step_s < math.inf:
+        raise InputError("step_s", f"is {step_s}", "give the time between two rows in s")
+    found = _empty(len(angle_rad))
+    estimator.reset()
+    for k in range(len(angle_rad)):
+        estimate = estimator.update(angle_rad[k], current_a[k], step_s)
+        found.di[k], found.payload_kg[k] = estimate.di, estimate.payload_kg
+        _store(found, k, predictor, angle_rad[k], current_a[k], estimate.signals)
+    estimator.reset()
+    return found
+
+
+def _samples(angle_rad: ArrayLike, current_a: ArrayLike, dof: int) -> tuple[Array, Array]:
+    """Both as (n, dof)."""
+    found = []
+    for name, given in (("angle_rad", angle_rad), ("current_a", current_a)):
+        array = np.asarray(given, dtype=np.float64)
+        found.append(array[:, None] if array.ndim == 1 and dof == 1 else array)
+        if found[-1].ndim != 2 or found[-1].shape[1] != dof:
+            raise InputError(
+                name, f"has the shape {array.shape}", f"give (n, {dof}), one row per sample"
+            )
+    if len(found[0]) != len(found[1]):
+        raise InputError(
+            "current_a", f"has {len(found[1])} rows, angle_rad {len(found[0])}", "give as many"
+        )
+    return found[0], found[1]
+
+
+def _empty(count: int) -> Predictions:
+    return Predictions(
+        np.empty((count, 3)), np.empty((count, 3)), np.empty(count, dtype=np.bool_),
+        np.empty(count), np.empty(count),
+    )  # fmt: skip
+
+
+def _store(
+    found: Predictions, k: int, predictor: Predictor, angle_rad: Array, current_a: Array,
+    signals: Array = NO_SIGNALS,
+) -> None:  # fmt: skip
+    """Predict row k, whose DI is known, and keep the answer."""
+    answer = predictor.predict(angle_rad, current_a, float(found.di[k]), signals)
+    found.tip_m[k], found.half_width_m[k] = answer.tip_m, answer.half_width_m
+    found.in_range[k] = answer.in_range

@@ -1,0 +1,78 @@
+"""Run of a plant from arrays of inputs to arrays of signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from firmware_py.errors import InputError
+from firmware_py.signals import PERIOD_S
+from models.plant.plant import Plant
+from models.plant.simulation.compiled_model import Array, CompiledModel
+from models.plant.step_model import names
+
+__all__ = ["simulate_plant"]
+
+
+def simulate_plant(
+    plant: Plant, inputs: Mapping[str, ArrayLike], step_s: float = PERIOD_S, dof: int = 1
+) -> dict[str, Array]:
+    """Simulate the twin of a plant from rest.
+
+    Parameters
+    ----------
+    plant : Plant
+        To simulate.
+    inputs : mapping of str to array_like, shape (n,) or ()
+        Every input of the twin by name; one number is constant. Row k acts from `k * step_s` on.
+    step_s : float
+        Time between two rows.
+    dof : int
+        Joints, 1 or 2.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        Time, inputs and outputs by name; row k at `k * step_s`.
+
+    Raises
+    ------
+    InputError
+        If an input is missing, unknown or of another length, or the simulation does not stay
+        finite.
+
+    Examples
+    --------
+    >>> from firmware_py.motion import Motion
+    >>> from models.plant.plant import read_plant
+    >>> goal_rad = Motion(period_s=2.0).table_rad()[:, 0]
+    >>> run = simulate_plant(read_plant(), {"goal_1_rad": goal_rad, "payload_kg": 1.0})
+    >>> list(run)[:4], len(run["tip_x_m"]) == len(goal_rad)
+    (['time_s', 'goal_1_rad', 'payload_kg', 'angle_1_rad'], True)
+    """
+    model = plant.step_model(dof, "twin")
+    wanted = names(model.inputs)
+    for name in sorted({*wanted} ^ inputs.keys()):
+        raise InputError(
+            name, "is missing" if name in wanted else "is no input of this plant",
+            "give " + ", ".join(wanted),
+        )  # fmt: skip
+    given = {name: np.asarray(inputs[name], dtype=np.float64) for name in wanted}
+    count = max((len(a) for a in given.values() if a.ndim == 1), default=0)
+    for name, array in given.items():
+        if array.shape not in ((), (count,)) or count < 2:
+            raise InputError(
+                name, f"has the shape {array.shape}", "give two rows or more, all of one length"
+            )
+    given = {name: np.broadcast_to(array, count).copy() for name, array in given.items()}
+    u = np.column_stack([given[name] for name in wanted])
+    y = CompiledModel(model).simulate(u[:-1], step_s)
+    if not np.isfinite(y).all():
+        raise InputError(
+            f"plant {plant.name!r}", "does not stay finite", "give inputs that it can follow"
+        )
+    time_s: Array = step_s * np.arange(count, dtype=np.float64)
+    outputs = {name: np.ascontiguousarray(y[:, k]) for k, name in enumerate(names(model.outputs))}
+    return {"time_s": time_s, **given, **outputs}

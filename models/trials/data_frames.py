@@ -1,0 +1,155 @@
+"""Data frames of trials: pandas in and out, with the SI unit in every column's name.
+
+pandas is imported where a function needs it: it is the extra `library`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.trials.trial import Trial, TrialMeta
+from models.trials.trial_columns import PlantSignals
+from models.trials.trial_files import check_meta, check_samples
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["as_data_frame", "trial_frame", "trial_from_frame", "trials_frame"]
+
+CONDITIONS = ("name", "dof", "motion", "payload_kg", "amplitude_rad", "trial")
+"""Columns that tell the trials of one frame apart."""
+
+
+def as_data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Columns by name as a data frame.
+
+    Parameters
+    ----------
+    columns : mapping of str to array_like, shape (n,)
+        For instance of a log (`Recording.columns`), of `simulate_plant` or of
+        `Predictions.columns`.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+    """
+    frame: pd.DataFrame = _pandas().DataFrame(dict(columns))
+    return frame
+
+
+def trial_frame(trial: Trial) -> pd.DataFrame:
+    """Samples of a trial, one row each; the conditions are in `attrs`.
+
+    Parameters
+    ----------
+    trial : Trial
+        Any.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+
+    Examples
+    --------
+    >>> meta = TrialMeta(dof=1, payload_kg=0.5, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(3) * 0.01, "position_1_m": np.array([0.0, 0.5, 1.0])}
+    >>> frame = trial_frame(Trial("run", meta, columns))
+    >>> list(frame.columns), frame.attrs["name"], frame.attrs["payload_kg"]
+    (['time_s', 'position_1_m'], 'run', 0.5)
+    """
+    frame = as_data_frame(trial.columns)
+    frame.attrs = {"name": trial.name, **trial.meta.document()}
+    return frame
+
+
+def trials_frame(trials: Iterable[Trial]) -> pd.DataFrame:
+    """Samples of several trials below each other, behind the conditions that tell them apart.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+        One at least.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed, or there is no trial.
+    """
+    frames = []
+    for trial in trials:
+        facts = {"name": trial.name} | {c: getattr(trial.meta, c) for c in CONDITIONS[1:]}
+        count = len(trial)
+        told = {c: [v] * count for c, v in facts.items() if c not in trial.columns}
+        frames.append(as_data_frame(told | trial.columns))
+    if not frames:
+        raise InputError("trials", "are none", "give one at least")
+    whole: pd.DataFrame = _pandas().concat(frames, ignore_index=True)
+    return whole
+
+
+def trial_from_frame(
+    frame: pd.DataFrame,
+    name: str = "",
+    meta: TrialMeta | None = None,
+    signals: PlantSignals | None = None,
+) -> Trial:
+    """Trial from the columns of a data frame, checked like a file.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Columns of the trial contract; a missing value is an occluded marker.
+    name : str, optional
+        Of the trial; by default that in `frame.attrs`.
+    meta : TrialMeta, optional
+        Conditions; by default those in `frame.attrs`, as `trial_frame` leaves them.
+    signals : mapping of str to SignalRole, optional
+        Signals of a plant that is not the link (`Plant.signals`).
+
+    Raises
+    ------
+    InputError
+        If there are no conditions, or samples or conditions are not those of a trial.
+    """
+    attributes = dict(frame.attrs)
+    name = name or str(attributes.get("name", ""))
+    if not name:
+        raise InputError("trial_from_frame", "has no name for the trial", "give one")
+    attributes.pop("name", None)
+    if meta is None:
+        if not attributes:
+            raise InputError(
+                name, "has no conditions in the frame's attrs", "give a TrialMeta as meta"
+            )
+        meta = check_meta(attributes, Path(name), signals)
+    columns = {}
+    for column in frame.columns:
+        try:
+            columns[str(column)] = np.array(frame[column], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(
+                name, f"column {column!r} holds no numbers", "convert or drop it"
+            ) from None
+    trial = Trial(name, meta, columns)
+    check_samples(trial, signals)
+    return trial
+
+
+def _pandas() -> ModuleType:
+    """Module pandas, where it is installed."""
+    try:
+        return importlib.import_module("pandas")
+    except ImportError:
+        raise InputError(
+            "pandas", "is not installed", "install it with pip install 'dropstitch[library]'"
+        ) from None

@@ -1,0 +1,42 @@
+"""Library: its names, the page that lists them, and what it says without the workshop."""
+
+import importlib
+import re
+
+import pytest
+
+import dropstitch
+from tests.house.each_file import ROOT
+
+PAGE = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+
+
+def test_every_name_is_there_and_explained():
+    for name in dropstitch.__all__:
+        value = getattr(dropstitch, name)
+        assert name == "__version__" or (value.__doc__ or "").strip(), name
+    assert set(dir(dropstitch)) == set(dropstitch.__all__)
+    assert dropstitch.read_plant is importlib.import_module("models.plant.plant").read_plant
+
+
+def test_the_page_lists_every_name_once():
+    table = PAGE.split("\n## Names\n")[1].split("\n## ")[0]
+    cells = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
+    listed = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+    assert sorted(listed) == sorted(set(dropstitch.__all__) - {"__version__"})
+
+
+def test_a_name_that_is_not_listed_is_no_attribute():
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = dropstitch.no_such_name
+    assert not hasattr(dropstitch, "models")
+
+
+def test_without_the_workshop_a_name_says_what_to_do(monkeypatch):
+    def without(module):
+        raise ModuleNotFoundError(f"No module named {module!r}", name="casadi")
+
+    monkeypatch.delitem(vars(dropstitch), "diagnose", raising=False)
+    monkeypatch.setattr(importlib, "import_module", without)
+    with pytest.raises(ImportError, match=r"^dropstitch\.diagnose belongs .* casadi .*setup'\.$"):
+        _ = dropstitch.diagnose
