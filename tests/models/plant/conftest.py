@@ -18,7 +18,7 @@ from models.trials.trial import Trial, TrialMeta
 
 STEP_S = 0.017
 MANY = 5
-"""Effects of a model that runs for long: it is compiled as shipped (`tests/compiler_options.py`)."""
+"""More effects than this run for long: compiled as shipped (`tests/compiler_options.py`)."""
 
 
 class Bench:
