@@ -129,8 +129,9 @@ class PageCommands:
             wanted = [w for w in words[1:] if "=" not in w and not w.startswith("-")]
             missing = [w for w in wanted if w not in targets_of_make()]
             assert not missing, f"{line}: make has no target {missing}"
+        elif name == "python" and words[1] != "-m":
+            assert (ROOT / words[1]).is_file(), f"{line}: no program {words[1]}"
         elif name == "python":
-            assert words[1] == "-m", f"{line}: no module is run"
             assert importlib.util.find_spec(words[2]), f"{line}: no module {words[2]}"
         else:
             assert name in FOREIGN, f"{line}: {words[0]} is no known program"

@@ -26,7 +26,8 @@ def simulate_plant(
     plant : Plant
         To simulate.
     inputs : mapping of str to array_like, shape (n,) or ()
-        Every input of the twin by name; one number is constant. Row k acts from `k * step_s` on.
+        Inputs of the twin by name; one number is constant. Row k acts from `k * step_s` on. Left
+        out, `payload_kg` is 0 and `enabled_j` is 1.
     step_s : float
         Time between two rows.
     dof : int
@@ -54,6 +55,8 @@ def simulate_plant(
     """
     model = plant.step_model(dof, "twin")
     wanted = names(model.inputs)
+    usual = {"payload_kg": 0.0} | {f"enabled_{j}": 1.0 for j in range(1, dof + 1)}
+    inputs = {name: value for name, value in usual.items() if name in wanted} | dict(inputs)
     for name in sorted({*wanted} ^ inputs.keys()):
         raise InputError(
             name, "is missing" if name in wanted else "is no input of this plant",
