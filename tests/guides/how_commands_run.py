@@ -28,13 +28,11 @@ PARSED: Final = {
     "models experiment": "takes minutes; run by tests/models/gap/experiment",
     "models plan": "takes half a minute; run by tests/models/plan",
     "models goalmap": "takes half a minute; run by tests/models/plan",
-    "models linearise": "takes 2 s; run by tests/models/plan",
     "fmu build": "compiles for 4 s; run by tests/fmu",
     "fmu check": "needs a built FMU; run by tests/fmu",
     "fmu simulate": "needs a built FMU; run by tests/fmu",
     "hil sil": "needs a built FMU or the rig; run by tests/hil/sil",
     "hil emulate": "serves until it is ended; run by tests/hil/emulator",
-    "hil faults": "takes minutes; run by tests/hil/faults",
     "dropstitch run": "needs a robot; run by tests/firmware_py/test_robot_commands.py",
 }
 """Commands that are too dear, or lack their data: their own parser has to take the arguments."""
