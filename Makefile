@@ -44,8 +44,8 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  wheelhouse link-demo guides faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
-  bench-live bench-files claims claims-accept lock clean
+  wheelhouse link-demo faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
+  bench-live bench-files bench-campaigns claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -60,7 +60,6 @@ help:
 	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
 	@echo "                with the payload known and unknown; prints the page's path"
 	@echo "make link-demo  a link of another size, mounting and servo: from link.toml to a run in software"
-	@echo "make guides     the documentation as a site, its notebooks run; prints the path"
 	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
 	@echo "                platforms, and with their sources alone; and the SSP packages"
 	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
@@ -82,6 +81,7 @@ help:
 	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
 	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
 	@echo "make bench-files  memory and time of every reader on valid and hostile files of 100 MB"
+	@echo "make bench-campaigns  overhead of a case; 1,000 runs on processes and on dask, ten minutes"
 	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
 	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
@@ -365,14 +365,6 @@ build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
 build/link_demo/errors.json: build/link_demo/plant.json
 	$(BIN)/python -m models evaluate build/link_demo/trials --plant $< --json > $@
 
-# --- guides -------------------------------------------------------------------------------------
-
-# The site of docs/, its notebooks run; a warning is an error.
-guides: $(READY)
-	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
-	@echo
-	@echo "open $(CURDIR)/build/guides/index.html"
-
 # --- checks -------------------------------------------------------------------------------------
 
 # Lint runs beside the tests; the output of each is printed when it ends.
@@ -442,6 +434,8 @@ bench-live: build/bench/live_viewers.json
 
 bench-files: build/bench/files.json
 
+bench-campaigns: build/bench/campaigns.json
+
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)
 
@@ -479,6 +473,21 @@ build/bench/fuzz.json: build/bundle_1dof/observer.fmu FORCE
 	$(BIN)/python -m tests.fuzz --inputs 4100 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
 
 # Every reader on files of 100 MB.
+build/bench/campaigns.json: FORCE build/bundle_1dof/observer.fmu | $(READY)
+	@rm -f $@
+	$(BIN)/python -m bench.campaigns --out $(@D)/campaigns >&2
+	@cp $(@D)/campaigns/campaigns.json $@
+
+build/bench/campaign_plan.json: FORCE build/bundle_1dof/observer.fmu | $(READY)
+	@rm -rf $@ $(@D)/campaign_plan
+	$(BIN)/python -m hil campaign docs/campaigns/payload-and-loss.toml --out $(@D)/campaign_plan \
+	  --executor dask --scheduler tcp://HOST:8786 --workers 64 --plan --cases 10000 100000 --json > $@
+
+build/bench/campaign_overhead.json: FORCE | $(READY)
+	@rm -f $@
+	$(BIN)/python -m bench.campaigns --only overhead --out $(@D)/campaign_overhead >&2
+	@cp $(@D)/campaign_overhead/campaigns.json $@
+
 build/bench/files.json: FORCE | $(READY)
 	@rm -f $@
 	$(BIN)/python -m bench.files --out $(@D) >&2 || [ -f $@ ]

@@ -1,4 +1,4 @@
-"""Commands around the loop and emulated servos: emulate, sil, faults, gap, report."""
+"""Commands around the loop and emulated servos: emulate, sil, faults, campaign, gap, report."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ COMMANDS = (
     Command("emulate", "hil.commands.emulate", "emulate servos for any Dynamixel program"),
     Command("sil", "hil.commands.sil", "run the loop in software, judge its timing"),
     Command("faults", "hil.commands.faults", "inject every fault, check what happens"),
+    Command("campaign", "hil.commands.campaign", "run many cases, here or on a cluster"),
     Command("gap", "hil.commands.gap", "write the HTML report of a diagnosed gap"),
     Command("plans", "hil.commands.plans", "write the HTML page of plans that were run on the rig"),
     Command("report", "hil.commands.report", "write the HTML report of a whole run"),

@@ -19,6 +19,9 @@ from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
+from hil.campaign.campaign_document import CampaignDocument
+from hil.campaign.cost_plan import CostPlan
+from hil.campaign.result_store import CaseRecord, FailureRecord
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
 from models.gap.report.gap_json import GapDocument
@@ -31,6 +34,10 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,
     "signature": BundleSignature,
     "rig_conditions": ConditionsRecord,
+    "campaign/campaign": CampaignDocument,
+    "campaign/case": CaseRecord,
+    "campaign/failure": FailureRecord,
+    "campaign/plan": CostPlan,
     "faults": FaultsDocument,
     "gap": GapDocument,
     "goalmap": GoalMap,
@@ -41,7 +48,8 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "study": StudyDocument,
     "timing": TimingDocument,
 }
-"""Every document that a command writes, by the name of its file."""
+"""Every document that a command writes, by the name of its file; several of one command have a
+folder."""
 
 
 def schema_files() -> dict[str, str]:
@@ -57,8 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m hil.document_schemas", description=__doc__)
     parser.add_argument("directory", type=Path, help="docs/schema")
     directory: Path = parser.parse_args(argv).directory
-    directory.mkdir(parents=True, exist_ok=True)
     for name, text in schema_files().items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_text(text, encoding="utf-8")
     return 0
 

@@ -59,8 +59,11 @@ class RigSource:
         Of the variation between trials and of the current's noise.
     rig : str
         Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`).
+    pressure_pa : float, optional
+        Declared pressure; that of the link by default.
     """
 
     hidden: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     rig: str = "default"
+    pressure_pa: float | None = None

@@ -52,7 +52,8 @@ class RigPhysics:
         link = parameters.link or STUDY_LINK
         case = TrialCase(
             Motion(dof=dof), payload_kg, trial=0, seed=rig.seed,
-            pressure_pa=link.pressure_pa, gravity=link.gravity.unit,
+            pressure_pa=link.pressure_pa if rig.pressure_pa is None else rig.pressure_pa,
+            gravity=link.gravity.unit,
         )  # fmt: skip
         self._rng = case.rng()
         variation = draw_variation(parameters, case, self._rng)
@@ -96,11 +97,12 @@ def rig_conditions(rig: RigSource) -> dict[str, Any]:
         The rig.
     """
     p = rig_named(rig.rig)
+    pressure = {} if rig.pressure_pa is None else {"pressure_pa": rig.pressure_pa}
     if p.link is not None:
-        return p.link.conditions()
+        return p.link.conditions() | pressure
     return {
         "base_offset_m": p["link.base_offset_m"],
         "link_length_m": p["link.length_m"],
         "link_width_m": p["link.width_m"],
         "pressure_pa": p["stiffness.pressure_pa"],
-    }
+    } | pressure

@@ -14,12 +14,9 @@ from firmware_py.errors import InputError
 from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription
-from firmware_py.link.link_limits import limits_of_link
 from firmware_py.motion import GLIDE_S
 from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
-from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
 
 LineKind = Literal["pty", "socket", "virtual"]
@@ -41,8 +38,6 @@ class SilOptions:
         Twin behind the servos; by default it is built from the bundle's plant.
     rig : RigSource, optional
         Rig to put there instead of a twin, on the virtual line.
-    link : LinkDescription
-        Link that rig or plant describe; the robot's limits follow from it.
     line : {"pty", "socket", "virtual"}
         See `hil.emulator.line`.
     seconds : float
@@ -69,6 +64,8 @@ class SilOptions:
         Rates of the line's faults, see `hil.emulator.line_faults`.
     seed : int
         Of the faults.
+    log : bool
+        Whether the robot's recorder writes the run to `out`; on the virtual line only it may not.
     """
 
     bundle: ModelBundle
@@ -76,7 +73,6 @@ class SilOptions:
     out: Path
     fmu: Path | None = None
     rig: RigSource | None = None
-    link: LinkDescription = STUDY_LINK
     line: LineKind = "socket"
     seconds: float = 10.0
     baud: int = 1_000_000
@@ -90,6 +86,7 @@ class SilOptions:
     load: int = 0
     faults: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
+    log: bool = True
 
     @property
     def dof(self) -> int:
@@ -137,8 +134,6 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
     cpu : int, optional
         Processor to pin the loop to.
     """
-    link = options.link
-    limits = Limits()  # the study's
     return RobotConfig(
         bundle=str(options.bundle.directory),
         bus=BusConfig(port=port, baud=options.baud),
@@ -146,7 +141,6 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         period_s=options.period_s,
         payload_kg=options.payload_kg if options.payload_known else None,
         motion=options.motion,
-        limits=limits if link == STUDY_LINK else limits_of_link(link, limits, given=()),
         feedback=TrustOptions(use=not options.open_loop),
         real_time=RealTimeOptions(cpu=cpu),
     )

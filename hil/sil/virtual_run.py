@@ -34,9 +34,10 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
     start_s, start_busy_s = time.perf_counter(), time.process_time()
     summary = loop.run()
     wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
-    with sil_recording(options, config) as telemetry:  # afterwards: it runs in real time
-        for record in summary.records:
-            _put(telemetry, record.tobytes())
+    if options.log:
+        with sil_recording(options, config) as telemetry:  # afterwards: it runs in real time
+            for record in summary.records:
+                _put(telemetry, record.tobytes())
     outcome = EmulatorOutcome(truth.truth(), Releases(), dict(line.faults.injected))
     digest = hashlib.sha256(summary.records.tobytes() + outcome.truth.tip_m.tobytes())
     environment = sil_environment(

@@ -1,0 +1,1 @@
+"""Benchmark of campaigns: overhead of a case, engines side by side, a worker that is killed."""

@@ -1,0 +1,120 @@
+"""Cases of a campaign: configurations checked by their kind, each with its key.
+
+The key is the SHA-256 of the full configuration, defaults included, with the contents of files in
+place of their paths, and of the version of the code. Equal keys mean equal results.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from hil.campaign.case_task import CaseTask, canonical_json
+from hil.campaign.code_version import code_version, content_sha256
+from hil.campaign.kinds.case_kind import CaseKind, kind_module
+
+KEY_DIGITS: Final = 32
+"""Hexadecimal digits of a key: 128 bits."""
+
+
+@dataclass(frozen=True)
+class CampaignCase:
+    """One case.
+
+    Attributes
+    ----------
+    key : str
+        Hash that names its result.
+    config : msgspec.Struct
+        Configuration, as the campaign's file spells it.
+    """
+
+    key: str
+    config: Any
+
+
+class CaseMaker:
+    """Maker of the cases and tasks of one kind.
+
+    Parameters
+    ----------
+    kind : CaseKind
+        The kind.
+    module : str
+        Word or module of the kind.
+    directory : Path
+        Of what cases share, such as a twin that was built for them.
+    """
+
+    def __init__(self, kind: CaseKind[Any], module: str, directory: Path) -> None:
+        self.kind, self.module = kind, kind_module(module)
+        self.code = code_version(kind.rooms)
+        self._directory = directory
+        self._hashes: dict[str, str] = {}
+
+    def cases(self, configurations: Iterable[Mapping[str, Any]], where: str) -> list[CampaignCase]:
+        """Cases of some configurations, each once.
+
+        Parameters
+        ----------
+        configurations : iterable of mapping
+            Plain values.
+        where : str
+            Their file, for messages.
+
+        Raises
+        ------
+        InputError
+            If a configuration does not fit the kind, or a file is missing.
+        """
+        found: dict[str, CampaignCase] = {}
+        for number, plain in enumerate(configurations, start=1):
+            try:
+                config = msgspec.convert(plain, self.kind.config)
+                self.kind.check(config)
+            except msgspec.ValidationError as error:
+                raise InputError(
+                    where, f"makes case {number} of kind {self.kind.name}, which does not fit: "
+                    f"{error}", "see docs/campaigns.md for the keys of each kind",
+                ) from None  # fmt: skip
+            case = CampaignCase(self._key(config), config)
+            found.setdefault(case.key, case)
+        return list(found.values())
+
+    def task(self, case: CampaignCase) -> CaseTask:
+        """Task of a case for a worker: paths absolute, what cases share made.
+
+        Parameters
+        ----------
+        case : CampaignCase
+            To run.
+        """
+        shared = self.kind.prepare(case.config, self._directory)
+        config = msgspec.structs.replace(case.config, **shared)
+        paths = {name: str(Path(p).resolve()) for name, p in self.kind.files(config).items()}
+        plain = msgspec.to_builtins(msgspec.structs.replace(config, **paths))
+        return CaseTask(
+            key=case.key, kind=self.module, config=canonical_json(plain), code=self.code,
+            files={path: self._hash(path) for path in paths.values()},
+        )  # fmt: skip
+
+    def _key(self, config: Any) -> str:
+        files = {name: self._hash(path) for name, path in self.kind.files(config).items()}
+        body = {
+            "kind": self.kind.name, "code": self.code,
+            "config": msgspec.to_builtins(config) | files,
+        }  # fmt: skip
+        return hashlib.sha256(canonical_json(body).encode()).hexdigest()[:KEY_DIGITS]
+
+    def _hash(self, path: str) -> str:
+        if path not in self._hashes:
+            if not Path(path).exists():
+                raise InputError(path, "is missing", "name an existing file or directory")
+            self._hashes[path] = content_sha256(Path(path))
+        return self._hashes[path]

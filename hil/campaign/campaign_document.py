@@ -1,0 +1,144 @@
+"""Document of a campaign (`campaign.json`): its cases by state, its code, its failures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import msgspec
+
+from firmware_py.documents import Document, write_document
+from hil.campaign.campaign_cases import CampaignCase, CaseMaker
+from hil.campaign.campaign_run import RunCounts
+from hil.campaign.campaign_spec import CampaignSpec, axis_names
+from hil.campaign.campaign_summary import summary_rows
+from hil.campaign.result_store import ResultStore
+
+MOST_SENTENCES: Final = 50
+"""Different sentences of failures that are listed; all stand in summary.csv."""
+
+
+class FailureCount(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Failures with one sentence.
+
+    Attributes
+    ----------
+    state, sentence : str
+        Kind of failure, and its sentence.
+    cases : int
+        How many have it.
+    example : str
+        Key of one of them: `failures/KEY-N.json` holds its log.
+    """
+
+    state: str
+    sentence: str
+    cases: int
+    example: str
+
+
+class CampaignDocument(Document, frozen=True, kw_only=True):
+    """Result of a campaign.
+
+    Attributes
+    ----------
+    name, kind : str
+        Of the campaign's file.
+    code : str
+        Version of the code.
+    axes : tuple of str
+        Names of what varies.
+    cases : int
+        Number of different cases.
+    states : dict of str to int
+        Cases by state.
+    last_run : dict of str to int
+        What the last run did: results kept, damaged ones, and outcomes by state.
+    failures : tuple of FailureCount
+        Cases without a result, the most frequent sentence first.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m hil campaign"
+
+    name: str
+    kind: str
+    code: str
+    axes: tuple[str, ...]
+    cases: int
+    states: dict[str, int]
+    last_run: dict[str, int]
+    failures: tuple[FailureCount, ...]
+
+    def write(self, path: Path) -> None:
+        """Write the document."""
+        write_document(path, self)
+
+
+def campaign_document(
+    spec: CampaignSpec,
+    maker: CaseMaker,
+    counts: RunCounts,
+    cases: Sequence[CampaignCase],
+    store: ResultStore,
+) -> CampaignDocument:
+    """Contents of `campaign.json`.
+
+    Parameters
+    ----------
+    spec : CampaignSpec
+        The campaign's file.
+    maker : CaseMaker
+        With kind and code.
+    counts : RunCounts
+        Of the last run.
+    cases : sequence of CampaignCase
+        All cases.
+    store : ResultStore
+        Of their results.
+    """
+    states: Counter[str] = Counter()
+    sentences: Counter[tuple[str, str]] = Counter()
+    examples: dict[tuple[str, str], str] = {}
+    for row in summary_rows(cases, store):
+        states[row.state] += 1
+        if row.state != "done":
+            sentences[row.state, row.sentence] += 1
+            examples.setdefault((row.state, row.sentence), row.key)
+    last: dict[str, Any] = {"kept": counts.kept, "damaged": counts.damaged, **counts.ran}
+    return CampaignDocument(
+        schema=CampaignDocument.VERSION,
+        name=spec.name,
+        kind=maker.kind.name,
+        code=maker.code,
+        axes=tuple(axis_names(spec)),
+        cases=counts.cases,
+        states=dict(sorted(states.items())),
+        last_run=last,
+        failures=tuple(
+            FailureCount(state=state, sentence=sentence, cases=count,
+                         example=examples[state, sentence])
+            for (state, sentence), count in sentences.most_common(MOST_SENTENCES)
+        ),
+    )  # fmt: skip
+
+
+def describe_campaign_document(document: CampaignDocument, out: Path) -> str:
+    """Return the result as text.
+
+    Parameters
+    ----------
+    document : CampaignDocument
+        Contents of `campaign.json`.
+    out : Path
+        Directory that it is in.
+    """
+    done = document.states.get("done", 0)
+    kept = f", {document.last_run['kept']} of them before" if document.last_run["kept"] else ""
+    lines = [f"{done} of {document.cases} cases have a result{kept}"]
+    lines += [f"{f.cases} {f.state}: {f.sentence}" for f in document.failures[:5]]
+    if document.failures:
+        lines.append(f"logs in {out}/failures; a second run begins these cases again")
+    lines.append(f"see {out}/report.html and summary.csv")
+    return "\n".join(lines)

@@ -1,0 +1,182 @@
+"""Run of a campaign: what is missing goes through an engine into the store."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, overload
+
+from firmware_py.console import Progress
+from firmware_py.errors import InputError
+from hil.campaign.campaign_cases import CampaignCase, CaseMaker
+from hil.campaign.case_task import CaseTask
+from hil.campaign.engines.engine import Engine
+from hil.campaign.result_store import ResultStore
+
+ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that keep numerical libraries to the processor of their worker."""
+
+
+@dataclass(frozen=True)
+class RunCounts:
+    """Counts of a run.
+
+    Attributes
+    ----------
+    cases : int
+        Of the campaign.
+    kept : int
+        Results that were there, whole and of this code.
+    damaged : int
+        Result files that were not whole; their cases ran again.
+    ran : dict of str to int
+        Cases that ran, by how they ended.
+    """
+
+    cases: int
+    kept: int
+    damaged: int
+    ran: dict[str, int]
+
+
+class LazyTasks(Sequence[CaseTask]):
+    """Tasks of cases, each made when it is asked for.
+
+    Parameters
+    ----------
+    maker : CaseMaker
+        Maker of tasks.
+    cases : sequence of CampaignCase
+        Their cases.
+    """
+
+    def __init__(self, maker: CaseMaker, cases: Sequence[CampaignCase]) -> None:
+        self._maker, self._cases = maker, cases
+
+    def __len__(self) -> int:
+        return len(self._cases)
+
+    @overload
+    def __getitem__(self, place: int) -> CaseTask: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[CaseTask]: ...
+
+    def __getitem__(self, place: int | slice) -> CaseTask | list[CaseTask]:
+        if isinstance(place, slice):
+            return [self._maker.task(case) for case in self._cases[place]]
+        return self._maker.task(self._cases[place])
+
+
+def missing_cases(
+    cases: Sequence[CampaignCase], store: ResultStore
+) -> tuple[list[CampaignCase], int]:
+    """Cases without a valid result, and how many of them have a damaged one.
+
+    Parameters
+    ----------
+    cases : sequence of CampaignCase
+        Of the campaign.
+    store : ResultStore
+        Of its results.
+    """
+    left = [case for case in cases if store.read(case.key) is None]
+    return left, sum(store.path(case.key).exists() for case in left)
+
+
+def check_engine(cases: Sequence[CampaignCase], maker: CaseMaker, engine: Engine) -> None:
+    """Refuse to measure time on processors that others may use.
+
+    Parameters
+    ----------
+    cases : sequence of CampaignCase
+        Of the campaign.
+    maker : CaseMaker
+        With their kind.
+    engine : Engine
+        That is to run them.
+
+    Raises
+    ------
+    InputError
+        If a case keeps real time and the engine's workers are shared.
+    """
+    if engine.shared and any(maker.kind.in_real_time(case.config) for case in cases):
+        raise InputError(
+            "line", "keeps real time, and workers of a cluster are shared with other programs",
+            'set line = "virtual", or take --executor processes --workers 1',
+        )  # fmt: skip
+
+
+def run_campaign_cases(
+    cases: Sequence[CampaignCase], maker: CaseMaker, store: ResultStore, engine: Engine
+) -> RunCounts:
+    """Run the cases that have no valid result; keep every outcome as it comes.
+
+    Parameters
+    ----------
+    cases : sequence of CampaignCase
+        Of the campaign.
+    maker : CaseMaker
+        With their kind.
+    store : ResultStore
+        For the outcomes.
+    engine : Engine
+        That runs them.
+
+    Raises
+    ------
+    InputError
+        If the engine cannot be used or is lost, or what cases share cannot be made.
+    """
+    check_engine(cases, maker, engine)
+    left, damaged = missing_cases(cases, store)
+    if damaged:
+        print(f"{damaged} results are damaged and run again", file=sys.stderr)
+    ran: Counter[str] = Counter()
+    if left:
+        ran = _run_missing(left, maker, store, engine)
+    return RunCounts(len(cases), len(cases) - len(left), damaged, dict(ran))
+
+
+def _run_missing(
+    left: Sequence[CampaignCase], maker: CaseMaker, store: ResultStore, engine: Engine
+) -> Counter[str]:
+    by_key = {case.key: case for case in left}
+    ran: Counter[str] = Counter()
+    progress = Progress("campaign", len(left))
+    with _one_thread():
+        outcomes = engine.outcomes(LazyTasks(maker, left))
+        with contextlib.closing(outcomes):  # type: ignore[type-var]
+            for outcome in outcomes:
+                case, size = by_key[outcome.key], 0
+                if outcome.state == "done":
+                    size = store.write(
+                        case.key, maker.kind.name, maker.code, case.config, outcome.result
+                    )
+                else:
+                    store.write_failure(maker.kind.name, maker.code, case.config, outcome)
+                store.add_cost(maker.code, outcome, size)
+                ran[outcome.state] += 1
+                bad = sum(n for state, n in ran.items() if state != "done")
+                progress.step(f"{bad} without result" if bad else "")
+    return ran
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Environment in which new processes keep to one thread each."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update({name: "1" for name in ONE_THREAD})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,97 @@
+"""Worker of a campaign: one task in, one outcome out, whatever happens between.
+
+Every engine calls `run_task`, in its own processes. A worker refuses tasks where its code or its
+files differ from those that the campaign began with.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import platform
+import resource
+import threading
+import time
+import traceback
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import msgspec
+
+from firmware_py.errors import InputError
+from hil.campaign.case_task import CaseCost, CaseTask, TaskOutcome, canonical_json
+from hil.campaign.code_version import code_version, content_sha256
+from hil.campaign.kinds.case_kind import CaseContext, load_kind
+
+MOST_LOG: Final = 20_000
+"""Characters of a log that are kept, the last ones."""
+_ONE_AT_A_TIME: Final = threading.Lock()
+"""A worker of dask may have several threads; simulations of one process share their libraries."""
+
+
+def run_task(task: CaseTask) -> TaskOutcome:
+    """Run one case.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case.
+    """
+    with _ONE_AT_A_TIME:
+        return _run(task)
+
+
+def _run(task: CaseTask) -> TaskOutcome:
+    printed = io.StringIO()
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
+    parts_s: dict[str, float] = {}
+
+    def cost() -> CaseCost:
+        return CaseCost(
+            wall_s=time.perf_counter() - start_s,
+            cpu_s=time.process_time() - start_cpu_s,
+            memory_bytes=1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+            worker=f"{platform.node()}-{os.getpid()}",
+            parts_s=parts_s,
+        )
+
+    with TemporaryDirectory(prefix="dropstitch-case-") as scratch:
+        try:
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                result = _result(task, CaseContext(Path(scratch), parts_s))
+        except InputError as error:
+            sentence = str(error).replace(scratch, "scratch")
+            return TaskOutcome(
+                key=task.key, state="refused", sentence=sentence,
+                log=printed.getvalue()[-MOST_LOG:], cost=cost(),
+            )  # fmt: skip
+        except Exception as error:  # whatever it is: the campaign goes on
+            sentence = f"{type(error).__name__}: {error}".replace(scratch, "scratch")
+            log = f"{printed.getvalue()}\n{traceback.format_exc()}"
+            return TaskOutcome(
+                key=task.key, state="failed", sentence=" ".join(sentence.split())[:800],
+                log=log[-MOST_LOG:], cost=cost(),
+            )  # fmt: skip
+    return TaskOutcome(key=task.key, state="done", result=result, cost=cost())
+
+
+def _result(task: CaseTask, context: CaseContext) -> str:
+    kind = load_kind(task.kind)
+    if (own := code_version(kind.rooms)) != task.code:
+        raise InputError(
+            f"worker on {platform.node()}",
+            f"has code {own}, the campaign has {task.code}",
+            "bring both to the same sources and libraries, then run the command again",
+        )
+    for path, sha256 in task.files.items():
+        if not Path(path).exists():
+            raise InputError(path, "is missing on the worker", "put it where every worker finds it")
+        if content_sha256(Path(path)) != sha256:
+            raise InputError(
+                path, "differs on the worker from what the campaign began with",
+                "copy it again, start the workers anew",
+            )  # fmt: skip
+    config = msgspec.json.decode(task.config, type=kind.config)
+    return canonical_json(kind.run(config, context))

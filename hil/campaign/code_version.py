@@ -1,0 +1,81 @@
+"""Version of the code that computes a case: hash of its sources and of its libraries' versions.
+
+A commit would change with every page of the docs, and says nothing about files that are not
+committed; the sources say what runs, and every worker can hash its own. Commands and pages compute
+nothing and are left out. A library of another version may compute other digits, so it counts.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import platform
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+NOT_COMPUTING: Final = frozenset({"commands", "report", "__pycache__"})
+"""Folders of a room whose code computes no result."""
+CAMPAIGN: Final = "hil/campaign/"
+KINDS_OF_CASES: Final = "hil/campaign/kinds/"
+"""Of this folder only the kinds compute; the rest moves, keeps and shows results."""
+LIBRARIES: Final = (
+    "numpy", "scipy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "pyelastica", "fmpy",
+    "msgspec", "ziglang",
+)  # fmt: skip
+
+
+@functools.cache
+def code_version(rooms: tuple[str, ...]) -> str:
+    """Version of the code of some rooms on this machine, 16 hexadecimal digits.
+
+    Parameters
+    ----------
+    rooms : tuple of str
+        Folders below the root of the checkout.
+    """
+    digest = hashlib.sha256()
+    for room in rooms:
+        for path in _sources(ROOT / room):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    versions = [f"{name} {_version(name)}" for name in LIBRARIES]
+    minor = ".".join(platform.python_version_tuple()[:2])
+    digest.update("\n".join([*versions, f"python {minor}"]).encode())
+    return digest.hexdigest()[:16]
+
+
+def _sources(room: Path) -> Iterable[Path]:
+    for path in sorted(room.rglob("*")):
+        place = path.relative_to(ROOT)
+        if path.is_file() and not NOT_COMPUTING & set(place.parts) and path.suffix != ".md":
+            name = place.as_posix()
+            if not name.startswith(CAMPAIGN) or name.startswith(KINDS_OF_CASES):
+                yield path
+
+
+def _version(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
+@functools.lru_cache(maxsize=4096)
+def content_sha256(path: Path) -> str:
+    """SHA-256 of a file, or of the names and contents of all files of a directory.
+
+    Parameters
+    ----------
+    path : Path
+        File or directory; read once in a process.
+    """
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256()
+    for file in sorted(p for p in path.rglob("*") if p.is_file()):
+        digest.update(str(file.relative_to(path)).encode() + b"\0")
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()

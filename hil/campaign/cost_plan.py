@@ -1,0 +1,197 @@
+"""Plan of a campaign on paper: time, memory and disk for so many cases on so many workers.
+
+Everything follows from cases that were run, by the rows of `costs.csv`. Time is that of the
+processor: a machine that others use needs longer. The start of a worker is measured apart.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from firmware_py.documents import Document
+from firmware_py.errors import InputError
+from hil.campaign.code_version import ROOT
+
+SAMPLE: Final = 5
+"""Cases that are run for a plan where none of this code and kind has run yet [assumed]."""
+OVERHEAD_S: Final = 0.004
+"""Time of the campaign's own process for each case: task, result file, row of costs
+(`make bench-campaigns`)."""
+BLOCK_BYTES: Final = 4096
+"""Disk space of the smallest file."""
+TASK_BYTES: Final = 2500
+"""Memory of the campaign's own process for each case (`make bench-campaigns`)."""
+
+
+class CostPlan(Document, frozen=True, kw_only=True):
+    """Plan of a campaign.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the cases.
+    cases, workers : int
+        Numbers that the plan is for.
+    measured : int
+        Cases that it follows from.
+    cpu_s_per_case, cpu_s_p95 : float
+        Processor time of a case: mean, and 95th percentile.
+    start_s : float
+        Processor time of the start of a worker.
+    cpu_hours, wall_hours : float
+        Of all cases, and divided among the workers.
+    worker_bytes, workers_bytes, campaign_bytes : int
+        Memory of a worker, of all workers, and of the campaign's own process.
+    result_bytes, disk_bytes : int
+        Size of a result, and space of all on the disk, costs and summary included.
+    command : str
+        Command that runs it.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m hil campaign --plan"
+
+    kind: str
+    cases: int
+    workers: int
+    measured: int
+    cpu_s_per_case: float
+    cpu_s_p95: float
+    start_s: float
+    cpu_hours: float
+    wall_hours: float
+    worker_bytes: int
+    workers_bytes: int
+    campaign_bytes: int
+    result_bytes: int
+    disk_bytes: int
+    command: str
+
+
+def cost_plan(
+    kind: str, costs: Sequence[Mapping[str, str]], cases: int, workers: int, start_s: float,
+    command: str,
+) -> CostPlan:  # fmt: skip
+    """Plan from measured costs.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the cases.
+    costs : sequence of mapping
+        Rows of `ResultStore.read_costs` of this code.
+    cases, workers : int
+        Numbers to plan for.
+    start_s : float
+        Of `worker_start_s`.
+    command : str
+        Command that runs it.
+
+    Raises
+    ------
+    InputError
+        If no case has a cost.
+    """
+    done = [row for row in costs if row["state"] == "done"]
+    if not done:
+        raise InputError("--plan", "has no case that ended well to plan from", "see the failures")
+    cpu_s = np.array([float(row["cpu_s"]) for row in costs])
+    # The first case of each worker reads bundles, compiles and fills caches: it is a start.
+    workers_of = [row["worker"] for row in costs]
+    first = np.array([name not in workers_of[:k] for k, name in enumerate(workers_of)])
+    later = cpu_s[~first] if (~first).any() else cpu_s
+    warm_up_s = max(float(cpu_s[first].mean() - later.mean()), 0.0) if (~first).any() else 0.0
+    total_s = cases * float(later.mean()) + workers * (start_s + warm_up_s)
+    own_s = cases * OVERHEAD_S
+    size = int(np.mean([int(row["result_bytes"]) for row in done]))
+    files = cases * math.ceil(size / BLOCK_BYTES) * BLOCK_BYTES
+    memory = max(int(row["memory_bytes"]) for row in costs)
+    return CostPlan(
+        schema=CostPlan.VERSION,
+        kind=kind,
+        cases=cases,
+        workers=workers,
+        measured=len(costs),
+        cpu_s_per_case=float(later.mean()),
+        cpu_s_p95=float(np.quantile(later, 0.95)),
+        start_s=start_s + warm_up_s,
+        cpu_hours=(total_s + own_s) / 3600,
+        wall_hours=max(total_s / min(workers, cases), own_s) / 3600,
+        worker_bytes=memory,
+        workers_bytes=workers * memory,
+        campaign_bytes=100_000_000 + cases * TASK_BYTES,
+        result_bytes=size,
+        disk_bytes=files + cases * (size + 200),
+        command=command,
+    )
+
+
+def worker_start_s(module: str) -> float:
+    """Processor time of a fresh process until it can begin a case of a kind.
+
+    Parameters
+    ----------
+    module : str
+        Module of the kind.
+    """
+    code = f"import hil.campaign.case_worker; import {module}"
+    before, paths = os.times(), [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    subprocess.run([sys.executable, "-c", code], check=False, env=environment)
+    after = os.times()
+    return (after.children_user + after.children_system) - (
+        before.children_user + before.children_system
+    )
+
+
+def describe_plan(plan: CostPlan) -> str:
+    """Return a plan as text.
+
+    Parameters
+    ----------
+    plan : CostPlan
+        The plan.
+    """
+    return "\n".join(
+        [
+            f"{plan.cases} cases of kind {plan.kind} on {plan.workers} workers, from "
+            f"{plan.measured} that ran here:",
+            f"  a case      {plan.cpu_s_per_case:.3g} s of a processor (95 %: "
+            f"{plan.cpu_s_p95:.3g} s); a worker starts in {plan.start_s:.1f} s",
+            f"  time        {plan.cpu_hours:.3g} processor hours, {_span(plan.wall_hours)} if the "
+            "workers have theirs alone",
+            f"  memory      {_size(plan.worker_bytes)} for a worker, {_size(plan.workers_bytes)} "
+            f"for all, {_size(plan.campaign_bytes)} for the campaign itself",
+            f"  disk        {_size(plan.disk_bytes)}, {plan.result_bytes} bytes a result",
+            f"  command     {plan.command}",
+        ]
+    )
+
+
+def _span(hours: float) -> str:
+    if hours < 1 / 60:
+        return f"{3600 * hours:.0f} s"
+    return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h"
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:.0f} MB" if count < 2e9 else f"{count / 1e9:.1f} GB"
+
+
+def rows_of_code(rows: Sequence[Mapping[str, Any]], code: str) -> list[Mapping[str, Any]]:
+    """Rows of costs of one version of the code.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Of `ResultStore.read_costs`.
+    code : str
+        Version.
+    """
+    return [row for row in rows if row["code"] == code]

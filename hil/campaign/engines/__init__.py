@@ -1,0 +1,1 @@
+"""Engines that bring cases to workers: processes of this machine, dask, submitit."""

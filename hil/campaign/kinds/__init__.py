@@ -1,0 +1,1 @@
+"""Kinds of cases: runs in software, FMUs, diagnoses, trials of the rig."""

@@ -1,0 +1,133 @@
+"""Kind of cases: effects hidden in a rig, and the diagnosis of its trials with a given plant.
+
+The benchmark of the workflow (`bench.gap`) draws its own cases and judges more of each diagnosis;
+it runs on the same engines.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.motion import KINDS as MOTIONS
+from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
+from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
+from hil.campaign.kinds.rig_kind import changed_rig
+
+
+class GapConfig(CaseConfig, frozen=True, kw_only=True):
+    """Configuration of a diagnosis.
+
+    Attributes
+    ----------
+    plant : str
+        Plant as it was identified, with its noise floor.
+    rig : str
+        Structure, `drawn_K`, file that changes a structure, or link.
+    effects : dict of str to float
+        Effects that are hidden in the rig.
+    factors : dict of str to float
+        Factors on parameters of the rig.
+    payloads_kg : tuple of float
+        Payloads of the trials.
+    trials : int
+        Trials of each payload.
+    motion : str
+        Kind of motion.
+    leave_out : tuple of str
+        Effects that the search does not know.
+    seed : int
+        Of variation and noise.
+    """
+
+    plant: str
+    rig: str = "default"
+    effects: dict[str, float] = msgspec.field(default_factory=dict)
+    factors: dict[str, float] = msgspec.field(default_factory=dict)
+    payloads_kg: tuple[float, ...] = (0.0, 1.0, 2.0)
+    trials: int = 2
+    motion: str = "sinusoid"
+    leave_out: tuple[str, ...] = ()
+    seed: int = 0
+
+
+class GapKind(CaseKind[GapConfig]):
+    """Diagnoses."""
+
+    name: ClassVar[str] = "gap"
+    config: ClassVar[type[GapConfig]] = GapConfig
+    rooms: ClassVar[tuple[str, ...]] = ("firmware_py", "models", "hil/campaign/kinds")
+    figures: ClassVar = {
+        "gap_left_fraction": "gap that is left",
+        "largest_separation": "largest d′ of an effect",
+        "right": "named rightly",
+    }
+
+    def files(self, config: GapConfig) -> dict[str, str]:
+        """See `CaseKind.files`."""
+        found = {"plant": config.plant}
+        return found | ({"rig": config.rig} if Path(config.rig).is_file() else {})
+
+    def check(self, config: GapConfig) -> None:
+        """See `CaseKind.check`."""
+        check_effects_known(config.effects)
+        check_effects_known(dict.fromkeys(config.leave_out, 0.0))
+        check_ranges(config, payloads_kg=(0.0, 10.0), trials=(1, 100), seed=(0, 2**32 - 1))
+        if config.motion not in MOTIONS:
+            raise InputError("motion", f"{config.motion!r} is no kind", ", ".join(MOTIONS))
+        if not config.payloads_kg:
+            raise InputError("payloads_kg", "is empty", "give one payload or more")
+
+    def run(self, config: GapConfig, context: CaseContext) -> dict[str, Any]:
+        """See `CaseKind.run`."""
+        import time
+
+        from firmware_py.motion import Motion
+        from models.gap.diagnosis import diagnose  # loads CasADi
+        from models.plant.plant import read_plant
+        from models.rig.study_protocol import run_case  # loads MuJoCo
+        from models.rig.trial_case import TrialCase
+        from models.trials.trial_files import TrialSet
+
+        rig = changed_rig(config.rig, config.factors).hide(config.effects)
+        kind = next(k for k in MOTIONS if k == config.motion)
+        trials = TrialSet(
+            tuple(
+                run_case(rig, TrialCase(Motion(kind), payload_kg, trial, config.seed))
+                for payload_kg in config.payloads_kg
+                for trial in range(1, config.trials + 1)
+            )
+        )
+        start_s = time.perf_counter()
+        found = diagnose(read_plant(config.plant), trials, leave_out=list(config.leave_out))
+        context.parts_s["diagnosis"] = time.perf_counter() - start_s
+        values = found.improved.parameters
+        wanted = set(config.effects) - set(config.leave_out)
+        return {
+            "verdict": str(found.verdict),
+            "named": list(found.named),
+            "right": float(set(found.named) == wanted),
+            "gap_left_fraction": found.gap_left_fraction,
+            "largest_separation": max(found.screened.values(), default=0.0),
+            "residual_before": found.residual_before,
+            "residual_after": found.residual_after,
+            "unexplained_fraction": found.unexplained_fraction,
+            "separations": {"+".join(i.effects): i.separation for i in found.inclusions},
+            "look_alikes": {
+                "+".join(i.effects): ["+".join(a.effects) for a in i.look_alikes]
+                for i in found.inclusions
+            },
+            "strengths": {
+                name: values[name].value
+                for q in found.fit_parameters
+                if q.effect in found.named
+                for name in q.parameters
+                if name in values
+            },
+        }
+
+
+KIND = GapKind()

@@ -1,0 +1,176 @@
+"""Kind of cases: one trial of the rig, its figures, and the errors of a plant on it."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.motion import KINDS as MOTIONS
+from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
+from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
+from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
+
+
+class RigConfig(CaseConfig, frozen=True, kw_only=True):
+    """Configuration of a trial.
+
+    Attributes
+    ----------
+    rig : str
+        Structure, `drawn_K`, file that changes a structure, or link.
+    effects : dict of str to float
+        Effects that are added to the rig's.
+    factors : dict of str to float
+        Factors on parameters of the rig.
+    dof : int
+        Driven joints.
+    payload_kg : float
+        At the tip.
+    pressure_pa : float or None
+        Pressure; that of the study or of the link by default.
+    motion : str
+        Kind of motion, or a motion file.
+    amplitude_rad, period_s, phase_2_rad : float
+        Of the motion.
+    trial : int
+        Number of the repetition.
+    seed : int
+        Of variation and noise.
+    plant : str or None
+        Plant whose errors on the trial are wanted.
+    """
+
+    rig: str = "default"
+    effects: dict[str, float] = msgspec.field(default_factory=dict)
+    factors: dict[str, float] = msgspec.field(default_factory=dict)
+    dof: Literal[1, 2] = 1
+    payload_kg: float = 0.0
+    pressure_pa: float | None = None
+    motion: str = "sinusoid"
+    amplitude_rad: float = STUDY_AMPLITUDE_RAD
+    period_s: float = STUDY_PERIOD_S
+    phase_2_rad: float = 0.0
+    trial: int = 1
+    seed: int = 0
+    plant: str | None = None
+
+
+class RigKind(CaseKind[RigConfig]):
+    """Trials of the rig."""
+
+    name: ClassVar[str] = "rig"
+    config: ClassVar[type[RigConfig]] = RigConfig
+    rooms: ClassVar[tuple[str, ...]] = ("firmware_py", "models", "hil/campaign/kinds")
+    figures: ClassVar = {
+        "rigid_tip_rms_m": "tip off a rigid link's, RMS",
+        "largest.di": "largest DI",
+        "rms.current_1_a": "current of servo 1, RMS",
+        "plant_rms.tip_x_m": "error of the plant, tip x, RMS",
+    }
+
+    def files(self, config: RigConfig) -> dict[str, str]:
+        """See `CaseKind.files`."""
+        found = {} if config.plant is None else {"plant": config.plant}
+        if Path(config.rig).is_file():
+            found["rig"] = config.rig
+        if config.motion not in MOTIONS:
+            found["motion"] = config.motion
+        return found
+
+    def check(self, config: RigConfig) -> None:
+        """See `CaseKind.check`."""
+        check_effects_known(config.effects)
+        check_ranges(
+            config, payload_kg=(0.0, 10.0), period_s=(0.1, 1e4), seed=(0, 2**32 - 1),
+            trial=(0, 1000),
+        )  # fmt: skip
+
+    def run(self, config: RigConfig, context: CaseContext) -> dict[str, Any]:
+        """See `CaseKind.run`."""
+        import numpy as np
+
+        from firmware_py.config import MotionConfig
+        from firmware_py.link.link_description import STUDY_LINK
+        from models.plant.identification.evaluation import compare_with_trials
+        from models.rig.study_protocol import run_case  # loads MuJoCo
+        from models.rig.trial_case import TrialCase
+        from models.shared.kinematics import rigid_tip_m
+        from models.trials.deformation import deformation_index
+
+        rig = changed_rig(config.rig, config.factors).hide(config.effects)
+        link = rig.link or STUDY_LINK
+        motion = MotionConfig(
+            amplitude_rad=config.amplitude_rad, period_s=config.period_s,
+            phase_2_rad=config.phase_2_rad,
+        ).with_motion(config.motion)  # fmt: skip
+        trial = run_case(
+            rig,
+            TrialCase(
+                motion.motion(config.dof), config.payload_kg, config.trial, config.seed,
+                link.pressure_pa if config.pressure_pa is None else config.pressure_pa,
+                link.gravity.unit,
+            ),
+        )  # fmt: skip
+        columns = {n: c for n, c in trial.columns.items() if not n.startswith("m")}
+        columns["di"] = deformation_index(trial)
+        meta = trial.meta
+        rigid = rigid_tip_m(trial.angle_rad, meta.base_offset_m, meta.link_length_m)
+        digest = hashlib.sha256()
+        for name, column in sorted(trial.columns.items()):
+            digest.update(name.encode() + np.ascontiguousarray(column).tobytes())
+        found = {
+            "name": trial.name,
+            "rows": len(trial),
+            "rms": {n: _rms(c) for n, c in columns.items() if n != "time_s"},
+            "largest": {n: float(np.nanmax(np.abs(c))) for n, c in columns.items()},
+            "rigid_tip_rms_m": _rms(np.linalg.norm(rigid - trial.tip_m, axis=1)),
+            "trial_sha256": digest.hexdigest(),
+        }
+        if config.plant is not None:
+            comparison = compare_with_trials(_plant(config.plant), [trial])[0]
+            found["plant_rms"] = {n: _rms(comparison.error(n)) for n in comparison.simulated}
+        return found
+
+
+KIND = RigKind()
+
+
+def changed_rig(name: str, factors: dict[str, float]) -> Any:
+    """Rig with factors on its parameters.
+
+    Parameters
+    ----------
+    name : str
+        As `models.rig.drawn_rig.rig_named`.
+    factors : dict of str to float
+        By parameter.
+
+    Raises
+    ------
+    InputError
+        If the rig has no such parameter.
+    """
+    from models.rig.drawn_rig import rig_named
+
+    rig = rig_named(name)
+    if unknown := sorted(factors.keys() - set(rig)):
+        raise InputError(f"factors.{unknown[0]}", "is no parameter of the rig", "see rig.toml")
+    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()})
+
+
+@functools.lru_cache(maxsize=8)
+def _plant(path: str) -> Any:
+    from models.plant.plant import read_plant  # loads CasADi
+
+    return read_plant(path)
+
+
+def _rms(values: Any) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.nanmean(np.square(values))))

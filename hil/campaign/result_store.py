@@ -1,0 +1,277 @@
+"""Store of a campaign: one file for each result, failure files with logs, costs in a table.
+
+::
+
+    DIR/results/ab/KEY.json     result, with its own hash
+    DIR/failures/KEY-1.json     first failure of a case, with its log; none is ever removed
+    DIR/costs.csv               time and memory of each case, in the order of their ends
+    DIR/shared/                 what cases share, such as a twin
+
+A file appears under its name once it is whole, and is read again only if its hash is right.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import msgspec
+
+from firmware_py.documents import Document, read_document
+from firmware_py.errors import InputError
+from hil.campaign.case_task import State, TaskOutcome, canonical_json
+
+COST_COLUMNS: Final = ("key", "code", "state", "wall_s", "cpu_s", "memory_bytes", "result_bytes",
+                       "worker", "parts_s")  # fmt: skip
+
+
+class CaseRecord(Document, frozen=True, kw_only=True):
+    """Result of one case.
+
+    Attributes
+    ----------
+    sha256 : str
+        Hash of the rest of the document, as canonical JSON.
+    key, kind, code : str
+        Key of the case, its kind, and the version of the code.
+    config : dict
+        Full configuration.
+    result : dict
+        Result.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m hil campaign"
+
+    sha256: str
+    key: str
+    kind: str
+    code: str
+    config: dict[str, Any]
+    result: dict[str, Any]
+
+
+class FailureRecord(Document, frozen=True, kw_only=True):
+    """Failure of one case.
+
+    Attributes
+    ----------
+    key, kind, code : str
+        Key of the case, its kind, and the version of the code.
+    state : str
+        "refused", "failed" or "killed".
+    sentence : str
+        Why there is no result.
+    log : str
+        What the case printed, and where its code failed.
+    config : dict
+        Full configuration.
+    """
+
+    MADE_BY: ClassVar[str] = "python -m hil campaign"
+
+    key: str
+    kind: str
+    code: str
+    state: State
+    sentence: str
+    log: str
+    config: dict[str, Any]
+
+
+class ResultStore:
+    """Directory of a campaign.
+
+    Parameters
+    ----------
+    directory : Path
+        Made where it is missing.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made or written to.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._results, self._failures = directory / "results", directory / "failures"
+        self._last_failures: dict[str, int] | None = None
+        self.shared, self.costs = directory / "shared", directory / "costs.csv"
+        for path in (directory, self._results, self._failures, self.shared):
+            _make_directory(path)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other campaigns out of the directory for as long as the block lasts.
+
+        Raises
+        ------
+        InputError
+            If another one is running there, or the directory cannot be written to.
+        """
+        path = self.directory / ".lock"
+        try:
+            file = path.open("w")
+        except OSError as error:
+            raise InputError(
+                self.directory, f"cannot be written to ({error.strerror})", "name another --out"
+            ) from None
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    self.directory, "is in use by another campaign", "wait, or name another --out"
+                ) from None
+            except OSError:  # a file system without locks
+                pass
+            yield
+
+    def path(self, key: str) -> Path:
+        """File of a result."""
+        return self._results / key[:2] / f"{key}.json"
+
+    def read(self, key: str) -> CaseRecord | None:
+        """Result of a case; None where it is missing, damaged or not of this case.
+
+        Parameters
+        ----------
+        key : str
+            Of the case.
+        """
+        try:
+            record = msgspec.json.decode(self.path(key).read_bytes(), type=CaseRecord)
+        except (OSError, ValueError, RecursionError):
+            return None
+        whole = record.schema == CaseRecord.VERSION and record.key == key
+        return record if whole and record.sha256 == _hash_of(record) else None
+
+    def write(self, key: str, kind: str, code: str, config: Any, result: str) -> int:
+        """Write a result; return the size of its file.
+
+        Parameters
+        ----------
+        key, kind, code : str
+            See `CaseRecord`.
+        config : msgspec.Struct
+            Full configuration.
+        result : str
+            As JSON.
+        """
+        record = CaseRecord(
+            schema=CaseRecord.VERSION, sha256="", key=key, kind=kind, code=code,
+            config=msgspec.to_builtins(config), result=json.loads(result),
+        )  # fmt: skip
+        record = msgspec.structs.replace(record, sha256=_hash_of(record))
+        return _write_whole(self.path(key), canonical_json(record) + "\n")
+
+    def write_failure(self, kind: str, code: str, config: Any, outcome: TaskOutcome) -> None:
+        """Write a failure beside those that the case had before.
+
+        Parameters
+        ----------
+        kind, code : str
+            See `CaseRecord`.
+        config : msgspec.Struct
+            Full configuration.
+        outcome : TaskOutcome
+            End of the case.
+        """
+        record = FailureRecord(
+            schema=FailureRecord.VERSION, key=outcome.key, kind=kind, code=code,
+            state=outcome.state, sentence=outcome.sentence, log=outcome.log,
+            config=msgspec.to_builtins(config),
+        )  # fmt: skip
+        number = self._failed().get(outcome.key, 0) + 1
+        text = json.dumps(msgspec.to_builtins(record), indent=1, ensure_ascii=False)
+        _write_whole(self._failures / f"{outcome.key}-{number}.json", text + "\n")
+        self._failed()[outcome.key] = number
+
+    def _failed(self) -> dict[str, int]:
+        """Number of the last failure of each case, from one look at the directory."""
+        if self._last_failures is None:
+            self._last_failures = {}
+            for path in self._failures.glob("*-*.json"):
+                key, _, number = path.stem.rpartition("-")
+                if number.isdecimal():
+                    last = max(int(number), self._last_failures.get(key, 0))
+                    self._last_failures[key] = last
+        return self._last_failures
+
+    def last_failure(self, key: str) -> FailureRecord | None:
+        """Last failure of a case.
+
+        Parameters
+        ----------
+        key : str
+            Of the case.
+        """
+        if not (number := self._failed().get(key)):
+            return None
+        return read_document(self._failures / f"{key}-{number}.json", FailureRecord)
+
+    def add_cost(self, code: str, outcome: TaskOutcome, result_bytes: int) -> None:
+        """Add the cost of a case to the table.
+
+        Parameters
+        ----------
+        code : str
+            Version of the code.
+        outcome : TaskOutcome
+            End of the case.
+        result_bytes : int
+            Size of its file.
+        """
+        if outcome.cost is None:
+            return
+        new, cost = not self.costs.exists(), outcome.cost
+        with self.costs.open("a", newline="", encoding="utf-8") as file:
+            table = csv.writer(file, lineterminator="\n")
+            if new:
+                table.writerow(COST_COLUMNS)
+            table.writerow(
+                [outcome.key, code, outcome.state, f"{cost.wall_s:.6f}", f"{cost.cpu_s:.6f}",
+                 cost.memory_bytes, result_bytes, cost.worker, json.dumps(cost.parts_s)]
+            )  # fmt: skip
+
+    def read_costs(self) -> list[dict[str, str]]:
+        """Rows of the table of costs; empty where there is none."""
+        if not self.costs.exists():
+            return []
+        with self.costs.open(newline="", encoding="utf-8") as file:
+            return [row for row in csv.DictReader(file) if row.get("parts_s") is not None]
+
+
+def _hash_of(record: CaseRecord) -> str:
+    body = {n: getattr(record, n) for n in ("key", "kind", "code", "config", "result")}
+    return hashlib.sha256(canonical_json(body).encode()).hexdigest()
+
+
+def _write_whole(path: Path, text: str) -> int:
+    """Write a file beside its name and rename it; return its size."""
+    path.parent.mkdir(exist_ok=True)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
+    data = text.encode()
+    try:
+        fresh.write_bytes(data)
+        fresh.replace(path)
+    except OSError:
+        fresh.unlink(missing_ok=True)
+        raise
+    return len(data)
+
+
+def _make_directory(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            path, f"cannot be made a directory ({error.strerror})", "name another --out"
+        ) from None

@@ -1,0 +1,171 @@
+"""Engines: the same bytes from each, dead workers, cases that kill."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import time
+
+import pytest
+
+from firmware_py.errors import InputError
+from hil.campaign.campaign_run import run_campaign_cases
+from hil.campaign.campaign_summary import write_summary
+from hil.campaign.engines.process_engine import ProcessEngine
+
+ACTS = {3: "refuse", 5: "raise", 7: "die"}
+CASES = 24
+
+
+def configurations():
+    return [{"value": float(k), "act": ACTS.get(k, "count")} for k in range(CASES)]
+
+
+def summary(campaign):
+    path = campaign.out / "summary.csv"
+    write_summary(campaign.cases, campaign.store, path)
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def by_processes(toys):
+    campaign = toys("processes", configurations())
+    engine = ProcessEngine(2, campaign.out / "logs")
+    counts = run_campaign_cases(campaign.cases, campaign.maker, campaign.store, engine)
+    return campaign, counts
+
+
+def test_processes_keep_every_outcome_and_blame_the_killer_alone(by_processes):
+    campaign, counts = by_processes
+    assert counts.ran == {"done": CASES - 3, "refused": 1, "failed": 1, "killed": 1}
+    rows = summary(campaign).decode().splitlines()
+    assert len(rows) == CASES + 1
+    for k, (state, sentence) in {
+        3: ("refused", "scratch: cannot be used; take another."),
+        5: ("failed", "ZeroDivisionError: division of toys"),
+        7: ("killed", "its worker died each time that it was begun"),
+    }.items():
+        assert rows[k + 1].split(",")[1:3] == [state, sentence]
+    failure = campaign.store.last_failure(campaign.cases[7].key)
+    assert "ended with code 7" in failure.log
+    assert "last words" in failure.log
+    raised = campaign.store.last_failure(campaign.cases[5].key)
+    assert "about to raise" in raised.log
+    assert 'raise ZeroDivisionError("division of toys")' in raised.log
+    costs = campaign.store.read_costs()
+    assert len(costs) == CASES - 1  # nobody measured what died
+    assert json.loads(costs[0]["parts_s"]) == {"thinking": 0.25}
+
+
+def test_a_second_run_begins_what_has_no_result_and_nothing_else(by_processes):
+    campaign, _ = by_processes
+    before = {c.key: campaign.store.path(c.key).stat().st_mtime_ns for c in campaign.cases[8:]}
+    campaign.store.path(campaign.cases[0].key).write_text("{}")
+    chosen = [c for k, c in enumerate(campaign.cases) if k != 7]
+    engine = ProcessEngine(1, campaign.out / "logs")
+    counts = run_campaign_cases(chosen, campaign.maker, campaign.store, engine)
+    assert (counts.kept, counts.damaged) == (CASES - 4, 1)
+    assert counts.ran == {"done": 1, "refused": 1, "failed": 1}
+    after = {c.key: campaign.store.path(c.key).stat().st_mtime_ns for c in campaign.cases[8:]}
+    assert after == before
+
+
+class KillingEngine:
+    """Engine of dask, with workers of its cluster killed at random moments."""
+
+    shared = True
+
+    def __init__(self, engine, cluster, moments):
+        self.engine, self.cluster, self.moments = engine, cluster, set(moments)
+        self.random, self.kills = random.Random(1), 0
+
+    def outcomes(self, tasks):
+        for number, outcome in enumerate(self.engine.outcomes(tasks)):
+            if number in self.moments:
+                self.kill()
+            yield outcome
+
+    def kill(self):
+        while True:
+            nanny = self.random.choice(list(self.cluster.workers.values()))
+            if nanny.status.name == "running":  # one that dies while it starts stays dead
+                os.kill(nanny.pid, signal.SIGKILL)
+                self.kills += 1
+                return
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as made:
+        made.scheduler.allowed_failures = 0  # whoever is assigned to a dead worker is suspected
+        yield made
+
+
+def test_a_dask_cluster_with_workers_killed_at_random_gives_the_same_bytes(
+    toys, by_processes, cluster
+):
+    from hil.campaign.engines.dask_engine import DaskEngine
+
+    twin = by_processes[0]
+    campaign = toys("dask", configurations())
+    engine = KillingEngine(
+        DaskEngine(cluster.scheduler_address), cluster, random.Random(0).sample(range(8), 2)
+    )
+    counts = run_campaign_cases(campaign.cases, campaign.maker, campaign.store, engine)
+    assert engine.kills == 2
+    assert counts.ran == {"done": CASES - 3, "refused": 1, "failed": 1, "killed": 1}
+    assert summary(campaign) == summary(twin)
+    for case in campaign.cases:
+        if (path := campaign.store.path(case.key)).exists():
+            assert path.read_bytes() == twin.store.path(case.key).read_bytes()
+
+
+def test_submitit_gives_the_same_bytes(toys, by_processes, monkeypatch):
+    pytest.importorskip("submitit")
+    from hil.campaign.engines import submitit_engine
+    from hil.campaign.engines.submitit_engine import SubmititEngine
+
+    monkeypatch.setattr(submitit_engine, "JOBS_PER_WORKER", 1)
+    monkeypatch.setattr(submitit_engine, "ATTEMPTS", 2)
+
+    chosen = configurations()[:8]
+    campaign, twin = toys("submitit", chosen), by_processes[0]
+    engine = SubmititEngine(1, campaign.out / "submitit", "local", {})
+    counts = run_campaign_cases(campaign.cases, campaign.maker, campaign.store, engine)
+    assert counts.ran == {"done": 5, "refused": 1, "failed": 1, "killed": 1}
+    assert summary(campaign).splitlines() == summary(twin).splitlines()[:9]
+
+
+def test_no_engine_of_a_cluster_measures_time(toys):
+    class Shared:
+        shared = True
+
+    campaign = toys("out", [{"value": 1.0, "measures_time": True}])
+    with pytest.raises(InputError, match="shared with other programs"):
+        run_campaign_cases(campaign.cases, campaign.maker, campaign.store, Shared())
+
+
+def test_a_worker_with_other_code_or_files_refuses(toys, tmp_path):
+    from hil.campaign.case_worker import run_task
+
+    path = tmp_path / "file"
+    path.write_text("as it was")
+    campaign = toys("out", [{"value": 1.0, "file": str(path)}])
+    task = campaign.maker.task(campaign.cases[0])
+    assert run_task(task).state == "done"
+    other = type(task)(**{n: getattr(task, n) for n in task.__struct_fields__} | {"code": "old"})
+    assert "the campaign has old" in run_task(other).sentence
+    gone = type(task)(
+        **{n: getattr(task, n) for n in task.__struct_fields__} | {"files": {"/no/such": "0"}}
+    )
+    assert "/no/such: is missing on the worker" in run_task(gone).sentence
+    changed = type(task)(
+        **{n: getattr(task, n) for n in task.__struct_fields__} | {"files": {str(path): "0"}}
+    )
+    assert "differs on the worker" in run_task(changed).sentence

@@ -1,0 +1,50 @@
+"""Kinds of cases: the same result every time, and the same as the command's."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import msgspec
+
+from hil.campaign.case_task import canonical_json
+from hil.campaign.code_version import ROOT
+from hil.campaign.kinds.case_kind import KINDS, CaseContext, load_kind
+
+
+def result_of(kind, tmp_path, **values):
+    return kind.run(msgspec.convert(values, kind.config), CaseContext(tmp_path))
+
+
+def test_a_trial_of_the_rig_leaves_figures_of_its_size(tmp_path):
+    kind = load_kind("rig")
+    short = {"period_s": 1.0, "amplitude_rad": 0.1, "effects": {"backlash": 0.004}, "seed": 1}
+    figures = json.loads(canonical_json(result_of(kind, tmp_path, **short)))
+    assert 0 < figures["rigid_tip_rms_m"] < 0.1
+    assert 0.09 < figures["largest"]["goal_1_rad"] < 0.11
+    assert figures["largest"]["di"] > 0
+
+
+def test_a_run_in_software_does_not_depend_on_the_runs_before_it(tmp_path, toy_bundle):
+    kind = load_kind("sil")
+    values = {"bundle": str(toy_bundle), "seconds": 1.0, "payload_kg": 1.0, "seed": 3}
+    shared = kind.prepare(msgspec.convert(values, kind.config), tmp_path)
+    known = values | shared | {"payload_known": True, "faults": {"lost": 0.2}}
+    first, between, again = (
+        canonical_json(result_of(kind, tmp_path, **v))
+        for v in (values | shared, known, values | shared)
+    )
+    assert first == again != between
+    figures = json.loads(first)
+    assert figures["ended"] == "finished"
+    assert figures["prediction_error"]["max_m"] > 0
+    assert json.loads(between)["faults_injected"]["lost"] > 0
+    assert not list(tmp_path.glob("*.mcap"))
+
+
+def test_kinds_and_worker_are_light_to_import():
+    heavy = "{'casadi', 'mujoco', 'matplotlib', 'fmpy', 'scipy', 'distributed', 'onnxruntime'}"
+    modules = ", ".join([*KINDS.values(), "hil.campaign.case_worker"])
+    code = f"import sys, {modules}; assert not {heavy} & set(sys.modules), sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
