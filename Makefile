@@ -44,7 +44,7 @@ endef
 judge = $(call run,$(1)) || [ $$? -ne 2 ]
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  wheelhouse link-demo faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
+  wheelhouse link-demo guides faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
   bench-live bench-files bench-campaigns claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -60,6 +60,7 @@ help:
 	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
 	@echo "                with the payload known and unknown; prints the page's path"
 	@echo "make link-demo  a link of another size, mounting and servo: from link.toml to a run in software"
+	@echo "make guides     the documentation as a site, its notebooks run; prints the path"
 	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
 	@echo "                platforms, and with their sources alone; and the SSP packages"
 	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
@@ -364,6 +365,14 @@ build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
 # Errors of the identified plant on the held-out trials, as numbers.
 build/link_demo/errors.json: build/link_demo/plant.json
 	$(BIN)/python -m models evaluate build/link_demo/trials --plant $< --json > $@
+
+# --- guides -------------------------------------------------------------------------------------
+
+# The site of docs/, its notebooks run; a warning is an error.
+guides: $(READY)
+	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
+	@echo
+	@echo "open $(CURDIR)/build/guides/index.html"
 
 # --- checks -------------------------------------------------------------------------------------
 

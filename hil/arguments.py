@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from hil.emulator.line_faults import FAULT_KINDS
 from models.plant.plant_document import link_of_plant
 
@@ -34,8 +34,8 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
 
 
-def complete_from_link(args: argparse.Namespace, plant: Path | None) -> None:
-    """Set servo and payload, where the user does not, by the link of a plant.
+def complete_from_link(args: argparse.Namespace, plant: Path | None) -> LinkDescription:
+    """Set servo and payload, where the user does not, by the link of a plant; return the link.
 
     Parameters
     ----------
@@ -49,3 +49,4 @@ def complete_from_link(args: argparse.Namespace, plant: Path | None) -> None:
         args.model = link.servo.model
     if args.payload_kg is None:
         args.payload_kg = link.payload_kg / 2
+    return link

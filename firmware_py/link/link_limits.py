@@ -71,7 +71,9 @@ def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Pat
 
 
 def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]) -> Limits:
-    """Limits with the tip's box and the largest current of a link, where they are not given.
+    """Limits with the tip's box, largest current and rate of a link, where they are not given.
+
+    Current and rate are lowered to what the servo can do, never raised.
 
     Parameters
     ----------
@@ -87,6 +89,7 @@ def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]
         "tip_min_m": (-reach_m, -reach_m, -reach_m),
         "tip_max_m": (reach_m, reach_m, reach_m),
         "current_a": min(limits.current_a, link.preset.current_limit_a),
+        "rate_rad_s": min(limits.rate_rad_s, link.preset.speed_limit_rad_s),
     }
     return msgspec.structs.replace(
         limits, **{key: value for key, value in own.items() if key not in given}

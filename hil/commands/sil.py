@@ -115,7 +115,9 @@ def run(args: argparse.Namespace) -> int:
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     if args.runs < 1 or (args.runs > 1 and plan is None):
         raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
-    complete_from_link(args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json")
+    link = complete_from_link(
+        args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json"
+    )
     seconds = 10.0 if plan is None else args.runs * plan.duration_s
     options = SilOptions(
         bundle=ModelBundle.load(args.bundle, runtime=args.runtime),
@@ -123,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
         out=args.out,
         fmu=args.fmu,
         rig=_rig_source(args),
+        link=link,
         line=args.line,
         seconds=seconds if args.seconds is None else args.seconds,
         baud=args.baud,

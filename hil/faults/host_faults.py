@@ -40,10 +40,11 @@ HOST_FAULTS: Final = (
     "program flooding",
     "program gone",
 )
-"""The first two return the plan's value; the next delay by that many seconds, step the clock by
-them, or remove the port for them. "request" requests a controlled stop; "flood" puts that many
-bytes per second in place of what the port receives. The last are of a program that sends goals
-(`hil.faults.cases.goal_program`)."""
+"""Kinds of injections and what their value is: "predictor" and "estimator" return it, "innovation"
+reads it in A, "range" (without one) predicts out of range; "slow predictor" and "stall" delay by it
+in s, "clock" steps by it, "port" is removed for it; "garbage" leaves reference cycles, "request"
+requests a controlled stop; "flood" puts that many bytes per second in place of what the port
+receives. "program …" is done by a program that sends goals (`hil.faults.cases.goal_program`)."""
 _GARBAGE_CYCLES: Final = 300
 _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
 """Header of a long status packet: the costliest bytes to search."""
@@ -81,7 +82,8 @@ class HostFaults:
         take: Callable[[float], None],
     ) -> None:
         self._script, self._now_ns, self.take = script, now_ns, take
-        self._injections = tuple(i for i in injections if i.kind in HOST_FAULTS)
+        own = [i for i in injections if i.kind in HOST_FAULTS]
+        self._injections = {kind: [i for i in own if i.kind == kind] for kind in HOST_FAULTS}
         self.tick = 0
         self.began_ns: int | None = None
         self.request_stop: Callable[[str], None] = _request_nothing
@@ -89,8 +91,8 @@ class HostFaults:
 
     def value(self, kind: str) -> float | None:
         """Value of the injection of a kind in this tick; None where there is none."""
-        for injection in self._injections:
-            if injection.kind == kind and self._script.active(injection, self.tick):
+        for injection in self._injections[kind]:
+            if self._script.active(injection, self.tick):
                 if self.began_ns is None:
                     self.began_ns = self._now_ns()
                 return injection.value

@@ -14,9 +14,12 @@ from firmware_py.errors import InputError
 from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from firmware_py.link.link_limits import limits_of_link
 from firmware_py.motion import GLIDE_S
 from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
+from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
 
 LineKind = Literal["pty", "socket", "virtual"]
@@ -38,6 +41,8 @@ class SilOptions:
         Twin behind the servos; by default it is built from the bundle's plant.
     rig : RigSource, optional
         Rig to put there instead of a twin, on the virtual line.
+    link : LinkDescription
+        Link that rig or plant describe; the robot's limits follow from it.
     line : {"pty", "socket", "virtual"}
         See `hil.emulator.line`.
     seconds : float
@@ -73,6 +78,7 @@ class SilOptions:
     out: Path
     fmu: Path | None = None
     rig: RigSource | None = None
+    link: LinkDescription = STUDY_LINK
     line: LineKind = "socket"
     seconds: float = 10.0
     baud: int = 1_000_000
@@ -134,6 +140,8 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
     cpu : int, optional
         Processor to pin the loop to.
     """
+    link = options.link
+    limits = Limits()  # the study's
     return RobotConfig(
         bundle=str(options.bundle.directory),
         bus=BusConfig(port=port, baud=options.baud),
@@ -141,6 +149,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         period_s=options.period_s,
         payload_kg=options.payload_kg if options.payload_known else None,
         motion=options.motion,
+        limits=limits if link == STUDY_LINK else limits_of_link(link, limits, given=()),
         feedback=TrustOptions(use=not options.open_loop),
         real_time=RealTimeOptions(cpu=cpu),
     )

@@ -1,9 +1,10 @@
 """Description of a link of your own, `link.toml`, asked for or from options.
 
-What is not given is asked for where a terminal is there, else the study's value is taken. The file
-holds every key with its meaning: the sizes, the places of the markers, the mounting, and the
-servo's numbers with their source. 'simulate --rig', 'identify --plant', a map's 'link', 'hil sil
---rig' and robot.toml take it.
+Without options it asks for every value in a terminal; an empty answer takes the value in brackets.
+With options, or without a terminal, what is left out has the study's value. The file holds every
+key with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers
+with their source. 'simulate --rig', 'identify --plant', a map's 'link', 'hil sil --rig' and
+robot.toml take it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -43,18 +44,45 @@ RECOMMENDED_TORQUE: Final = 0.2
 on stall torque, a fifth."""
 PAYLOAD_STEP_KG: Final = 0.05
 
-_QUESTIONS: Final[dict[str, tuple[str, Callable[[str], Any]]]] = {
-    "length": ("length from the base plate to the last marker row, m", float),
-    "width": ("side of the section, m", float),
-    "base_offset": ("base plate above the joint axes, m", float),
-    "joints": ("driven joints, 1 or 2", int),
-    "rows": ("rows of markers", int),
-    "corners": ("markers in a row", int),
-    "mounting": (f"mounting: {', '.join(DIRECTIONS)}", str),
-    "servo": (f"servo: {', '.join(PRESETS)}", str),
-    "payload": ("largest payload, kg (empty: what the servo carries)", float),
+
+class _Question(NamedTuple):
+    """What is asked for one option.
+
+    Attributes
+    ----------
+    words : str
+        The question.
+    empty : object
+        What an empty answer takes, shown in brackets.
+    kind : callable
+        Converts an answer; raises ValueError.
+    choices : tuple
+        Answers that there are; empty for any.
+    """
+
+    words: str
+    empty: Any
+    kind: Callable[[str], Any] = float
+    choices: tuple[Any, ...] = ()
+
+
+_QUESTIONS: Final = {
+    "length": _Question(
+        "length from the base plate to the last marker row, m", STUDY_LINK.length_m
+    ),
+    "section": _Question("section", STUDY_LINK.section, str, ("square", "round")),
+    "width": _Question("side or diameter of the section, m", STUDY_LINK.width_m),
+    "base_offset": _Question("base plate above the joint axes, m", STUDY_LINK.base_offset_m),
+    "pressure_pa": _Question("inflation, Pa", STUDY_LINK.pressure_pa),
+    "joints": _Question("driven joints", STUDY_LINK.joints, int, (1, 2)),
+    "rows": _Question("rows of markers", STUDY_LINK.layout.rows, int),
+    "corners": _Question("markers in a row", STUDY_LINK.layout.corners, int),
+    "mounting": _Question("mounting", STUDY_LINK.gravity.mounting, str, tuple(DIRECTIONS)),
+    "effective_weight": _Question("part of the weight that the balloon leaves", 1.0),
+    "servo": _Question("servo", STUDY_LINK.servo.model, str, tuple(PRESETS)),
+    "payload": _Question("largest payload, kg", "what the servo carries"),
 }
-"""What is asked for where a terminal is there."""
+"""By option: what is asked for in a terminal."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -63,27 +91,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("link", type=Path, metavar="LINK.toml", help="file to write")
     add("--length", type=float, metavar="M", help="base plate to last marker row (0.95)")
     add("--width", type=float, metavar="M", help="side or diameter of the section (0.15)")
-    add("--section", choices=("square", "round"), default="square", help="its shape (square)")
+    add("--section", choices=("square", "round"), help="its shape (square)")
     add("--base-offset", type=float, metavar="M", help="base plate above the joint axes (0.06)")
     add("--joints", type=int, choices=(1, 2), help="driven joints (2)")
     add("--rows", type=int, metavar="N", help="rows of markers at equal distances (4)")
     add("--corners", type=int, metavar="N", help="markers in a row (4)")
     add("--mounting", choices=tuple(DIRECTIONS), help="how it stands at zero angle (upright)")
     add(
-        "--effective-weight", type=float, default=1.0, metavar="PART",
+        "--effective-weight", type=float, metavar="PART",
         help="part of the weight that is left with a balloon (1)",
     )  # fmt: skip
     add("--servo", choices=tuple(PRESETS), help="model of the servos (H54-200-S500-R)")
     add("--payload", type=float, metavar="KG", help="largest payload (what the servo carries)")
     add("--mass", type=float, metavar="KG", help="of the link, weighed (estimated)")
     add("--tip-mass", type=float, metavar="KG", help="of the hardware at its tip (estimated)")
-    add("--pressure-pa", type=float, default=STUDY_LINK.pressure_pa, help="inflation (41300)")
+    add("--pressure-pa", type=float, metavar="PA", help="inflation (41300)")
     add("--name", default="link", help="for people")
     add("--force", action="store_true", help="write over a file that exists")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask, check, write, and say what follows from it.
+    """Ask where nothing is given, check, write, and say what follows from it.
 
     Raises
     ------
@@ -92,10 +120,10 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.link.exists() and not args.force:
         raise InputError(args.link, "exists", "name another file, or add --force")
-    if sys.stdin.isatty() and not args.json:
+    given = any(getattr(args, key) is not None for key in _QUESTIONS)
+    if not given and not args.json and sys.stdin.isatty() and sys.stdout.isatty():
         _ask(args)
     link = _described(args)
-    check_link(link, args.link)
     scale = LinkScale(link)
     args.link.parent.mkdir(parents=True, exist_ok=True)
     args.link.write_text(link_toml(link, scale.mass_kg, scale.tip_mass_kg), encoding="utf-8")
@@ -120,40 +148,68 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace) -> None:
-    """Ask for what was not given; an empty answer takes the study's value."""
-    for key, (question, kind) in _QUESTIONS.items():
-        while getattr(args, key) is None:
-            answer = input(f"{question}: ").strip()
-            if not answer:
-                break
-            try:
-                setattr(args, key, kind(answer))
-            except ValueError:
-                print(f"{answer!r} is no number", file=sys.stderr)
+    """Ask for every option; a wrong answer is told at once and asked for again."""
+    try:
+        for key, question in _QUESTIONS.items():
+            if key != "effective_weight" or args.mounting == "balloon":
+                _ask_one(args, key, question)
+    except EOFError:
+        print()
+        raise InputError(
+            args.link, "is not written, the answers end before the last question",
+            "answer all of them, an empty line takes the value in brackets, or give options",
+        ) from None  # fmt: skip
+    except KeyboardInterrupt:
+        print()
+        raise
+
+
+def _ask_one(args: argparse.Namespace, key: str, question: _Question) -> None:
+    choices = ", ".join(map(str, question.choices))
+    words = f"{question.words}, one of {choices}" if choices else question.words
+    while answer := input(f"{words} [{question.empty}]: ").strip():
+        try:
+            value = question.kind(answer)
+        except ValueError:
+            print(f"{answer!r} is no {'whole ' if question.kind is int else ''}number")
+            continue
+        if choices and value not in question.choices:
+            print(f"{answer!r} is not one of {choices}")
+            continue
+        setattr(args, key, value)
+        try:
+            check_link(_described(args), args.link)
+            return
+        except InputError as error:
+            print(f"{error.what}; {error.remedy}")
+            setattr(args, key, None)
 
 
 def _described(args: argparse.Namespace) -> LinkDescription:
     given = {
         "length_m": args.length, "width_m": args.width, "base_offset_m": args.base_offset,
         "joints": args.joints, "mass_kg": args.mass, "tip_mass_kg": args.tip_mass,
-        "payload_kg": args.payload,
+        "payload_kg": args.payload, "section": args.section, "pressure_pa": args.pressure_pa,
     }  # fmt: skip
     servo = args.servo or STUDY_LINK.servo.model
     model_named(servo)
     link = LinkDescription(
-        name=args.name, section=args.section, pressure_pa=args.pressure_pa,
+        name=args.name,
         servo=LinkServo(model=servo),
         gravity=LinkGravity(
-            mounting=args.mounting or "upright", effective_weight=args.effective_weight
+            mounting=args.mounting or "upright",
+            effective_weight=1.0 if args.effective_weight is None else args.effective_weight,
         ),
         **{key: value for key, value in given.items() if value is not None},
     )  # fmt: skip
-    rows, corners = args.rows or 4, args.corners or 4
+    rows = 4 if args.rows is None else args.rows
+    corners = 4 if args.corners is None else args.corners
     if not (1 <= rows <= 99 and 1 <= corners <= 99):
         raise InputError("--rows, --corners", f"are {rows} and {corners}", "give 1 to 99")
     heights = tuple(round(link.length_m * k / rows, 6) for k in range(1, rows + 1))
     places = _corners_m(corners, link.marker_width_m)
     link = msgspec.structs.replace(link, markers=MarkerLayout(heights, places))
+    check_link(link, args.link)
     if args.payload is None:
         link = msgspec.structs.replace(link, payload_kg=_payload_kg(link))
     return link

@@ -23,10 +23,11 @@ from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import read_bundle_files
+from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
-from models.plant.plant import read_plant
+from models.plant.plant import Plant, read_plant
 
 if TYPE_CHECKING:
     from models.plan.planning import Method
@@ -54,7 +55,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, metavar="PLAN.json", help="file to write")
     add(
         "--limits", type=Path, metavar="ROBOT.toml",
-        help="limits of the robot (default: those of a robot.toml without [limits])",
+        help="limits of the robot (default: those of a robot.toml without [limits] that names the "
+        "plant's link)",
     )  # fmt: skip
     add("--size", type=float, default=DEFAULT_SIZE_M, metavar="M",
         help="half of the largest extent, m (0.3)")  # fmt: skip
@@ -80,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         return _improve(args, files.manifest_sha256)
     path = _path(args, manifest.dof, manifest.period_s, args.move)
     plant = read_plant(args.plant)
-    limits = _limits(args.limits)
+    limits = _limits(args.limits, plant)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path, shortest_move_s
 
@@ -117,7 +119,8 @@ def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
     from models.plan.recorded_plan_run import read_plan_run
 
     run = read_plan_run(args.improve, plan)
-    found = improve_plan(plan, run, read_plant(args.plant), _limits(args.limits))
+    plant = read_plant(args.plant)
+    found = improve_plan(plan, run, plant, _limits(args.limits, plant))
     picture = _write(found.plan, args.out)
     own = found.run
     text = (
@@ -161,11 +164,12 @@ def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) ->
     return built_in_path(args.path, dof, period_s, options)
 
 
-def _limits(path: Path | None) -> Limits:
+def _limits(path: Path | None, plant: Plant) -> Limits:
     """Limits of a robot; the default holds for servos without a bus watchdog as well."""
     if path is not None:
         return read_config(path).limits_in_force
-    return msgspec.structs.replace(Limits(), rate_rad_s=UNWATCHED_RATE_RAD_S)
+    limits = msgspec.structs.replace(Limits(), rate_rad_s=UNWATCHED_RATE_RAD_S)
+    return limits_of_link(plant.link, limits, given=()) if plant.link else limits
 
 
 def _result(plan: TipPlan, out: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final
 
 import casadi as ca
@@ -181,11 +182,8 @@ class StepModel:
         step_s : float
             Length of the step in s.
         """
-        state = self.begin(x, u, p, step_s)
-        count = self.substeps(step_s)
-        for _ in range(count):
-            state = self.flow(state, u, p, step_s / count)
-        return np.asarray(self.finish(state, u, p, step_s), dtype=np.float64).ravel()
+        step = _whole_step(self.begin, self.flow, self.finish, self.substeps(step_s))
+        return np.asarray(step(x, u, p, step_s), dtype=np.float64).ravel()
 
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
@@ -213,6 +211,18 @@ class StepModel:
             x = self.advance(x, row, p, step_s)
             rows.append(np.asarray(self.output(x, row, p)).ravel())
         return np.array(rows)
+
+
+@lru_cache(maxsize=8)
+def _whole_step(
+    begin: ca.Function, flow: ca.Function, finish: ca.Function, count: int
+) -> ca.Function:
+    """One step as one function: a call costs more than the arithmetic of a sub-step."""
+    x, u, p, h = (ca.MX.sym(label, begin.size_in(i)) for i, label in enumerate("xuph"))
+    state = begin(x, u, p, h)
+    for _ in range(count):
+        state = flow(state, u, p, h / count)
+    return ca.Function("whole_step", [x, u, p, h], [finish(state, u, p, h)])
 
 
 def names(variables: Sequence[Variable]) -> list[str]:

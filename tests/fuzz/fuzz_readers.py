@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from firmware_py.errors import InputError
 from tests.fuzz import valid_files
 from tests.fuzz.mutations_of_files import LONGEST, of_bytes, of_json, of_text, of_toml
 
@@ -212,12 +213,18 @@ def _recordings():
 
 def _documents():
     from firmware_py.config import read_config
+    from firmware_py.goals.outside.goal_map import read_goal_map
+    from firmware_py.goals.outside.goal_message import decode_goal
     from firmware_py.goals.tip_plan import read_tip_plan
+    from firmware_py.inference.bundle_signature import check_signature
+    from firmware_py.inference.file_content import content_of
+    from firmware_py.link.link_description import read_link
     from firmware_py.motion_document import read_motion_document
     from firmware_py.summary import RunDocument, read_run_summary
     from models.gap.report.gap_json import GapDocument, read_gap_document
     from models.plan.path_file import read_path
     from models.plant.plant import read_plant
+    from models.rig.drawn_rig import rig_named
     from models.rig.rig_parameters import RIG_TOML, read_parameters
 
     def document(name, file, content, mutation, read):
@@ -237,6 +244,16 @@ def _documents():
         config.goals_rad()
         config.goals_rad(repeated=True)
 
+    def link(file):
+        read_link(file)
+        read_plant(file)
+        rig_named(str(file))
+
+    def goal(file):
+        said = decode_goal(file.read_bytes(), 1)
+        if isinstance(said, str):
+            raise InputError("the message", said, "mend the program")
+
     yield document("robot.toml", "robot.toml", (root / "robot.toml").read_bytes(), toml_file, robot)
     yield document("plant toml", "a.toml", nominal.read_bytes(), toml_file, read_plant)
     yield document("plant json", "a.json", pendulum.read_bytes(), of_json, read_plant)
@@ -248,6 +265,16 @@ def _documents():
         ("gap.json", GapDocument, read_gap_document), ("summary", RunDocument, read_run_summary),
     ):  # fmt: skip
         yield document(name, "a.json", valid_files.example_of(kind), of_json, read)
+    yield document("goalmap", "a.json", valid_files.goal_map(), of_json, read_goal_map)
+    yield document("link", "a.toml", valid_files.link(), toml_file, link)
+    message = one_of(of_json, of_text, of_bytes)
+    yield document("goal message", "a", valid_files.goal_message(), message, goal)
+    trusted, manifest, signature = valid_files.signature()
+    yield FuzzReader(
+        "signature", {"manifest.json": manifest, "manifest.sig": signature},
+        one("manifest.sig", of_json),
+        lambda f: check_signature(content_of(f / "manifest.json"), f / "manifest.sig", (trusted,)),
+    )  # fmt: skip
 
 
 def _bundle_files(bundle):

@@ -185,6 +185,51 @@ def plan():
         return msgspec.json.encode(small_plan(Path(folder)))
 
 
+def link():
+    """Description of the study's link."""
+    from firmware_py.link.link_description import STUDY_LINK
+    from firmware_py.link.link_file import link_toml
+
+    return link_toml(STUDY_LINK, 0.4, 0.1).encode()
+
+
+def goal_map():
+    """Map of a rigid link of 1 m at three places, for two payloads."""
+    from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
+
+    places_m = (-0.5, 0.0, 0.5)
+    payloads = tuple(
+        PayloadMap(
+            payload_kg=kg, goals_rad=((-0.52, 0.0, None),), half_period_s=(0.2,), decay=(0.9,)
+        )
+        for kg in (0.0, 1.0)
+    )
+    own = GoalMap(schema=1, dof=1, period_s=0.017, places_m=places_m, payloads=payloads,
+                  plant_sha256="")  # fmt: skip
+    return msgspec.json.encode(own)
+
+
+def goal_message():
+    """Message of a program that sends goals."""
+    from firmware_py.goals.outside.goal_message import GoalMessage, encode_goal
+
+    return encode_goal(GoalMessage(3, (0.1,)))
+
+
+def signature():
+    """Public key, manifest, and its signature."""
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    from firmware_py.inference.manifest import MANIFEST
+    from models.commands.sign import SIGNATURE, sign_bundle
+
+    with TemporaryDirectory() as folder:
+        manifest = Path(folder, MANIFEST)
+        manifest.write_bytes(b"{}")
+        key = sign_bundle(manifest.parent, Ed25519PrivateKey.from_private_bytes(bytes(32)))
+        return key, manifest.read_bytes(), Path(folder, SIGNATURE).read_bytes()
+
+
 def example_of(kind):
     """Smallest document that fits the schema of a struct."""
     schema = msgspec.json.schema(kind)

@@ -1,4 +1,4 @@
-"""Recipes of CONTRIBUTING.md, run as they are printed."""
+"""Recipes of docs/guides/extend.md, run as they are printed, and the targets of CONTRIBUTING.md."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from models.trials.trial_files import read_trial
 
 ROOT = Path(__file__).resolve().parents[2]
 GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-SECTIONS = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", GUIDE, re.MULTILINE | re.DOTALL))
+RECIPES = (ROOT / "docs" / "guides" / "extend.md").read_text(encoding="utf-8")
+SECTIONS = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", RECIPES, re.MULTILINE | re.DOTALL))
 
 
 def code(section, space=None):
     """Names that the Python blocks of a section leave behind."""
     space = {} if space is None else space
     for block in re.findall(r"```python\n(.*?)```", SECTIONS[section], re.DOTALL):
-        exec(compile(block, f"CONTRIBUTING.md, {section}", "exec"), space)
+        exec(compile(block, f"extend.md, {section}", "exec"), space)
     return space
 
 

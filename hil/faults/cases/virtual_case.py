@@ -30,6 +30,10 @@ from hil.faults.servo_log import LoggedBus
 
 SLOTS: Final = 300
 """Slots of a case's motion: 5.1 s, enough for a stop, a replug and a recovery."""
+FEWER_SLOTS: Final = 200
+"""Slots where no port comes back: the last fault begins before the 140th, a stop takes 35."""
+_SOON_TICKS: Final = 10
+"""A fault that may take longer to show needs the longer motion."""
 SETTLE_NS: Final = 500_000_000
 """Time for which the servos are observed after the loop has ended."""
 
@@ -40,6 +44,18 @@ class _DeafLine(Line):
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """See `Line.receive`."""
         return super().receive(now_ns, bytes(byte & 0x55 for byte in data))
+
+
+def slots_of(row: FaultRow) -> int:
+    """Slots of the motion of a row.
+
+    Parameters
+    ----------
+    row : FaultRow
+        The fault.
+    """
+    long = row.setup.replug_s or row.setup.through_pulse is not None
+    return SLOTS if long or (row.must.within or 0) > _SOON_TICKS else FEWER_SLOTS
 
 
 def run_virtual(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
@@ -87,7 +103,8 @@ def _run(
     config = case_config(robot, row, number, "virtual")
     goals_rad = case_goals(config, setup, number)
     goals = case_source(robot, config, goals_rad, setup, host)
-    outcome, columns = run_case_loop(robot, config, goals, SLOTS, clock, host, opener)
+    slots = slots_of(row)
+    outcome, columns = run_case_loop(robot, config, goals, slots, clock, host, opener)
     servo_log = bus.log(true_clock.now_ns() + SETTLE_NS)
     if (pulse := setup.through_pulse) is not None:
         wanted_rad = MODELS[number].angle_rad(pulse)
@@ -95,7 +112,7 @@ def _run(
             outcome = replace(outcome, ended="goal lost", reason="the goal never arrived")
     began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
     return observe_case(
-        outcome, columns, servo_log, min(began, default=None), SLOTS, config.period_s,
+        outcome, columns, servo_log, min(began, default=None), slots, config.period_s,
         config.limits_in_force.rate_rad_s,
         stepped_in_tick=script.start if any(i.kind == "clock" for i in row.injections) else None,
     )  # fmt: skip

@@ -26,7 +26,7 @@ from firmware_py.display_units import FILE_SIZE
 from firmware_py.inference.bundle import ModelBundle
 from hil.faults.campaign import cases_of
 from hil.faults.cases.case_robot import CaseRobot, RunTap, case_config
-from hil.faults.cases.virtual_case import SLOTS, run_virtual
+from hil.faults.cases.virtual_case import run_virtual, slots_of
 from hil.faults.fault_table import ROWS
 from hil.faults.fault_verdict import FaultCase
 from hil.faults.observation import CaseOutcome, Columns
@@ -104,7 +104,7 @@ class RecordingTap(RunTap):
         config = case_config(self._robot, case.row, case.number, "virtual")
         facts = TapeFacts(
             name=case.name, config=config, number=case.number,
-            through_pulse=case.row.setup.through_pulse, slots=SLOTS,
+            through_pulse=case.row.setup.through_pulse, slots=slots_of(case.row),
             connected_rad=self._connected_rad, torque=self._torque,
             requested=_REQUEST if outcome.reason.startswith(_REQUEST) else "",
             ended=outcome.ended, reason=outcome.reason, ticks=len(columns["tick"]),

@@ -54,6 +54,7 @@ class _Playback:
         self.alert, self.wait_ns, self.row = 0, 0, 0
         self._connections, self._switches, self._in_tick = 0, 0, False
         self._clock, self._wake_ns = SimClock(), 0
+        self._last_tick = self._last_lateness_ns = 0
         self._stopping = columns["state"] >= SafetyState.STOPPING
         self._period_ns = round(facts.config.period_s * 1e9)
         self.loop: ControlLoop

@@ -16,6 +16,12 @@ from models.study.study_document import StudyDocument, TipPath
 Studies = Mapping[str, StudyDocument]
 """By kind of motion."""
 
+MARGIN: Final = 1.1
+"""Size of a drawing over what it shows."""
+
+ASPECT: Final = 0.72
+"""Height over width of a path seen from above."""
+
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
 
@@ -46,18 +52,20 @@ def _payload_words(label: str) -> str:
 
 def _paths(studies: Studies) -> Figure:
     motions = {motion: study.series.path for motion, study in studies.items()}
+    point_m = np.concatenate([_points_m(p) for paths in motions.values() for p in paths.values()])
+    reach_m = float(np.linalg.norm(point_m, axis=1).max())
+    half_m = MARGIN * float(max(np.abs(point_m[:, 0]).max(), np.abs(point_m[:, 1]).max() / ASPECT))
     panels: list[Panel] = []
     for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
             with Drawing() as (drawing, ax):
                 for path, colour in zip(paths.values(), ordered_colours(len(paths)), strict=True):
-                    point_m = np.column_stack([path.tip_x_m, path.tip_y_m, path.tip_z_m])
-                    ax.plot(*project(point_m).T, color=colour, linewidth=1.1)
+                    ax.plot(*project(_points_m(path)).T, color=colour, linewidth=1.1)
                 if view == "from above":
                     ax.set(xlabel=POSITION.label("x"), ylabel=POSITION.label("y"), aspect="equal")
-                    ax.set(xlim=(-0.9, 0.9), ylim=(-0.65, 0.65))
+                    ax.set(xlim=(-half_m, half_m), ylim=(-ASPECT * half_m, ASPECT * half_m))
                 else:
-                    _draw_axes(ax)
+                    _draw_axes(ax, reach_m)
             panels.append(
                 drawing.panel(
                     f"{motion}, {view}",
@@ -67,9 +75,13 @@ def _paths(studies: Studies) -> Figure:
             )
     return Figure(
         "Paths of the end effector",
-        "The base joint is at the origin; the link is upright at angle zero.",
+        "The base joint is at the origin; at angle zero the link is along z.",
         panels, "7", _payload_legend(list(next(iter(motions.values())))),
     )  # fmt: skip
+
+
+def _points_m(path: TipPath) -> Any:
+    return np.column_stack([path.tip_x_m, path.tip_y_m, path.tip_z_m])
 
 
 def _extent(paths: Mapping[str, TipPath]) -> str:
@@ -89,21 +101,27 @@ def _oblique(point_m: Any) -> Any:
     return np.column_stack([right, np.cos(ELEVATION) * z + np.sin(ELEVATION) * away])
 
 
-def _draw_axes(ax: Any) -> None:
-    """World axes at the origin in place of a frame."""
+def _draw_axes(ax: Any, reach_m: float) -> None:
+    """World axes at the origin, and the link at angle zero, in place of a frame."""
     for k, name in enumerate("xyz"):
         end = np.zeros((2, 3))
-        end[1, k] = 0.35
+        end[1, k] = 0.35 * reach_m
         ax.plot(*_oblique(end).T, color=MUTED, linewidth=0.8)
         ax.annotate(name, _oblique(end * 1.12)[1], color=MUTED, ha="center", va="center")
-    link = np.array([[0, 0, 0], [0, 0, 1.01]])
+    link = np.array([[0, 0, 0], [0, 0, reach_m]])
     ax.plot(*_oblique(link).T, color=MUTED, linewidth=0.8, linestyle=":")
-    ax.set(aspect="equal", xlim=(-0.95, 0.95))
+    ax.set(aspect="equal", xlim=(-reach_m, reach_m))
     ax.axis("off")
 
 
 def _poses(studies: Studies) -> Figure:
     panels = []
+    shown_m = np.concatenate([
+        np.asarray(study.series.poses.centre_line_m, dtype=np.float64).reshape(-1, 3)
+        for study in studies.values()
+    ])  # fmt: skip
+    half_m = MARGIN * float(np.nanmax(np.abs(shown_m[:, :2])))
+    bottom_m, top_m = (MARGIN * float(f(shown_m[:, 2])) for f in (np.nanmin, np.nanmax))
     for motion, study in studies.items():
         poses = study.series.poses
         line_m = np.array(poses.centre_line_m, dtype=np.float64)
@@ -114,7 +132,7 @@ def _poses(studies: Studies) -> Figure:
                     whole = np.vstack([np.zeros(3), points])
                     ax.plot(whole[:, k], whole[:, 2], color=colour, marker="o", markersize=2.2)
                 ax.set(xlabel=POSITION.label("xy"[k]), ylabel=POSITION.label("z"), aspect="equal")
-                ax.set(xlim=(-0.8, 0.8), ylim=(0, 1.08))
+                ax.set(xlim=(-half_m, half_m), ylim=(min(bottom_m, 0.0), top_m))
             di = DEFORMATION.shown(poses.di)
             panels.append(
                 drawing.panel(
@@ -155,6 +173,7 @@ def _poses(studies: Studies) -> Figure:
 def _di_over_angle(studies: Studies) -> Figure:
     panels = []
     top = max(max(c.di) for s in studies.values() for c in s.series.di.values())
+    widest = ANGLE.shown(max(a for s in studies.values() for a in s.training.amplitude_rad))
     for motion, study in studies.items():
         curves = study.series.di
         with Drawing() as (drawing, ax):
@@ -166,7 +185,7 @@ def _di_over_angle(studies: Studies) -> Figure:
             ax.set(
                 xlabel=ANGLE.label("angle 1"),
                 ylabel=DEFORMATION.label("DI"),
-                xticks=[-30, -15, 0, 15, 30],
+                xticks=np.round(np.linspace(-1.0, 1.0, 5) * widest, 1),
             )
             ax.set_ylim(0, 1.05 * DEFORMATION.factor * top)
         peaks = ", ".join(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,8 @@ def simulate_plant(
     plant : Plant
         To simulate.
     inputs : mapping of str to array_like, shape (n,) or ()
-        Every input of the twin by name; one number is constant. Row k acts from `k * step_s` on.
+        Inputs of the twin by name; one number is constant. Row k acts from `k * step_s` on. Left
+        out, `payload_kg` is 0 and `enabled_j` is 1.
     step_s : float
         Time between two rows.
     dof : int
@@ -53,7 +54,22 @@ def simulate_plant(
     (['time_s', 'goal_1_rad', 'payload_kg', 'angle_1_rad'], True)
     """
     model = plant.step_model(dof, "twin")
-    wanted = names(model.inputs)
+    given = _rows(names(model.inputs), inputs, dof)
+    u = np.column_stack([*given.values()])
+    y = CompiledModel(model).simulate(u[:-1], step_s)
+    if not np.isfinite(y).all():
+        raise InputError(
+            f"plant {plant.name!r}", "does not stay finite", "give inputs that it can follow"
+        )
+    time_s: Array = step_s * np.arange(len(u), dtype=np.float64)
+    outputs = {name: np.ascontiguousarray(y[:, k]) for k, name in enumerate(names(model.outputs))}
+    return {"time_s": time_s, **given, **outputs}
+
+
+def _rows(wanted: Sequence[str], inputs: Mapping[str, ArrayLike], dof: int) -> dict[str, Array]:
+    """Inputs in the order of the model, of one length."""
+    usual = {"payload_kg": 0.0} | {f"enabled_{j}": 1.0 for j in range(1, dof + 1)}
+    inputs = {name: value for name, value in usual.items() if name in wanted} | dict(inputs)
     for name in sorted({*wanted} ^ inputs.keys()):
         raise InputError(
             name, "is missing" if name in wanted else "is no input of this plant",
@@ -66,13 +82,4 @@ def simulate_plant(
             raise InputError(
                 name, f"has the shape {array.shape}", "give two rows or more, all of one length"
             )
-    given = {name: np.broadcast_to(array, count).copy() for name, array in given.items()}
-    u = np.column_stack([given[name] for name in wanted])
-    y = CompiledModel(model).simulate(u[:-1], step_s)
-    if not np.isfinite(y).all():
-        raise InputError(
-            f"plant {plant.name!r}", "does not stay finite", "give inputs that it can follow"
-        )
-    time_s: Array = step_s * np.arange(count, dtype=np.float64)
-    outputs = {name: np.ascontiguousarray(y[:, k]) for k, name in enumerate(names(model.outputs))}
-    return {"time_s": time_s, **given, **outputs}
+    return {name: np.broadcast_to(array, count).copy() for name, array in given.items()}

@@ -26,7 +26,9 @@ def read(folder, robot=ROBOT, link=LINK):
 def test_the_box_of_the_tip_holds_the_whole_link(tmp_path):
     limits = read(tmp_path).limits
     assert min(limits.tip_max_m) > 2.06 and max(limits.tip_min_m) < -2.06
-    assert limits.current_a <= 2.3
+    assert limits.current_a <= 2.3 and limits.rate_rad_s == 2.0
+    slow = read(tmp_path, link=LINK + "speed_limit_rad_s = 0.7\n").limits
+    assert slow.rate_rad_s == 0.7
     own = read(tmp_path, ROBOT + "[limits]\ncurrent_a = 3.0\ntip_max_m = [1.0, 1.0, 1.0]\n").limits
     assert own.current_a == 3.0 and own.tip_max_m == (1.0, 1.0, 1.0)
 

@@ -16,6 +16,7 @@ from hil.report.report_page import report_page
 from hil.report.report_tables import prediction_table, results_table, verdict_sentence
 from hil.report.study.motion_figures import motion_figures
 from hil.timing.timing_verdict import TimingVerdict, judge_timing
+from models.shared.svg_drawing import Drawing
 
 
 class Page(HTMLParser):
@@ -124,12 +125,37 @@ def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
     assert set(badges) == set(inputs.every_study)
 
 
-def test_a_bundle_alone_is_drawn_with_all_its_phases(copy):
+def grown(document, factor):
+    """The study of a link that is larger by a factor."""
+    paths = {
+        name: msgspec.structs.replace(
+            path, **{k: tuple(factor * v for v in getattr(path, k)) for k in path.__struct_fields__}
+        )
+        for name, path in document.series.path.items()
+    }
+    poses = document.series.poses
+    line_m = tuple(
+        tuple(tuple(None if v is None else factor * v for v in point) for point in line)
+        for line in poses.centre_line_m
+    )
+    poses = msgspec.structs.replace(poses, centre_line_m=line_m)
+    series = msgspec.structs.replace(document.series, path=paths, poses=poses)
+    return msgspec.structs.replace(document, series=series)
+
+
+def test_a_bundle_alone_is_drawn_with_all_its_phases(copy, monkeypatch):
     for phase in (0, 90):
         shutil.rmtree(copy / f"study_2dof_phase{phase}")
     inputs = read_build(copy)
     assert list(inputs.every_study) == ["1DOF", "2DOF"]
-    paths, *_ = motion_figures({"2DOF": inputs.studies[2]})
+    drawn, show = [], Drawing.panel
+    monkeypatch.setattr(Drawing, "panel", lambda d, *a: (drawn.append(d), show(d, *a))[1])
+    paths, *_ = motion_figures({"2DOF": grown(inputs.studies[2], 5.0)})
+    for ax in [ax for drawing in drawn for ax in drawing._figure.axes]:
+        box = ax.viewLim
+        inside = [box.x0 <= x <= box.x1 and box.y0 <= y <= box.y1
+                  for line in ax.lines for x, y in line.get_xydata()]  # fmt: skip
+        assert all(inside), (ax.get_xlabel(), box)
     assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
 
 

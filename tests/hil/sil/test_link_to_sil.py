@@ -5,8 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from firmware_py.bus.servo_models import model_named
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recording import read_recording
 from hil.__main__ import main as hil
+from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.timing_document import read_timing
 from models.__main__ import main as models
 from models.plant.plant import read_plant
@@ -61,6 +64,10 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
     text = passes(models, f"train {trials} --dof 1 --plant {plant} --out {bundle}")
     assert "no unseen motion" in text and "--amplitude-deg 20" in text
     kept = read_plant(bundle / "plant.json").link
+    of_run = sil_config(SilOptions(bundle=ModelBundle.load(bundle), model=model_named("XM430-W350"),
+                                   out=sil, link=kept), "virtual").limits  # fmt: skip
+    assert of_run.current_a == kept.preset.current_limit_a
+    assert of_run.tip_max_m == pytest.approx(3 * (1.2 * 0.66,), abs=1e-3)
     assert kept.layout.count == 12 and kept.servo.model == "XM430-W350"
     assert kept.gravity.mounting == "hanging"
 

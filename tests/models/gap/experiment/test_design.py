@@ -26,7 +26,7 @@ RIVALS = (
     Rival(("encoder_offset",), 0.6, {"encoder_offset_1_rad": 0.02}),
     Rival(("marker_frame_tilt",), 0.4, {"marker_frame_tilt_rad": 0.02}),
 )
-SECONDS = 5.0
+SECONDS = 3.0
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_file_page_and_words_name_the_motion(experiment, tmp_path):
     assert "What it separates" in page
 
 
-@pytest.mark.parametrize(("rivals", "seconds"), [(RIVALS[:1], 5.0), (RIVALS, 0.5)])
+@pytest.mark.parametrize(("rivals", "seconds"), [(RIVALS[:1], SECONDS), (RIVALS, 0.5)])
 def test_nothing_to_separate_or_no_time_gives_one_sentence(plant, at_hand, rivals, seconds):
     with pytest.raises(InputError):
         design_experiment(rivals, plant, at_hand, LIMITS, seconds)

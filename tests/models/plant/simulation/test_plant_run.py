@@ -25,12 +25,14 @@ def test_arrays_and_a_trial_give_the_same_run():
     y = run_trial(compiled, Trial("t", meta, columns))
     for k, name in enumerate(names(compiled.model.outputs)):
         np.testing.assert_array_equal(run[name], y[:, k])
+    unloaded = simulate_plant(plant, {"goal_1_rad": GOAL_RAD})
+    assert not unloaded["payload_kg"].any() and np.ptp(unloaded["di"]) < np.ptp(run["di"])
     np.testing.assert_array_equal(run["payload_kg"], np.full(len(GOAL_RAD), 1.5))
     assert all(len(column) == len(GOAL_RAD) for column in run.values())
 
 
 WRONG = (
-    ({"goal_1_rad": GOAL_RAD}, "payload_kg: is missing"),
+    ({"payload_kg": 1.0}, "goal_1_rad: is missing"),
     ({"goal_1_rad": GOAL_RAD, "payload_kg": 0.0, "angle_1_rad": 0.0}, "is no input"),
     ({"goal_1_rad": GOAL_RAD, "payload_kg": np.zeros(3)}, "payload_kg: has the shape"),
     ({"goal_1_rad": 0.1, "payload_kg": 0.0}, "give two rows or more"),
