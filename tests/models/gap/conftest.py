@@ -17,7 +17,7 @@ from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
 NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
-REST_ROWS = 30
+REST_ROWS = 60
 CONSIDERED = (
     "dead_time", "current_bias", "current_scale", "viscous_friction", "creep",
     "unmodelled_payload", "marker_frame_tilt", "current_saturation",
