@@ -7,7 +7,7 @@ from typing import Final
 
 from firmware_py.safety.states import TRANSITIONS, SafetyState
 from hil.faults.fault_table import PARTS
-from hil.faults.safety_requirements import requirement_table
+from hil.faults.safety_requirements import REQUIREMENTS
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
 
@@ -41,6 +41,18 @@ def fault_matrix() -> str:
         ]
         lines.append("")
     return "\n".join(lines).rstrip()
+
+
+def requirement_table() -> str:
+    """Requirements with their verification in Markdown."""
+    lines = ["| | requirement | tests | mutants of | faults |", "|---|---|---|---|---|"]
+    for r in REQUIREMENTS:
+        tests = "<br>".join(f"`{test.rpartition('/')[2]}`" for test in r.tests)
+        mutants = ", ".join(f"`{module.rpartition('.')[2]}`" for module in r.mutants)
+        faults = ", ".join(pattern.replace("*", "…") for pattern in r.faults)
+        faults = faults or f"none: {r.no_fault}"
+        lines.append(f"| {r.identifier} | {r.sentence} | {tests} | {mutants} | {faults} |")
+    return "\n".join(lines)
 
 
 def redraw(text: str) -> str:

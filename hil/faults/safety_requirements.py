@@ -339,15 +339,3 @@ def rows_of(requirement: SafetyRequirement) -> Iterator[str]:
     names = dict.fromkeys(row.fault for row in ROWS)
     for pattern in requirement.faults:
         yield from (name for name in names if fnmatchcase(name, pattern))
-
-
-def requirement_table() -> str:
-    """Requirements with their verification in Markdown."""
-    lines = ["| | requirement | tests | mutants of | faults |", "|---|---|---|---|---|"]
-    for r in REQUIREMENTS:
-        tests = "<br>".join(f"`{test.rpartition('/')[2]}`" for test in r.tests)
-        mutants = ", ".join(f"`{module.rpartition('.')[2]}`" for module in r.mutants)
-        faults = ", ".join(pattern.replace("*", "…") for pattern in r.faults)
-        faults = faults or f"none: {r.no_fault}"
-        lines.append(f"| {r.identifier} | {r.sentence} | {tests} | {mutants} | {faults} |")
-    return "\n".join(lines)
