@@ -12,13 +12,10 @@ from firmware_py.link.marker_layout import square_corners_m
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
-from models.shared.c_compiler import OPTIONS_VARIABLE
 from models.shared.kinematics import base_corners_m, base_rotation
 from models.trials.trial import Trial, TrialMeta
 
 STEP_S = 0.017
-MANY = 5
-"""More effects than this run for long: compiled as shipped (`tests/compiler_options.py`)."""
 
 
 class Bench:
@@ -34,10 +31,7 @@ class Bench:
 
     @functools.cache  # noqa: B019 (one bench per session)
     def compiled(self, effects, dof=1, kind="twin"):
-        with pytest.MonkeyPatch.context() as patch:
-            if len(effects) > MANY:
-                patch.delenv(OPTIONS_VARIABLE, raising=False)
-            return CompiledModel(self.plant(*effects).step_model(dof, kind))
+        return CompiledModel(self.plant(*effects).step_model(dof, kind))
 
     def inputs(self, model, count, goal=None, payload_kg=1.0):
         """Inputs by name; angles and currents of a measured unit are made up."""

@@ -36,7 +36,7 @@ def drawn(seed):
 def trials_of(plant, synthetic, rng, payloads=(0.0, 1.0, 2.0), numbers=(1, 2), dof=1):
     return TrialSet(
         tuple(
-            synthetic(plant, load, count=340, trial=k, rng=rng, dof=dof)
+            synthetic(plant, load, count=420, trial=k, rng=rng, dof=dof)
             for load in payloads
             for k in numbers
         )
