@@ -28,6 +28,7 @@ from firmware_py.inference.golden import (
 from firmware_py.inference.predictor import OnnxPredictor, Predictor
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
+from fmu.packaging.platforms import HOST
 from models.plant.step_model import StepModel, names
 from models.tip.latency import measure_latency
 from models.tip.predictors_document import Latency, read_predictors, write_predictors
@@ -89,7 +90,9 @@ class ModelEstimator:
         return Estimate(float(di), float(payload_kg), np.array(signals))
 
 
-def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
+def add_observer(
+    bundle: Path, manifest: Manifest, parts: FmuParts, platforms: Sequence[str] = (HOST,)
+) -> Path:
     """Build the observer FMU into a bundle and make it the bundle's estimator.
 
     The golden ticks keep their motion. Their expected outputs are recomputed by the interpreted
@@ -103,6 +106,8 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
         Manifest of that bundle.
     parts : FmuParts
         Parts of an observer FMU.
+    platforms : sequence of str
+        See `build_fmu`; this machine's has to be among them, since the golden ticks run on it.
 
     Returns
     -------
@@ -134,6 +139,7 @@ def add_observer(bundle: Path, manifest: Manifest, parts: FmuParts) -> Path:
         bundle / f".{OBSERVER}",
         description=parts.description(),
         resources=parts.resources(),
+        platforms=platforms,
         derivatives=False,  # the robot needs none
     )
     runtimes = _proven(golden, scratch, predictor, compiled=parts.predictor is not None)

@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
                 "cannot run on the robot (FMI 3.0)",
                 "omit --fmi or give --out",
             )
-        add_observer(args.bundle, manifest, parts)
+        add_observer(args.bundle, manifest, parts, platforms)
     else:
         model = parts.model()
         contents = fmu_contents(parts, model, args.fmi)

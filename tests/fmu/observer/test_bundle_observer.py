@@ -1,6 +1,7 @@
 """Observer FMU in a bundle: golden ticks, refusals, failed builds."""
 
 import shutil
+import zipfile
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from firmware_py.signals import feature_names
 from fmu.__main__ import main
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import read_parts
+from fmu.packaging.platforms import HOST, SOURCE_CODE
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.step_model import names
@@ -22,8 +24,15 @@ def completed(bundle, tmp_path_factory):
     """A bundle with its observer, built by the command."""
     directory = tmp_path_factory.mktemp("completed") / "bundle"
     shutil.copytree(bundle, directory)
-    assert main(["build", str(directory), "--unit", "observer"]) == 0
+    asked = ["--platforms", f"{HOST},{SOURCE_CODE}"]
+    assert main(["build", str(directory), "--unit", "observer", *asked]) == 0
     return directory
+
+
+def test_the_bundle_holds_every_platform_that_was_asked_for(completed):
+    names_in = zipfile.ZipFile(completed / "observer.fmu").namelist()
+    assert any(name.startswith("sources/") for name in names_in)
+    assert any(name.startswith(f"binaries/{HOST}/") for name in names_in)
 
 
 def test_the_robot_accepts_the_completed_bundle(completed):
