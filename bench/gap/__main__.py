@@ -6,35 +6,38 @@
 
 With --plant, cases of the default rig. With --rigs, cases of each rig, with a plant that is
 identified on that rig first. With --like, the cases of another run, to compare two versions.
-Resumable: one result file per case, named by its hash; a rerun does what is missing. Leaves
-figures, the confusion matrix and a table by rig in OUT/summary.
+It runs as a campaign does (docs/campaigns.md): a rerun does what is missing, or of other code; with
+--scheduler it runs on a dask cluster. Leaves figures, the confusion matrix and a table by rig in
+OUT/summary.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
-import os
+import sys
 from collections.abc import Iterable
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from bench.gap.case_run import run_bench_case
-from bench.gap.cases import DEFAULT_RIG, BenchCase, cases_of_run, draw_cases, mixed_cases
+from bench.gap.bench_kind import KIND, MODULE, bench_configuration, cases_of_run
+from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
 from bench.gap.rig_plants import plant_of_rig
 from bench.gap.rig_table import figures_by_rig, rig_table_text
 from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
-from firmware_py.console import Progress
 from firmware_py.errors import InputError
+from hil.campaign.campaign_cases import CaseMaker
+from hil.campaign.campaign_run import RunCounts, run_campaign_cases
+from hil.campaign.engines.engine import Engine
+from hil.campaign.engines.process_engine import ProcessEngine
+from hil.campaign.result_store import ResultStore
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_structure import named_structures
 
 
 def run_benchmark(
-    cases: Iterable[BenchCase], plant: Path | None, out: Path, executor: Executor | None = None
-) -> None:
-    """Run cases on anything with `.submit`: processes by default, dask's or submitit's executor.
+    cases: Iterable[BenchCase], plant: Path | None, out: Path, engine: Engine | None = None
+) -> RunCounts:
+    """Run cases that have no valid result.
 
     Parameters
     ----------
@@ -43,29 +46,18 @@ def run_benchmark(
     plant : Path or None
         Identified without effects; None for one of each case's own rig.
     out : Path
-        Directory of the result files.
-    executor : Executor, optional
-        Anything with `.submit`; two processes by default.
+        Directory of the results.
+    engine : Engine, optional
+        Of `hil.campaign.engines`; two processes by default.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    left = [c for c in cases if not (out / f"{c.key}.json").exists()]
-    left.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
-    progress = Progress("bench.gap", len(left))
-    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    pool = executor or ProcessPoolExecutor(2, multiprocessing.get_context("spawn"))
-    try:
-        rigs = sorted({c.rig for c in left})
-        plants = {rig: plant or plant_of_rig(rig, out / "plants") for rig in rigs}
-        futures = {
-            pool.submit(run_bench_case, case, str(plants[case.rig]), str(out)): case
-            for case in left
-        }
-        for future in as_completed(futures):
-            future.result()
-            progress.step(f"{futures[future].rig} {futures[future].kind}")
-    finally:
-        if executor is None:
-            pool.shutdown(cancel_futures=True)
+    wanted, store = list(cases), ResultStore(out)
+    rigs = sorted({c.rig for c in wanted})
+    plants = {rig: plant or plant_of_rig(rig, out / "plants") for rig in rigs}
+    maker = CaseMaker(KIND, MODULE, store.shared)
+    made = maker.cases((bench_configuration(c, plants[c.rig]) for c in wanted), "bench.gap")
+    made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
+    with store.locked():
+        return run_campaign_cases(made, maker, store, engine or ProcessEngine(2, out / "logs"))
 
 
 def main() -> None:
@@ -90,6 +82,7 @@ def main() -> None:
     add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
     add("--seed", type=int, default=0, help="of the draw")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
+    add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
     args = parser.parse_args()
     if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
         parser.error("give one of --plant, --rigs and --like")
@@ -98,7 +91,14 @@ def main() -> None:
             rig_named(name)
         except InputError as error:
             parser.error(str(error))
-    run_benchmark(_cases(args), args.plant, args.out)
+    engine = None
+    if args.scheduler:
+        from hil.campaign.engines.dask_engine import DaskEngine
+
+        engine = DaskEngine(args.scheduler)
+    counts = run_benchmark(_cases(args), args.plant, args.out, engine)
+    if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
+        print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
     figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)
     summary = args.out / "summary"
     summary.mkdir(exist_ok=True)

@@ -5,11 +5,8 @@ The sealed trial is that of another motion, which nothing was fitted to.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +19,7 @@ from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials
-from models.plant.plant import Plant, read_plant
+from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
@@ -40,28 +37,18 @@ DELAY_OF = {"dead_time": "goal_delay_1_s"}
 """Parameters in which a plant without the effect holds the rig's own."""
 
 
-def run_bench_case(case: BenchCase, plant_path: str, directory: str) -> str:
-    """Run a case unless its result stands; returns the path of the result.
+def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> dict[str, Any]:
+    """Run a case; return its result.
 
     Parameters
     ----------
     case : BenchCase
         To run.
-    plant_path : str
-        Plant identified without effects.
-    directory : str
-        Of the result files.
+    plant : Plant
+        Identified without effects.
+    times : dict of str to float
+        Receives the time of the diagnosis, and that of the processor.
     """
-    path = Path(directory) / f"{case.key}.json"
-    if not path.exists():
-        result = {"case": asdict(case), **_result(case, read_plant(plant_path))}
-        fresh = path.with_suffix(".part")
-        fresh.write_text(json.dumps(result, indent=1), encoding="utf-8")
-        fresh.replace(path)
-    return str(path)
-
-
-def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     rig = rig_of(case)
     try:
         trials = TrialSet(tuple(bench_trials(rig.hide(case.hidden), case.seed)))
@@ -70,7 +57,7 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
     start_s, cpu_s = time.perf_counter(), time.process_time()
     leave_out = list(case.hidden) if case.kind == "outside" else []
     found = diagnose(plant, trials, leave_out=leave_out)
-    wall_s, cpu_s = time.perf_counter() - start_s, time.process_time() - cpu_s
+    times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.improved.parameters
     sealed = sealed_trials(rig.hide(case.hidden), case.seed) if found.named else {}
     return {
@@ -105,8 +92,6 @@ def _result(case: BenchCase, plant: Plant) -> dict[str, Any]:
             e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()
         },
         "separable": separable(plant, trials, case, found.named),
-        "wall_s": wall_s,
-        "cpu_s": cpu_s,
     }  # fmt: skip
 
 

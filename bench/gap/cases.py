@@ -8,12 +8,9 @@ around a fifth of it.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -73,12 +70,6 @@ class BenchCase:
     seed: int
     rig: str = DEFAULT_RIG
 
-    @property
-    def key(self) -> str:
-        """Hash that names the result's file."""
-        text = json.dumps(asdict(self), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
-
 
 def draw_cases(
     singles: int, nulls: int, pairs: int, outside: int, seed: int, rig: str = DEFAULT_RIG
@@ -133,18 +124,6 @@ def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:
             kept += queue[:count]
             del queue[:count]
     return kept[:most]
-
-
-def cases_of_run(directory: Path) -> list[BenchCase]:
-    """Cases whose results are in a directory.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the result files.
-    """
-    results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
-    return [BenchCase(**r["case"]) for r in results]
 
 
 def _strength(rng: np.random.Generator, effect: str, size: float) -> float:

@@ -30,6 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.gap.bench_kind import bench_results
 from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
 from bench.gap.cases import BenchCase
 from bench.gap.library import Equation, missing_in_equations
@@ -236,11 +237,11 @@ def main() -> int:
         import_pysindy()
         plant, out = read_plant(args.plant), args.out / "peer"
         out.mkdir(exist_ok=True)
-        stand = {p.name: json.loads(p.read_text()) for p in sorted(args.out.glob("*.json"))}
+        stand = bench_results(args.out)
         left = {
-            out / name: BenchCase(**r["case"]) for name, r in stand.items()
+            out / f"{key}.json": BenchCase(**r["case"]) for key, r in stand.items()
             if "impossible" not in r and r["case"]["kind"] != "outside"
-            and not (out / name).exists()
+            and not (out / f"{key}.json").exists()
         }  # fmt: skip
         progress = Progress("bench.gap.peer", len(left))
         for path, case in left.items():

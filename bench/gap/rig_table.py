@@ -6,7 +6,6 @@ for tests alone, and only their figures say how the workflow does on a rig that 
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bench.gap.bench_kind import bench_results
 from bench.gap.score_summary import (
     fraction_with_interval,
     is_first_name_right,
@@ -81,7 +81,7 @@ def figures_by_rig(directory: Path) -> dict[str, Figures]:
     directory : Path
         Of the result files.
     """
-    results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
+    results = list(bench_results(directory).values())
     names = sorted({r["case"]["rig"] for r in results})
     named = named_structures()
     purposes = {n: named[n].purpose if n in named else "tuning" for n in names}

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib import pyplot
 from scipy.stats import beta
 
+from bench.gap.bench_kind import bench_results
 from models.shared.gap_charts import draw_heat_map
 from models.shared.svg_drawing import FILE_STYLE
 
@@ -45,7 +46,7 @@ def fraction_with_interval(rows: Sequence[bool]) -> dict[str, Any]:
 
 def benchmark_figures(directory: Path) -> dict[str, Any]:
     """Figures over every result in a directory."""
-    results = [json.loads(p.read_text()) for p in sorted(directory.glob("*.json"))]
+    results = list(bench_results(directory).values())
     possible = [r for r in results if "impossible" not in r]
     of = lambda kind: [r for r in possible if r["case"]["kind"] == kind]  # noqa: E731
     singles = of("single")
@@ -82,8 +83,8 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "coverage": fraction_with_interval(
             [c for r in detected if (c := is_strength_covered(r)) is not None]
         ),
-        "wall_s": _quantiles([r["wall_s"] for r in possible]),
-        "cpu_s": _quantiles([r["cpu_s"] for r in possible]),
+        "wall_s": _quantiles([r["wall_s"] for r in possible if "wall_s" in r]),
+        "cpu_s": _quantiles([r["cpu_s"] for r in possible if "cpu_s" in r]),
         "peer": peer_comparison(directory),
     }
 
@@ -93,8 +94,9 @@ def peer_comparison(directory: Path) -> dict[str, Any]:
 
     Of a pair the first two names count, whatever else is named.
     """
-    peer = {p.name: json.loads(p.read_text()) for p in sorted(directory.glob("peer/*.json"))}
-    ours = {name: json.loads((directory / name).read_text()) for name in peer}
+    peer = {p.stem: json.loads(p.read_text()) for p in sorted(directory.glob("peer/*.json"))}
+    results = bench_results(directory)
+    ours = {key: results[key] for key in peer}
     return {"pysindy": _plain(list(peer.values())), "ours": _plain(list(ours.values()))}
 
 
@@ -116,8 +118,7 @@ def _plain(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def confusion_matrix_svg(directory: Path) -> str:
     """Which effect was named for which: an SVG with counts."""
     cells: dict[tuple[str, str], float] = {}
-    for path in sorted(directory.glob("*.json")):
-        r = json.loads(path.read_text())
+    for r in bench_results(directory).values():
         if "impossible" in r or r["case"]["kind"] not in ("single", "null"):
             continue
         true = next(iter(r["case"]["hidden"]), "(none)")

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from bench.gap.cases import cases_of_run, draw_cases, mixed_cases
+from bench.gap.bench_kind import cases_of_run
+from bench.gap.cases import draw_cases, mixed_cases
 from bench.gap.rig_table import figures_by_rig, is_link_effect, rig_figures, rig_table_text
 
 

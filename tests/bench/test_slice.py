@@ -1,16 +1,24 @@
 """Slice of the gap benchmark: effects hidden in the rig are named with a plant of that rig."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
 from bench.gap.__main__ import run_benchmark
 from bench.gap.cases import draw_cases
 from bench.gap.score_summary import benchmark_figures
+from hil.campaign.case_worker import run_task
 
 SINGLES, NULLS = 1, 1
+
+
+class OwnProcess:
+    """Engine that runs cases in this process."""
+
+    shared = False
+
+    def outcomes(self, tasks):
+        yield from map(run_task, tasks)
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +29,7 @@ def results(tmp_path_factory):
     """
     out = tmp_path_factory.mktemp("slice") / "out"
     drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    with ThreadPoolExecutor(1) as executor:
-        run_benchmark(drawn[:SINGLES] + drawn[-NULLS:], None, out, executor)
+    run_benchmark(drawn[:SINGLES] + drawn[-NULLS:], None, out, OwnProcess())
     return out
 
 
@@ -36,11 +43,11 @@ def test_what_is_hidden_is_found_and_nothing_else(results):
 
 
 def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
-    files = sorted(results.glob("*.json"))
+    files = sorted((results / "results").rglob("*.json"))
     assert len(files) == SINGLES + NULLS
     before = {f: f.stat().st_mtime_ns for f in files}
     drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    run_benchmark(drawn[:SINGLES], Path("no such plant"), results)
+    assert run_benchmark(drawn[:SINGLES], None, results).kept == SINGLES
     assert {f: f.stat().st_mtime_ns for f in files} == before
-    kinds = [json.loads(f.read_text())["case"]["kind"] for f in files]
+    kinds = [json.loads(f.read_text())["config"]["case"]["kind"] for f in files]
     assert sorted(kinds) == ["null", "single"]

@@ -1,0 +1,100 @@
+"""Kind of cases for `hil.campaign`: one case of the benchmark, and the results of a run of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, ClassVar
+
+from bench.gap.cases import BenchCase
+from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
+from hil.campaign.result_store import CaseRecord, ResultStore
+
+MODULE = "bench.gap.bench_kind"
+
+
+class BenchConfig(CaseConfig, frozen=True, kw_only=True):
+    """Configuration: a case and the plant that it is diagnosed with.
+
+    Attributes
+    ----------
+    plant : str
+        Identified without effects.
+    case : BenchCase
+        The case.
+    """
+
+    plant: str
+    case: BenchCase
+
+
+class BenchKind(CaseKind[BenchConfig]):
+    """Cases of the benchmark."""
+
+    name: ClassVar[str] = "gap benchmark"
+    config: ClassVar[type[BenchConfig]] = BenchConfig
+    rooms: ClassVar[tuple[str, ...]] = (
+        "firmware_py", "models", "hil/campaign/kinds", "bench/gap",
+    )  # fmt: skip
+
+    def files(self, config: BenchConfig) -> dict[str, str]:
+        """See `CaseKind.files`."""
+        return {"plant": config.plant}
+
+    def run(self, config: BenchConfig, context: CaseContext) -> dict[str, Any]:
+        """See `CaseKind.run`."""
+        from bench.gap.case_run import run_bench_case  # loads CasADi and MuJoCo
+        from models.plant.plant import read_plant
+
+        return run_bench_case(config.case, read_plant(config.plant), context.parts_s)
+
+
+KIND = BenchKind()
+
+
+def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
+    """Results of a run of the benchmark by key, each with its case and its times.
+
+    A run from before campaigns has one plain file for each case.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the run.
+    """
+    if not (directory / "results").is_dir():
+        files = sorted(directory.glob("*.json"))
+        return {path.stem: json.loads(path.read_text()) for path in files}
+    store = ResultStore(directory)
+    times = {row["key"]: json.loads(row["parts_s"]) for row in store.read_costs()}
+    records = (store.read(path.stem) for path in sorted((directory / "results").rglob("*.json")))
+    valid: list[CaseRecord] = [record for record in records if record is not None]
+    return {
+        record.key: {"case": record.config["case"], **record.result, **times.get(record.key, {})}
+        for record in valid
+    }
+
+
+def cases_of_run(directory: Path) -> list[BenchCase]:
+    """Cases whose results are in a directory.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the run.
+    """
+    return [BenchCase(**r["case"]) for r in bench_results(directory).values()]
+
+
+def bench_configuration(case: BenchCase, plant: Path) -> dict[str, Any]:
+    """Plain configuration of a case.
+
+    Parameters
+    ----------
+    case : BenchCase
+        The case.
+    plant : Path
+        Its plant.
+    """
+    return {"plant": str(plant), "case": asdict(case)}
