@@ -27,7 +27,9 @@ from models.shared.page_parts import (
 )
 from models.shared.palette import MUTED, SIMULATED
 from models.shared.svg_drawing import Drawing
+from models.trials.origin_notice import origin_notice
 from models.trials.trial_files import read_trials
+from models.trials.trial_origin import TrialOrigin
 
 SHOWN_ROWS: Final = 400
 SHOWN_SIGNALS: Final = ("angle_1_rad", "position_1_m", "deflection_1_rad")
@@ -55,7 +57,10 @@ def write_real_page(data: dict[str, Any], out: Path) -> Path:
     sections = [Section("verdicts", "Verdicts", [verdicts])]
     sections += [_system(name, system, out / name) for name, system in data["systems"].items()]
     path = out / "real.html"
-    lead = [Paragraph("Published recordings, imported, identified and diagnosed.", "lead")]
+    lead = [
+        origin_notice((TrialOrigin("measured"),)),
+        Paragraph("Published recordings, imported, identified and diagnosed.", "lead"),
+    ]
     path.write_text(render_page("Measured data", lead, sections), encoding="utf-8")
     return path
 

@@ -43,6 +43,8 @@ from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
+from firmware_py.log.link_shape import shape_of_bundle
+from firmware_py.log.scene import SHAPE_KEY
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
@@ -278,7 +280,9 @@ def log_metadata(
     settings : sequence of mapping of str to int, optional
         Settings of the servos, see `DynamixelBus.found_settings`.
     """
-    return {
+    shape = shape_of_bundle(bundle.directory)
+    drawn = {SHAPE_KEY: msgspec.json.encode(shape).decode()} if shape else {}
+    return drawn | {
         "started_utc": started.isoformat(),
         "software": f"dropstitch {__version__}",
         "bundle": str(bundle.directory.resolve()),

@@ -2,7 +2,8 @@
 
 The binary exports every function of the standard, every number has an SI unit, a saved state
 continues bit by bit, and illegal calls are refused. The FMU carries the parts that it was built
-from: its outputs agree with their interpreted model within `PARITY`, at fixed and varying steps.
+from: its outputs agree with their interpreted model within `FMU_PARITY`, at fixed and varying
+steps.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from fmpy.validation import validate_fmu
 
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
+from firmware_py.targets import FMU_PARITY
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_builder import HEADERS
 from fmu.fmu_models import FmuParts
 from fmu.packaging.reference_run import read_reference_run
 from fmu.parity import (
-    PARITY,
     FmuCheck,
     check_onnx_parity,
     check_reference_run,
@@ -82,7 +83,7 @@ class FmuReport:
             "passed": self.passed,
             "checks": [check._asdict() for check in self.checks],
             "parity": self.parity,
-            "parity_limit": PARITY,
+            "parity_limit": FMU_PARITY,
             "step_us": self.step_us,
         }
 

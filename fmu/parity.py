@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 
 from firmware_py.inference.predictor import OnnxPredictor, Prediction
 from firmware_py.signals import AGE, DI, IN_RANGE, PERIOD_S, feature_names, tip_names
+from firmware_py.targets import FMU_PARITY
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import FmuParts
 from fmu.packaging.reference_run import ReferenceRun
 from models.plant.step_model import StepModel, names
 
 Array = NDArray[np.float64]
-
-PARITY: Final = 1e-9
-"""Largest allowed difference from the interpreted model, in the SI unit of each output; assumed."""
-
 
 DECISIONS: Final = 0.01
 """Largest fraction of rows in which decisions may differ; assumed."""
@@ -85,7 +82,7 @@ def check_step_parity(
             found[name] = max(found.get(name, 0.0), float(value))
         name, value = max(zip(outputs, worst, strict=True), key=lambda pair: pair[1])
         detail = f"{value:.1e} at most ({name}), {len(u)} steps"
-        yield FmuCheck(f"parity, {kind} steps", bool(np.all(worst <= PARITY)), detail)
+        yield FmuCheck(f"parity, {kind} steps", bool(np.all(worst <= FMU_PARITY)), detail)
 
 
 def _allow_for_decisions(difference: Array, outputs: Sequence[str]) -> None:
@@ -118,7 +115,9 @@ def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
         y = instance.run(run.inputs, run.u[:-1], steps_s, run.outputs)
     rows = np.rint(run.times_s / run.step_s).astype(int)
     worst = float(np.abs(y[rows] - run.y).max())
-    return FmuCheck("reference results", worst <= PARITY, f"{worst:.1e} at most, {len(rows)} rows")
+    return FmuCheck(
+        "reference results", worst <= FMU_PARITY, f"{worst:.1e} at most, {len(rows)} rows"
+    )
 
 
 def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u: Array) -> FmuCheck:
@@ -152,7 +151,7 @@ def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u:
         answer = predict_named(predictor, parts.dof, known)
         expected = [*answer.tip_m, answer.in_range]
         worst = max(worst, float(np.abs(row[len(asked) :] - expected).max()))
-    return FmuCheck("parity with onnxruntime", worst <= PARITY, f"{worst:.1e} at most")
+    return FmuCheck("parity with onnxruntime", worst <= FMU_PARITY, f"{worst:.1e} at most")
 
 
 def predict_named(predictor: OnnxPredictor, dof: int, known: Mapping[str, float]) -> Prediction:

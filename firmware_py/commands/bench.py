@@ -23,11 +23,9 @@ from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.robot import LoopModels, build_bus, build_loop
 from firmware_py.signals import STAGES
+from firmware_py.targets import OWN_COST_P99_NS
 
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
-
-LIMIT_NS = 1_500_000
-"""Limit of the 99th percentile of the tick's own cost, for the verdict."""
 
 _MODEL = "H54-200-S500-R"
 
@@ -64,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         summary = build_loop(config, models, bus, clock, slots=slots, counters=counters).run()
     stages = {name: summary.timing.stages[name].summary() for name in (*STAGES, "busy", "own")}
-    good = stages["own"].p99_ns <= LIMIT_NS
+    good = stages["own"].p99_ns <= OWN_COST_P99_NS
     lines = [f"{'stage':>10} {'p50':>8} {'p99':>8} {'max':>8}  µs"]
     lines += [
         f"{name:>10} "
@@ -74,11 +72,11 @@ def run(args: argparse.Namespace) -> int:
     lines += [f"note: {sentence}" for sentence in refused]
     lines.append(
         f"own cost p99 {CPU_TIME.number(stages['own'].p99_ns)} µs of at most "
-        f"{CPU_TIME.number(LIMIT_NS)} µs in {summary.ticks} ticks, "
+        f"{CPU_TIME.number(OWN_COST_P99_NS)} µs in {summary.ticks} ticks, "
         f"{summary.timing.misses} slots missed: " + ("good" if good else "too much")
     )
     document = summary.document(None, bus.plan.name)
-    verdict = {"dof": dof, "limit_own_p99_ns": LIMIT_NS, "good": good}
+    verdict = {"dof": dof, "limit_own_p99_ns": OWN_COST_P99_NS, "good": good}
     emit(args, msgspec.to_builtins(document) | verdict, "\n".join(lines))
     return DONE if good else NEGATIVE
 

@@ -30,6 +30,7 @@ import msgspec
 from firmware_py.errors import InputError
 from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import require_packages
+from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in
 from firmware_py.log.sinks import LiveSink, McapSink, Sink, TickEncoder, require_live_package
 from firmware_py.log.telemetry import SocketTelemetry
 
@@ -184,10 +185,12 @@ def main() -> int:
     except InputError as error:
         end.send(msgspec.json.encode((error.where, error.what, error.remedy)))
         return 1
+    shape = shape_in(task.metadata)
+    scene = SceneEncoder(task.dof, shape) if shape else None
     packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     end.send(_READY)
     threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
-    return _pass_on(packets, sinks, TickEncoder(task.dof, task.start_ns))
+    return _pass_on(packets, sinks, TickEncoder(task.dof, task.start_ns), scene)
 
 
 def _sinks(task: RecorderTask) -> Iterator[Sink]:
@@ -211,14 +214,22 @@ def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
         packets.put(record)
 
 
-def _pass_on(packets: queue.SimpleQueue[bytes], sinks: list[Sink], encode: TickEncoder) -> int:
-    """Give every tick to every sink; drop a sink that fails (a full disk)."""
+def _pass_on(
+    packets: queue.SimpleQueue[bytes],
+    sinks: list[Sink],
+    encode: TickEncoder,
+    scene: SceneEncoder | None,
+) -> int:
+    """Give every tick and its scene to every sink; drop a sink that fails (a full disk)."""
     code = 0
     while (record := packets.get()) and sinks:
-        message = encode(record)
+        time_ns, data = encode(record)
+        drawn = scene(record, time_ns) if scene else None
         for sink in tuple(sinks):
             try:
-                sink.write(*message)
+                sink.write(time_ns, data)
+                if drawn is not None:
+                    sink.write(time_ns, drawn, SCENE_TOPIC)
             except OSError as error:
                 code = _give_up(sinks, sink, error)
     for sink in tuple(sinks):

@@ -202,19 +202,21 @@ def _metadata(data: bytes) -> Iterator[dict[str, str]]:
 
 
 def _messages(data: bytes) -> Iterator[bytes]:
-    """Messages of a file."""
-    from mcap.records import Chunk, Message
+    """Ticks of a file; a message of a channel that the file does not declare is taken for one."""
+    from mcap.records import Channel, Chunk, Message
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     # From memory: a damaged length then gets the bytes that are left, however large it is.
     stream = io.BytesIO(data)
+    others: set[int] = set()
     for record in StreamReader(stream, validate_crcs=True, emit_chunks=True).records:
-        if isinstance(record, Chunk):
-            for part in breakup_chunk(_opened(record), validate_crc=True):
-                if isinstance(part, Message):
-                    yield part.data
-        elif isinstance(record, Message):
-            yield record.data
+        in_chunk = isinstance(record, Chunk)
+        parts = breakup_chunk(_opened(record), validate_crc=True) if in_chunk else (record,)
+        for part in parts:
+            if isinstance(part, Channel) and part.topic != TOPIC:
+                others.add(part.id)
+            elif isinstance(part, Message) and part.channel_id not in others:
+                yield part.data
 
 
 def _opened(chunk: Any) -> Any:

@@ -18,6 +18,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
+from firmware_py.log.scene import SCENE_SCHEMA, SCENE_TOPIC, SHAPE_KEY, scene_schema
 from firmware_py.signals import tick_dtype
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
@@ -28,15 +29,17 @@ _VIEWER_BACKLOG: Final = 256
 class Sink(Protocol):
     """Receiver of ticks in the recorder process."""
 
-    def write(self, time_ns: int, data: bytes) -> None:
-        """Take one tick.
+    def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
+        """Take one message.
 
         Parameters
         ----------
         time_ns : int
             Wall time.
         data : bytes
-            The tick as JSON.
+            A tick as JSON, or a scene as protobuf.
+        topic : str
+            `TOPIC` or `SCENE_TOPIC`.
         """
 
     def finish(self) -> None:
@@ -101,13 +104,17 @@ class McapSink:
         self._writer.start(profile="", library="dropstitch")
         self._writer.add_metadata(METADATA, metadata)
         schema = self._writer.register_schema(SCHEMA_NAME, "jsonschema", _schema_json(dof))
-        self._channel = self._writer.register_channel(TOPIC, "json", schema)
+        self._channels = {TOPIC: self._writer.register_channel(TOPIC, "json", schema)}
+        if SHAPE_KEY in metadata:
+            shown = self._writer.register_schema(SCENE_SCHEMA, "protobuf", scene_schema())
+            channel = self._writer.register_channel(SCENE_TOPIC, "protobuf", shown)
+            self._channels[SCENE_TOPIC] = channel
         self._sequence = 0
         self._flush()
 
-    def write(self, time_ns: int, data: bytes) -> None:
-        """Add one tick."""
-        self._writer.add_message(self._channel, time_ns, data, time_ns, self._sequence)
+    def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
+        """Add one message."""
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns, self._sequence)
         self._sequence += 1
         if self._stream.tell() != self._flushed:  # a chunk was written
             self._flush()
@@ -163,10 +170,12 @@ class LiveSink:
 
         from firmware_py.log.live_gate import LiveGate
 
-        self._channel = foxglove.Channel(
-            TOPIC, message_encoding="json",
-            schema=foxglove.Schema(name=SCHEMA_NAME, encoding="jsonschema", data=_schema_json(dof)),
-        )  # fmt: skip
+        ticks = foxglove.Schema(name=SCHEMA_NAME, encoding="jsonschema", data=_schema_json(dof))
+        scene = foxglove.Schema(name=SCENE_SCHEMA, encoding="protobuf", data=scene_schema())
+        self._channels = {
+            TOPIC: foxglove.Channel(TOPIC, message_encoding="json", schema=ticks),
+            SCENE_TOPIC: foxglove.Channel(SCENE_TOPIC, message_encoding="protobuf", schema=scene),
+        }
         # Unguarded, so a page must not find it: one of 16 million addresses, on any port.
         hidden = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
         try:
@@ -182,9 +191,9 @@ class LiveSink:
             ) from None  # fmt: skip
         self.url = f"ws://{host}:{self._gate.port}"
 
-    def write(self, time_ns: int, data: bytes) -> None:
-        """Send one tick to the viewers."""
-        self._channel.log(data, log_time=time_ns)
+    def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
+        """Send one message to the viewers."""
+        self._channels[topic].log(data, log_time=time_ns)
 
     def finish(self) -> None:
         """Stop the server."""

@@ -12,6 +12,7 @@ from typing import Any, Final
 from markupsafe import Markup, escape
 
 from firmware_py.display_units import LENGTH, symbol_of
+from firmware_py.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
 from models.plant.components import lagrange
 from models.plant.components.drives.drive_registry import DRIVES
@@ -105,7 +106,8 @@ def _parameters(plant: Plant) -> Section:
 def _validation(plant: Plant) -> Section:
     held_out = plant.provenance.held_out
     checked = Paragraph(
-        "Every output agrees with the interpreted plant within 1e-9 of its SI unit, at fixed and "
+        f"Every output agrees with the interpreted plant within {FMU_PARITY:g} of its SI "
+        "unit, at fixed and "
         "varying steps: python -m fmu check FILE.fmu. The same is replayed without Python from the "
         "files under extra/org.fmi-standard.fmi-ls-ref."
     )

@@ -11,6 +11,8 @@
     sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
     faults/faults.json                        make faults
     commands.log                              make demo
+
+Other names do as well: `hil.report.build_files` looks at what a file holds.
 """
 
 from __future__ import annotations
@@ -29,10 +31,17 @@ from firmware_py.files.input_files import convert, read_json, read_text
 from firmware_py.inference.bundle import Manifest, read_manifest
 from firmware_py.log.recording import read_recording
 from hil.faults.faults_document import FaultsDocument, read_faults
+from hil.report.build_files import (
+    BuildFiles,
+    StudyFiles,
+    directories_with,
+    find_files,
+    find_studies,
+)
 from hil.timing.timing_document import TimingDocument, read_timing
 from models.plant.plant import Plant, read_plant
 from models.plant.provenance import Evaluation
-from models.study.study_document import StudyDocument, read_study
+from models.study.study_document import StudyDocument
 from models.tip.predictors_document import PredictorsDocument, read_predictors
 from models.trials.trial_files import read_trial
 
@@ -93,6 +102,8 @@ class LoopRun:
         True tip in each recorded tick.
     phase_2_rad : float
         Lead of joint 2.
+    rig : str
+        Name of what moved the servos, where the run kept its trial.
     """
 
     name: str
@@ -100,6 +111,7 @@ class LoopRun:
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None
     phase_2_rad: float = 0.0
+    rig: str = ""
 
     @property
     def dof(self) -> int | None:
@@ -145,6 +157,8 @@ class BuildInputs:
         Fault campaign (`faults.json`).
     predictors : dict of int to PredictorsDocument
         Candidates for the robot's predictor, by dof, where they were compared.
+    left_out : list of str
+        What was found and has no place in the report, with the reason.
     """
 
     studies: dict[int, StudyDocument]
@@ -157,6 +171,7 @@ class BuildInputs:
     commands: list[str]
     faults: FaultsDocument | None = None
     predictors: dict[int, PredictorsDocument] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     @property
     def every_study(self) -> dict[str, StudyDocument]:
@@ -180,42 +195,42 @@ def read_build(directory: Path) -> BuildInputs:
     """
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "run 'make demo' first")
-    bundles = {dof: directory / f"bundle_{dof}dof" for dof in (1, 2)}
-    path = directory / "plant.json"
-    plant = read_plant(path) if path.is_file() else None
-    studies = {
-        dof: read_study(path / "study.json")
-        for dof, path in bundles.items()
-        if (path / "study.json").is_file()
-    }
+    files, studies = find_files(directory), find_studies(directory)
+    bundles = _bundles(directory)
+    plant = read_plant(files.plant) if files.plant else None
+    campaigns = directories_with(directory, "faults.json", ("faults",))
     return BuildInputs(
-        studies=studies,
-        motions=_motions(directory, studies),
-        manifests={
-            dof: read_manifest(path)
-            for dof, path in bundles.items()
-            if (path / "manifest.json").is_file()
-        },
+        studies=studies.of_robot,
+        motions=_motions(studies),
+        manifests={dof: manifest for dof, (_, manifest) in bundles.items()},
         plant=plant,
-        evaluations=_evaluations(directory, plant),
+        evaluations=_evaluations(files, plant),
         predictors={
             dof: read_predictors(path / "predictors.json")
-            for dof, path in bundles.items()
+            for dof, (path, _) in bundles.items()
             if (path / "predictors.json").is_file()
         },
         checks={
             path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
-            for path in sorted(directory.glob("check_*.json"))
+            for path in files.checks
         },
         loops=sorted(
-            (read_loop(path.parent) for path in sorted(directory.glob("sil*/timing.json"))),
+            (read_loop(path) for path in directories_with(directory, "timing.json", ("sil",))),
             key=lambda loop: not loop.in_real_time,
         ),
         commands=read_commands(directory / "commands.log"),
-        faults=read_faults(faults)
-        if (faults := directory / "faults" / "faults.json").is_file()
-        else None,
+        faults=read_faults(campaigns[0] / "faults.json") if campaigns else None,
+        left_out=[*files.left_out, *studies.left_out],
     )
+
+
+def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
+    """Bundles by number of joints, those with the usual name first."""
+    found: dict[int, tuple[Path, Manifest]] = {}
+    for path in directories_with(directory, "manifest.json", ("bundle_",)):
+        manifest = read_manifest(path)
+        found.setdefault(manifest.dof, (path, manifest))
+    return found
 
 
 def read_output(path: Path, kind: type[T]) -> T:
@@ -237,26 +252,24 @@ def read_output(path: Path, kind: type[T]) -> T:
     return convert(read_json(path, remedy), kind, path, "cannot be read", remedy)
 
 
-def _motions(directory: Path, studies: dict[int, StudyDocument]) -> dict[str, StudyDocument]:
-    apart = {
-        int(path.parent.name.removeprefix("study_2dof_phase")): read_study(path)
-        for path in directory.glob("study_2dof_phase*/study.json")
-    }
-    motions = {"1DOF": studies[1]} if 1 in studies else {}
-    if apart:
-        return motions | {f"2DOF, phase {phase}°": apart[phase] for phase in sorted(apart)}
-    return motions | ({"2DOF": studies[2]} if 2 in studies else {})
+def _motions(studies: StudyFiles) -> dict[str, StudyDocument]:
+    motions = {"1DOF": studies.of_robot[1]} if 1 in studies.of_robot else {}
+    if studies.apart:
+        return motions | {
+            f"2DOF, phase {phase}°": studies.apart[phase] for phase in sorted(studies.apart)
+        }
+    return motions | ({"2DOF": studies.of_robot[2]} if 2 in studies.of_robot else {})
 
 
 def _phases(study: StudyDocument) -> int:
     return len(study.training.phase_2_rad)
 
 
-def _evaluations(directory: Path, plant: Plant | None) -> dict[str, Evaluation]:
+def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation]:
     """Evaluations on the held-out trials of `identify`, and those by `evaluate`."""
     held_out = plant.provenance.held_out if plant else None
     found = {"held-out trials": held_out} if held_out else {}
-    for path in sorted(directory.glob("evaluate*.json")):
+    for path in files.evaluations:
         name = path.stem.removeprefix("evaluate").strip("_").replace("_", " ")
         found[name.replace("20deg", "20° motion") or "trials"] = read_output(path, Evaluation)
     return found
@@ -281,7 +294,9 @@ def read_loop(directory: Path) -> LoopRun:
     run = read_trial(trial)
     known = slot < len(run)
     ticks = {name: column[known] for name, column in ticks.items()}
-    return LoopRun(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
+    return LoopRun(
+        directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad, run.meta.rig
+    )
 
 
 def read_commands(path: Path) -> list[str]:

@@ -16,6 +16,7 @@ from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import BuildInputs, LoopRun
 from hil.report.fault_tables import campaign_facts, campaign_sentences, campaign_tables
 from hil.report.loop_figures import duration_table, loop_figures
+from hil.report.report_origins import EMULATED, origin_table, report_notices, study_badges
 from hil.report.report_tables import (
     di_estimator_table,
     evaluation_table,
@@ -56,9 +57,9 @@ def report_page(inputs: BuildInputs) -> str:
         Content of a build directory.
     """
     lead = Paragraph(
-        "Results for an inflatable drop-stitch link on one or two servos: the published study on "
-        "simulated trials, predictors without motion capture, the identified plant and its FMUs, "
-        "and the control loop with its 17\u00a0ms period.",
+        "Results for an inflatable drop-stitch link on one or two servos: the published study, "
+        "predictors without motion capture, the identified plant and its FMUs, and the control "
+        "loop with its 17\u00a0ms period.",
         "lead",
     )
     sections = [
@@ -71,9 +72,10 @@ def report_page(inputs: BuildInputs) -> str:
         *_loops(inputs),
         Section("faults", "Fault campaign",
                 _campaign(inputs.faults) if inputs.faults else [missing_inputs("make faults")]),
-        Section("made", "Commands and versions", _made(inputs)),
+        Section("made", "Origin, commands and versions", _made(inputs)),
     ]  # fmt: skip
-    return render_page("Report of a build", [lead], sections, datetime.now(UTC))
+    head: list[Part] = [*report_notices(inputs), lead]
+    return render_page("Report of a build", head, sections, datetime.now(UTC))
 
 
 def fault_page(document: FaultsDocument) -> str:
@@ -90,7 +92,7 @@ def fault_page(document: FaultsDocument) -> str:
         "lead",
     )
     sections = [Section("faults", "Campaign", _campaign(document))]
-    return render_page("Fault campaign", [lead], sections, datetime.now(UTC))
+    return render_page("Fault campaign", [EMULATED, lead], sections, datetime.now(UTC))
 
 
 def _study(inputs: BuildInputs) -> list[Part]:
@@ -198,12 +200,13 @@ def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
     """The paper's findings, those of all studies under one claim; equal texts are shown once."""
     if not studies:
         return [missing_inputs("python -m models train")]
+    badges = study_badges(studies)
     claims: dict[str, dict[Any, list[str]]] = {}
     depends_on: dict[str, list[str]] = {}
     for name, study in studies.items():
         for finding in study.findings:
             verdict = (finding.holds, finding.text.replace("trial_2", "trial 2"))
-            claims.setdefault(finding.claim, {}).setdefault(verdict, []).append(name)
+            claims.setdefault(finding.claim, {}).setdefault(verdict, []).append(badges[name])
             reasons = depends_on.setdefault(finding.claim, [])
             if finding.depends_on not in reasons:
                 reasons.append(finding.depends_on)
@@ -216,7 +219,7 @@ def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
         for claim, verdicts in claims.items()
     ]
     intro = (
-        "No parameter was tuned to reproduce the paper. A finding is confirmed by these trials or "
+        "No parameter was tuned to reproduce the paper. A finding comes out of these trials or "
         "not, and each depends on a property that can be measured on the real link."
     )
     return [Paragraph(intro), ClaimCards(cards)]
@@ -226,7 +229,11 @@ def _made(inputs: BuildInputs) -> list[Part]:
     commands: Part = (
         CommandList(inputs.commands) if inputs.commands else missing_inputs("make demo")
     )
-    return [commands, Facts(_versions(inputs.manifests))]
+    origins = origin_table(inputs)
+    own: list[Part] = [origins] if origins else []
+    if inputs.left_out:
+        own.append(Paragraph("Found and not shown: " + "; ".join(inputs.left_out) + ".", "missing"))
+    return [*own, commands, Facts(_versions(inputs.manifests))]
 
 
 def _versions(manifests: Mapping[int, Manifest]) -> list[tuple[str, str]]:

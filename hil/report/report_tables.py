@@ -14,6 +14,13 @@ from firmware_py.display_units import (
     signal_words,
     symbol_of,
 )
+from firmware_py.targets import (
+    DI_GAIN_DEGREE,
+    DI_GAIN_FRACTION,
+    FMU_PARITY,
+    OWN_COST_P99_NS,
+    PLANT_TIP_RMS_M,
+)
 from hil.report.build_inputs import BuildInputs, FmuCheckOutput, LoopRun
 from hil.report.study.estimator_figures import test_words
 from hil.timing.timing_document import TipErrors
@@ -22,12 +29,8 @@ from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipE
 from models.shared.page_parts import NO_VALUE, Cell, Table, TableCell
 from models.study.study_document import StudyDocument
 
-TIP_RMS_LIMIT_M: Final = {1: 6e-3, 2: 9e-3}
-BENEFIT_LIMIT: Final = {"trial_2": 0.9, "unseen_20deg": 0.8}
-BENEFIT_DEGREE: Final = "3"
-PARITY_LIMIT: Final = 1e-9
-OWN_COST_LIMIT_NS: Final = 1_500_000
 DOFS: Final = (1, 2)
+DEFAULT_RIG: Final = ("rig", "default")
 _PARTS: Final = {
     "all": "all ticks", "in_range": "in range",
     "out_of_range": "out of range",
@@ -49,21 +52,23 @@ def _power(value: float, decimals: int) -> str:
 
 def results_table(inputs: BuildInputs) -> Table:
     """Results beside their targets; what was not measured is not judged."""
-    limits = "\u00a0/\u00a0".join(LENGTH.number(TIP_RMS_LIMIT_M[dof], 0) for dof in DOFS)
     rows: list[list[Cell]] = []
     for title in inputs.evaluations or ("trials",):
+        limits = _tip_limits_m(inputs, title)
+        told = "\u00a0/\u00a0".join(LENGTH.number(limit) for limit in limits.values())
         row: list[Cell] = [
             f"Tip error (RMS) of the identified plant, {title}",
-            f"≤\u00a0{limits}\u00a0{LENGTH.name}",
+            f"≤\u00a0{told}\u00a0{LENGTH.name}" if told else NO_VALUE,
         ]
         for dof in DOFS:
             error_m = _tip_rms_m(inputs, title, dof)
             text = LENGTH.text(error_m) if error_m is not None else ""
-            row.append(_at_most(error_m, TIP_RMS_LIMIT_M[dof], text))
+            limit_m = limits.get(dof)
+            row.append(_at_most(error_m, limit_m, text) if limit_m else text or NO_VALUE)
         rows.append(row)
-    for test, limit in BENEFIT_LIMIT.items():
+    for test, limit in DI_GAIN_FRACTION.items():
         row = [
-            f"Fraction of true DI's gain recovered by estimated DI, degree {BENEFIT_DEGREE}, "
+            f"Fraction of true DI's gain recovered by estimated DI, degree {DI_GAIN_DEGREE}, "
             f"{test_words(test)}",
             f"≥\u00a0{FRACTION.text(limit)}",
         ]
@@ -72,21 +77,29 @@ def results_table(inputs: BuildInputs) -> Table:
             row.append(NO_VALUE if gain is None else TableCell(FRACTION.text(gain), gain >= limit))
         rows.append(row)
     rows.append(["Largest difference of the twin FMU from the Python plant, SI units",
-                 f"≤\u00a0{_power(PARITY_LIMIT, 0)}"])  # fmt: skip
+                 f"≤\u00a0{_power(FMU_PARITY, 0)}"])  # fmt: skip
     for dof in DOFS:
         parity = _parity(inputs.checks.get(f"twin_{dof}dof"))
-        rows[-1].append(_at_most(parity, PARITY_LIMIT, _power(parity, 0) if parity else "0"))
+        rows[-1].append(_at_most(parity, FMU_PARITY, _power(parity, 0) if parity else "0"))
     loops = {dof: _real_time_loop(inputs, dof) for dof in DOFS}
-    rows.append(["Own cost of a tick, p99", f"≤\u00a0{TICK_TIME.text(OWN_COST_LIMIT_NS, 1)}"])
+    rows.append(["Own cost of a tick, p99", f"≤\u00a0{TICK_TIME.text(OWN_COST_P99_NS, 1)}"])
     for loop in loops.values():
         cost_ns = loop.timing.own_cost.p99_ns if loop else None
         text = TICK_TIME.text(cost_ns, 2) if cost_ns is not None else ""
-        rows[-1].append(_at_most(cost_ns, OWN_COST_LIMIT_NS, text))
+        rows[-1].append(_at_most(cost_ns, OWN_COST_P99_NS, text))
     rows.append(["Deadlines missed by the loop itself", "0"])
     for loop in loops.values():
         misses = loop.timing.own_misses if loop else None
         rows[-1].append(_at_most(misses, 0, str(misses)))
     return Table("", ["", "target", "1DOF", "2DOF"], rows)
+
+
+def _tip_limits_m(inputs: BuildInputs, title: str) -> Mapping[int, float]:
+    """Targets for trials of the default rig; none for others, on which they were not set."""
+    evaluation = inputs.evaluations.get(title)
+    if evaluation is None or {(o.source, o.rig) for o in evaluation.origins} != {DEFAULT_RIG}:
+        return {}
+    return PLANT_TIP_RMS_M.get(title, {})
 
 
 def _tip_rms_m(inputs: BuildInputs, title: str, dof: int) -> float | None:
@@ -98,7 +111,7 @@ def _tip_rms_m(inputs: BuildInputs, title: str, dof: int) -> float | None:
 def _benefit(study: StudyDocument | None, test: str) -> float | None:
     if study is None or test not in study.estimators:
         return None
-    return study.estimators[test]["observer"].benefit_recovered[BENEFIT_DEGREE]
+    return study.estimators[test]["observer"].benefit_recovered[DI_GAIN_DEGREE]
 
 
 def _parity(check: FmuCheckOutput | None) -> float | None:
@@ -160,20 +173,20 @@ def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
     for dof, study in studies.items():
         for test, by_source in study.estimators.items():
             for source, scores in by_source.items():
-                gain = scores.benefit_recovered[BENEFIT_DEGREE]
+                gain = scores.benefit_recovered[DI_GAIN_DEGREE]
                 rows.append(
                     [
                         f"{dof}DOF, {test_words(test)}", source,
                         f"{scores.r2_di:.2f}".replace("-", "−"),
                         DEFORMATION.number(scores.rms_error_di, 3),
-                        LENGTH.number(scores.mean_euclidean_distance_m[BENEFIT_DEGREE]),
+                        LENGTH.number(scores.mean_euclidean_distance_m[DI_GAIN_DEGREE]),
                         NO_VALUE if gain is None else FRACTION.text(gain).replace("-", "−"),
                     ]
                 )  # fmt: skip
     return Table(
         "Estimators of DI",
         ["", "estimator", "R² of DI", f"RMS error of DI, {DEFORMATION.name}",
-         f"distance at degree {BENEFIT_DEGREE}, {LENGTH.name}", "gain recovered"],
+         f"distance at degree {DI_GAIN_DEGREE}, {LENGTH.name}", "gain recovered"],
         rows,
         "Gain: reduction of the mean Euclidean distance by true DI, compared with no DI. Each "
         "predictor was trained on the DI of its own estimator, on trial 1.",

@@ -120,7 +120,8 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     """
     # The observer is not told the payload, but whoever imports the log may know it.
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
-        "payload_kg": repr(options.payload_kg)
+        "payload_kg": repr(options.payload_kg),
+        "source": "sil",
     }
     if options.plan is not None:
         metadata |= log_facts(options.plan)

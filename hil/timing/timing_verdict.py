@@ -25,6 +25,7 @@ from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import STAGES
+from firmware_py.targets import OWN_COST_P50_NS, OWN_COST_P99_NS
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
 from hil.verdict import JUnitCase, Verdict, junit_xml
@@ -35,9 +36,6 @@ PREEMPTED_NS: Final = 500_000
 """Host time in a tick from which on the tick counts as preempted: half of the cost budget."""
 PREEMPTED_FRACTION: Final = 0.01
 """Fraction of preempted ticks above which a run is inconclusive."""
-OWN_COST_P50_NS: Final = 500_000
-OWN_COST_P99_NS: Final = 1_000_000
-"""Targets for a tick without its wait for the bus; reported, not judged."""
 
 
 class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -48,7 +46,7 @@ class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     period_ns : int
         Control period.
     own_cost_p50_ns, own_cost_p99_ns : int
-        Targets for a tick without its wait for the bus.
+        Targets for a tick without its wait for the bus; reported, not judged.
     preempted_fraction : float
         Fraction of preempted ticks above which the run is inconclusive.
     """

@@ -14,6 +14,7 @@ from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert
 from models.trials.trial import Trial
+from models.trials.trial_origin import TrialOrigin, merged_origins
 
 __all__ = [
     "DofEvaluation",
@@ -89,11 +90,14 @@ class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True
         Number of trials.
     dof : dict of str to DofEvaluation
         The same by number of joints.
+    origins : tuple of TrialOrigin
+        Whether the trials were simulated or measured; empty in files of earlier versions.
     """
 
     signals: dict[str, SignalError]
     trials: int
     dof: dict[str, DofEvaluation] = {}
+    origins: tuple[TrialOrigin, ...] = ()
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -121,7 +125,7 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rest_s: dict[str, float] = {}
 
 
-class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Trial that a value of the plant was fitted to.
 
     Attributes
@@ -130,10 +134,14 @@ class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         For people; trials of different directories may have the same name.
     sha256 : str
         Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
+    source, rig : str
+        As in its conditions; empty in files of earlier versions.
     """
 
     name: str
     sha256: str
+    source: str = ""
+    rig: str = ""
 
 
 class Provenance(
@@ -184,8 +192,15 @@ class Provenance(
         by_hash = {t.sha256: t for t in self.fitted_trials}
         for trial in trials:
             digest = trial.sha256()
-            by_hash.setdefault(digest, FittedTrial(trial.name, digest))
+            by_hash.setdefault(
+                digest, FittedTrial(trial.name, digest, trial.meta.source, trial.meta.rig)
+            )
         return tuple(by_hash.values())
+
+    @property
+    def origins(self) -> tuple[TrialOrigin, ...]:
+        """Origins of the fitted trials."""
+        return merged_origins(TrialOrigin(t.source, t.rig) for t in self.fitted_trials)
 
     def was_fitted_to(self, trial: Trial) -> bool:
         """Whether a trial with these conditions and samples was fitted, under any name."""

@@ -77,7 +77,8 @@ def draw_rig(rng: np.random.Generator) -> RigParameters:
     values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
     values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
     values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    return replace(rig.changed(**values), structure=_draw_structure(rng))
+    changed = rig.changed(**values)
+    return replace(changed, structure=_draw_structure(rng), path=Path("drawn"))
 
 
 def rig_named(name: str) -> RigParameters:
@@ -107,7 +108,7 @@ def rig_named(name: str) -> RigParameters:
     number = name.removeprefix(PREFIX)
     if not number.isdecimal():
         raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
-    return draw_rig(np.random.default_rng([SEED, int(number)]))
+    return replace(draw_rig(np.random.default_rng([SEED, int(number)])), path=Path(name))
 
 
 def _draw_structure(rng: np.random.Generator) -> RigStructure:

@@ -35,6 +35,26 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """Coloured line with a label, for what a reader must not overlook.
+
+    Attributes
+    ----------
+    kind : str
+        Its colour: "simulated", "measured", "mixed" or "unknown".
+    label : str
+        The same in words.
+    text : str
+        The rest.
+    """
+
+    macro: ClassVar = "notice"
+    kind: str
+    label: str
+    text: Text
+
+
+@dataclass(frozen=True)
 class TableCell:
     """Text of a cell, and whether it meets its target (None: it has none)."""
 
@@ -159,6 +179,8 @@ class ClaimCard:
     verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
     depends_on: Sequence[str]
 
+    VERDICTS: ClassVar = {True: "comes out", False: "does not come out", None: "cannot be told"}
+
 
 @dataclass(frozen=True)
 class ClaimCards:
@@ -168,7 +190,7 @@ class ClaimCards:
     cards: Sequence[ClaimCard]
 
 
-Part = Paragraph | Table | Figure | Facts | CommandList | ClaimCards
+Part = Paragraph | Notice | Table | Figure | Facts | CommandList | ClaimCards
 
 
 @dataclass(frozen=True)

@@ -47,17 +47,47 @@ PAGE_COLOURS: Final = {
     "link": "#1d5f8a",
     "met": "#1f6f43",
     "unmet": "#a3231b",
+    "simulated": "#8f4a12",
+    "measured": "#1d5f8a",
+    "mixed": "#6a3d9a",
+    "unknown": "#5b6673",
 }
-"""Variables of `style.css`; text keeps a contrast of at least 4.5 on paper."""
+"""Variables of `style.css`; text keeps a contrast of at least 4.5 on paper and shade."""
+
+DARK_PAGE_COLOURS: Final = {
+    "ink": "#e6eaee",
+    "paper": "#14181d",
+    "quiet": "#a9b3bd",
+    "line": "#2f3841",
+    "strong-line": "#5a6570",
+    "shade": "#1f262d",
+    "link": "#86bfe6",
+    "met": "#6cc795",
+    "unmet": "#f29186",
+    "simulated": "#eaa872",
+    "measured": "#86bfe6",
+    "mixed": "#c7abea",
+    "unknown": "#a9b3bd",
+}
+"""The same where a reader prefers dark pages; figures keep the light ones."""
 
 HEAT: Final = ("#fff7ec", "#fdcc8a", "#e34a33", "#7f0000")
 """White to dark red by way of orange (ColorBrewer, OrRd)."""
 
 
 def css_variables() -> str:
-    """The page colours as CSS variables of the root element."""
-    rows = "".join(f"  --{name}: {colour};\n" for name, colour in PAGE_COLOURS.items())
-    return f":root {{\n{rows}}}\n"
+    """The page colours as CSS variables: light, and dark on the screens of those who prefer it.
+
+    A figure keeps the light colours: its drawing has them built in.
+    """
+    light = _declared(":root", PAGE_COLOURS)
+    dark = _declared(":root", DARK_PAGE_COLOURS) + _declared(".figure", PAGE_COLOURS)
+    return f"{light}@media screen and (prefers-color-scheme: dark) {{\n{dark}}}\n"
+
+
+def _declared(selector: str, colours: dict[str, str]) -> str:
+    rows = "".join(f"  --{name}: {colour};\n" for name, colour in colours.items())
+    return f"{selector} {{\n{rows}}}\n"
 
 
 def ordered_colours(count: int) -> list[str]:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from typing import Any, Final
 
 import matplotlib
+import numpy as np
+from numpy.typing import NDArray
 
 matplotlib.use("svg")
 from cycler import cycler
@@ -33,6 +36,12 @@ STYLE: Final = {
     "figure.facecolor": "none", "axes.facecolor": "none", "path.simplify_threshold": 0.3,
 }  # fmt: skip
 """matplotlib's settings for drawings inside a page."""
+THIN: Final = 1.1
+_WIDER: Final = 1.4
+_COINCIDENT: Final = 0.005
+"""Distance of two lines over the axis below which they cover each other: about a line's width."""
+_POINTS_COMPARED: Final = 200
+
 FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
 """The same for pictures that are files of their own."""
 
@@ -67,6 +76,35 @@ class Drawing:
     def panel(self, title: str, alt: str) -> Panel:
         """The drawing with its title and its description."""
         return Panel(title, alt, _with_own_ids(self._svg, title + alt))
+
+
+def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[float]:
+    """Line widths with which curves can be told apart, drawn in their order.
+
+    Where each covers the one before for at least half of its length, every line is narrower than
+    the one beneath, so that all are seen; elsewhere all are thin.
+
+    Parameters
+    ----------
+    curves : sequence of ndarray, shape (n, 2)
+        Points.
+    shown : float
+        Length of the longer axis, in the unit of the points.
+
+    Examples
+    --------
+    >>> line = np.column_stack([np.linspace(0, 1, 50), np.zeros(50)])
+    >>> nested_widths([line, line], 1.0), nested_widths([line, line + 0.1], 1.0)
+    ([2.5, 1.1], [1.1, 1.1])
+    """
+    thinned = [c[:: max(len(c) // _POINTS_COMPARED, 1)] for c in curves]
+    covered = [
+        np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1) < _COINCIDENT * shown
+        for lower, upper in itertools.pairwise(thinned)
+    ]
+    if not covered or min(float(np.mean(near)) for near in covered) < 0.5:
+        return [THIN] * len(curves)
+    return [round(THIN + _WIDER * k, 2) for k in reversed(range(len(curves)))]
 
 
 def log_axis(ax: Any, values: Iterable[float]) -> None:

@@ -171,11 +171,13 @@ def _data(document: StudyDocument) -> str:
     def line(role: str, part: TrialsSummary) -> tuple[str, ...]:
         payloads = ", ".join(f"{kg:g}" for kg in part.payload_kg)
         amplitudes = ", ".join(f"{rad:.3f}" for rad in part.amplitude_rad)
-        return role, str(len(part.trials)), payloads, amplitudes, f"`{part.sha256[:12]}`"
+        origin = "; ".join(o.words for o in part.origins) or "not stated"
+        count = str(len(part.trials))
+        return role, count, origin, payloads, amplitudes, f"`{part.sha256[:12]}`"
 
     rows = [line("trained on", document.training)]
     rows += [line(f"tested on {name}", part) for name, part in document.tests.items()]
-    header = ("role", "trials", "payload in kg", "amplitude in rad", "SHA-256")
+    header = ("role", "trials", "origin", "payload in kg", "amplitude in rad", "SHA-256")
     return "## Data\n\n" + _table(header, rows)
 
 

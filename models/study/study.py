@@ -36,6 +36,7 @@ from models.study.study_document import FoldErrors, StudyDocument, TrialsSummary
 from models.study.tables import ESTIMATORS, Fitted, StudyTest, score_predictors
 from models.trials.deformation import deformation_index
 from models.trials.trial import TrialSet
+from models.trials.trial_origin import origins_of
 
 __all__ = ["Study", "run_study"]
 
@@ -188,6 +189,7 @@ def _summary(trials: TrialSet) -> TrialsSummary:
         amplitude_rad=values("amplitude_rad"),
         phase_2_rad=values("phase_2_rad"),
         step_s=round(trials[0].step_s, 9),
+        origins=origins_of(trials),
     )
 
 

@@ -17,6 +17,7 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from firmware_py.documents import Document, read_document
+from models.trials.trial_origin import TrialOrigin
 
 __all__ = ["StudyDocument", "read_study", "write_study"]
 
@@ -46,6 +47,8 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Values that occur, ascending.
     step_s : float
         Time step of the first trial.
+    origins : tuple of TrialOrigin
+        Whether they were simulated or measured; empty in files of earlier versions.
     """
 
     trials: tuple[str, ...]
@@ -54,6 +57,7 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     amplitude_rad: tuple[float, ...]
     phase_2_rad: tuple[float, ...]
     step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
+    origins: tuple[TrialOrigin, ...] = ()
 
 
 class FoldErrors(

@@ -22,6 +22,8 @@ from models.shared.page_parts import (
     Section,
     Table,
 )
+from models.trials.origin_notice import origin_notice
+from models.trials.trial_origin import origins_of
 
 HEADINGS: Final = {
     "before": "before", "retrained": "new data, old plant", "after": "after",
@@ -51,7 +53,8 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str,
         others,
         Section("made", "Commands", [CommandList(inputs.commands, folded=True)]),
     ]
-    lead = [*gap_lead(inputs.found), Paragraph(_hidden_and_named(data))]
+    origins = origins_of([*inputs.trials, *inputs.sealed])
+    lead = [origin_notice(origins), *gap_lead(inputs.found), Paragraph(_hidden_and_named(data))]
     return render_page("A hidden effect, from trial to robot", lead, sections)
 
 

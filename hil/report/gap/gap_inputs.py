@@ -147,6 +147,7 @@ def _variants(directory: Path, pattern: str, read: Callable[[Path], Any]) -> dic
         paths = {
             float(str(path.relative_to(directory))[len(head) : -len(tail)]): path
             for path in directory.glob(head + "*" + tail)
+            if _is_payload(str(path.relative_to(directory))[len(head) : -len(tail)])
         }
         if paths:
             result[variant] = {kg: read(paths[kg]) for kg in sorted(paths)}
@@ -154,6 +155,11 @@ def _variants(directory: Path, pattern: str, read: Callable[[Path], Any]) -> dic
         if result.get(variant, {}).keys() != result.get("before", {0.0: None}).keys():
             raise InputError(directory / pattern.format(variant, "…"), "is missing", MADE_BY)
     return result
+
+
+def _is_payload(text: str) -> bool:
+    """Whether this part of a name is a payload in kg."""
+    return text.replace(".", "", 1).isdecimal()
 
 
 def _columns(path: Path) -> NDArray[np.void]:

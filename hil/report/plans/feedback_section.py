@@ -73,7 +73,8 @@ def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
         for m in own
     ]
     header = ["", "gain margin, dB", "phase margin, °", "crossover, rad/s"]
-    return Table("Margins over the grid of payloads", header, rows, "Targets: 6 dB and 45°.")
+    targets = f"Targets: {LEAST_GAIN_DB:g} dB and {ANGLE.text(LEAST_PHASE_RAD, 0)}."
+    return Table("Margins over the grid of payloads", header, rows, targets)
 
 
 def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:

@@ -14,6 +14,7 @@ from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.log.recording import read_recording
 from firmware_py.signals import tip_names
+from firmware_py.targets import PATH_RMS_TO_RIGID
 from hil.sil.sil_loop import LOG_NAME
 from hil.timing.timing_document import read_timing
 from models.trials.trial_files import read_trial
@@ -23,8 +24,6 @@ Knowledge = Literal["rigid", "known", "unknown", "misled"]
 """Rigid kinematics; the plan with the payload known, estimated, and told too small."""
 KNOWLEDGE: Final[tuple[Knowledge, ...]] = ("rigid", "known", "unknown")
 """What is compared; the misled robot shows what happens when the estimate is not trusted."""
-TARGETS: Final = {"known": 1 / 25, "unknown": 1 / 20}
-"""Largest RMS error over that of rigid kinematics that the project asks for."""
 _ORDER: Final = (*KNOWLEDGE, "misled")
 _NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
@@ -134,18 +133,22 @@ def plan_figures(runs: list[PlannedRun]) -> dict[str, Any]:
         case: dict[str, Any] = {"dof": dof, "payload_kg": payload_kg}
         case |= {f"{k}_rms_m": r.rms_m for k, r in own.items()}
         if "rigid" in own:
-            case |= {f"{k}_ratio": own[k].rms_m / own["rigid"].rms_m for k in TARGETS if k in own}
+            case |= {
+                f"{k}_ratio": own[k].rms_m / own["rigid"].rms_m
+                for k in PATH_RMS_TO_RIGID
+                if k in own
+            }
         cases.append(case)
     worst = {
         f"{k}_ratio": max((c[f"{k}_ratio"] for c in cases if f"{k}_ratio" in c), default=None)
-        for k in TARGETS
+        for k in PATH_RMS_TO_RIGID
     }
     times = {
         f"{k}_times_{dof}dof": min(
             (1 / c[f"{k}_ratio"] for c in cases if c["dof"] == dof and f"{k}_ratio" in c),
             default=None,
         )
-        for k in TARGETS
+        for k in PATH_RMS_TO_RIGID
         for dof in sorted({r.dof for r in runs})
     }
     return {"cases": cases} | worst | times

@@ -9,9 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.display_units import LENGTH, POSITION, TIME
+from firmware_py.targets import PATH_RMS_TO_RIGID
 from hil.report.plans.feedback_section import feedback_section
-from hil.report.plans.planned_runs import KNOWLEDGE, TARGETS, Knowledge, PlannedRun, plan_figures
+from hil.report.plans.planned_runs import KNOWLEDGE, Knowledge, PlannedRun, plan_figures
 from hil.report.plans.trust_section import trust_section
+from hil.report.report_origins import EMULATED
 from models.plant.plant import Plant
 from models.shared.html_page import render_page
 from models.shared.page_parts import (
@@ -52,6 +54,7 @@ def write_plans_page(runs: Sequence[PlannedRun], path: Path, plant: Plant | None
         Plant that was inverted, for the diagrams of the feedback.
     """
     lead: list[Part] = [
+        EMULATED,
         Paragraph(
             "The robot's own loop ran each plan against emulated servos, with the rig behind them. "
             "The rig is no twin: its equations differ from those of the plant that was inverted, "
@@ -73,13 +76,13 @@ def _table(runs: list[PlannedRun]) -> Table:
     for case in plan_figures(runs)["cases"]:
         row: list[Cell] = [f"{case['dof']}DOF, {case['payload_kg']:g} kg"]
         row += [_length(case, k) for k in KNOWLEDGE]
-        row += [_ratio(case, k) for k in TARGETS]
+        row += [_ratio(case, k) for k in PATH_RMS_TO_RIGID]
         rows.append(row)
     return Table(
         "Distance of the tip from its path, RMS in mm, rest and ways included",
-        ["", *(WORDS[k] for k in KNOWLEDGE), *(f"rigid over {k}" for k in TARGETS)], rows,
+        ["", *(WORDS[k] for k in KNOWLEDGE), *(f"rigid over {k}" for k in PATH_RMS_TO_RIGID)], rows,
         "Targets: rigid kinematics over the plan at least "
-        + ", ".join(f"{1 / v:.0f} ({k})" for k, v in TARGETS.items()) + ".",
+        + ", ".join(f"{1 / v:.0f} ({k})" for k, v in PATH_RMS_TO_RIGID.items()) + ".",
     )  # fmt: skip
 
 
@@ -92,7 +95,7 @@ def _ratio(case: dict[str, Any], knowledge: str) -> TableCell:
     value = case.get(f"{knowledge}_ratio")
     if value is None:
         return TableCell("–")
-    return TableCell(f"{1 / value:.1f}", bool(value <= TARGETS[knowledge]))
+    return TableCell(f"{1 / value:.1f}", bool(value <= PATH_RMS_TO_RIGID[knowledge]))
 
 
 def _section(dof: int, runs: Sequence[PlannedRun]) -> Section:

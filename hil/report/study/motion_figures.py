@@ -9,8 +9,8 @@ import numpy as np
 
 from firmware_py.display_units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
 from models.shared.page_parts import Figure, LegendEntry, Panel
-from models.shared.palette import MUTED, SERIES, ordered_colours
-from models.shared.svg_drawing import Drawing
+from models.shared.palette import INK, MUTED, SERIES, ordered_colours
+from models.shared.svg_drawing import Drawing, nested_widths
 from models.study.study_document import StudyDocument, TipPath
 
 Studies = Mapping[str, StudyDocument]
@@ -24,6 +24,10 @@ ASPECT: Final = 0.72
 
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
+NESTED: Final = (
+    " Where the lines of the payloads cover each other, each is narrower than the one beneath: the "
+    "lightest lies at the bottom."
+)
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
@@ -56,11 +60,16 @@ def _paths(studies: Studies) -> Figure:
     reach_m = float(np.linalg.norm(point_m, axis=1).max())
     half_m = MARGIN * float(max(np.abs(point_m[:, 0]).max(), np.abs(point_m[:, 1]).max() / ASPECT))
     panels: list[Panel] = []
+    nested = False
     for motion, paths in motions.items():
         for view, project in (("from above", _from_above), ("oblique", _oblique)):
+            lines = [project(_points_m(path)) for path in paths.values()]
+            widths = nested_widths(lines, 2.0 * half_m)
+            nested = nested or widths[0] != widths[-1]
             with Drawing() as (drawing, ax):
-                for path, colour in zip(paths.values(), ordered_colours(len(paths)), strict=True):
-                    ax.plot(*project(_points_m(path)).T, color=colour, linewidth=1.1)
+                colours = ordered_colours(len(lines))
+                for line, colour, width in zip(lines, colours, widths, strict=True):
+                    ax.plot(*line.T, color=colour, linewidth=width)
                 if view == "from above":
                     ax.set(xlabel=POSITION.label("x"), ylabel=POSITION.label("y"), aspect="equal")
                     ax.set(xlim=(-half_m, half_m), ylim=(-ASPECT * half_m, ASPECT * half_m))
@@ -75,7 +84,7 @@ def _paths(studies: Studies) -> Figure:
             )
     return Figure(
         "Paths of the end effector",
-        "The base joint is at the origin; at angle zero the link is along z.",
+        "The base joint is at the origin; at angle zero the link is along z." + NESTED * nested,
         panels, "7", _payload_legend(list(next(iter(motions.values())))),
     )  # fmt: skip
 
@@ -107,7 +116,7 @@ def _draw_axes(ax: Any, reach_m: float) -> None:
         end = np.zeros((2, 3))
         end[1, k] = 0.35 * reach_m
         ax.plot(*_oblique(end).T, color=MUTED, linewidth=0.8)
-        ax.annotate(name, _oblique(end * 1.12)[1], color=MUTED, ha="center", va="center")
+        ax.annotate(name, _oblique(end * 1.12)[1], color=INK, ha="center", va="center")
     link = np.array([[0, 0, 0], [0, 0, reach_m]])
     ax.plot(*_oblique(link).T, color=MUTED, linewidth=0.8, linestyle=":")
     ax.set(aspect="equal", xlim=(-reach_m, reach_m))

@@ -49,7 +49,9 @@ from models.shared.page_parts import (
 )
 from models.shared.palette import MUTED
 from models.shared.svg_drawing import Drawing
+from models.trials.origin_notice import origin_notice
 from models.trials.trial_files import TrialSet
+from models.trials.trial_origin import origins_of
 
 RIVALS: Final = 8
 
@@ -72,7 +74,7 @@ def write_gap_page(
     """
     page = render_page(
         "The gap between plant and measurement",
-        gap_lead(document),
+        [origin_notice(origins_of(trials)), *gap_lead(document)],
         gap_sections(document, before, after, trials),
     )
     path.write_text(page, encoding="utf-8")

@@ -81,7 +81,12 @@ def _simulated(plant: Plant, like: Trial, kind: Kind, payload_kg: float, rest: i
     for j in range(meta.dof):
         columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
     conditions = msgspec.structs.replace(
-        meta, motion=kind, payload_kg=payload_kg, rest_samples=rest, source="simulated"
+        meta,
+        motion=kind,
+        payload_kg=payload_kg,
+        rest_samples=rest,
+        source="simulated",
+        rig="",
     )
     trial = Trial(kind, conditions, columns)
     compiled = CompiledModel(plant.step_model(meta.dof, "twin"))

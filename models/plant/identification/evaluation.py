@@ -15,6 +15,7 @@ from models.plant.simulation.compiled_model import Array, CompiledModel, run_tri
 from models.plant.step_model import names
 from models.shared.kinematics import rigid_tip_m
 from models.trials.trial import Trial
+from models.trials.trial_origin import origins_of
 
 __all__ = [
     "Comparison",
@@ -199,6 +200,7 @@ def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
         tip_rms_m=tip_rms_m(comparisons),
         rigid_tip_rms_m=rigid_tip_rms_m(comparisons),
         dof=dofs,
+        origins=origins_of(c.trial for c in comparisons),
     )
 
 

@@ -70,7 +70,8 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     """
     facts = logged_run(log)
     motion = _motion_conditions(facts.motion)
-    known: dict[str, Scalar | None] = {"dof": log.dof, "source": "recording", **motion}
+    known: dict[str, Scalar | None] = {"dof": log.dof, **motion}
+    known["source"] = log.metadata.get("source", "recording")  # a run in software says "sil"
     known["payload_kg"] = facts.payload_kg
     trial = {key: value for key, value in known.items() if value is not None}
     step_s = facts.period_s or float(np.median(np.diff(log.columns["time_s"])))

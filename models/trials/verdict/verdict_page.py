@@ -13,6 +13,8 @@ from models.shared.kinematics import pointing_angles_rad
 from models.shared.page_parts import Figure, LegendEntry, Panel, Paragraph, Section, Table
 from models.shared.palette import MEASURED, SIMULATED
 from models.trials.importers.synchronisation import Synchronisation
+from models.trials.origin_notice import origin_notice
+from models.trials.trial_origin import origins_of
 from models.trials.verdict.finding import SHAPE_M
 from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.motion_findings import link_direction
@@ -43,7 +45,9 @@ def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
     )
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"{verdict.name}.html"
-    page = render_page(f"Import of {verdict.name}", [lead], verdict_sections(verdict))
+    trial = verdict.trial
+    notices = [origin_notice(origins_of([trial]))] if trial is not None else []
+    page = render_page(f"Import of {verdict.name}", [*notices, lead], verdict_sections(verdict))
     path.write_text(page, encoding="utf-8")
     return path
 

@@ -17,6 +17,7 @@ from hil.report.report_tables import prediction_table, results_table, verdict_se
 from hil.report.study.motion_figures import motion_figures
 from hil.timing.timing_verdict import TimingVerdict, judge_timing
 from models.shared.svg_drawing import Drawing
+from models.trials.trial_origin import TrialOrigin
 
 
 class Page(HTMLParser):
@@ -71,6 +72,25 @@ def test_the_page_needs_nothing_but_itself(page, html):
     assert not re.search(r"@import|url\((?!#)", html)
 
 
+def test_the_first_screen_says_where_the_trials_come_from(html):
+    before, after = html.split('<p class="notice unknown" role="note"><strong>Origin not stated')
+    assert "<h1>" in before and 'class="lead"' not in before
+    assert 'class="notice simulated"' in after.split('class="lead"')[0]  # the loop is emulated
+
+
+def test_text_of_drawings_is_dark(html):
+    """Drawings stand on a light plate, so text of 4.5 on white is legible in every scheme."""
+    for style in re.findall(r"<text\b[^>]*style=\"([^\"]*)\"", html):
+        if colour := re.search(r"fill: (#\w{6})", style):
+            luminance = sum(
+                weight * ((v / 255 + 0.055) / 1.055) ** 2.4
+                for weight, v in zip(
+                    (0.2126, 0.7152, 0.0722), bytes.fromhex(colour[1][1:]), strict=True
+                )
+            )
+            assert 1.05 / (luminance + 0.05) >= 4.5, colour[1]
+
+
 def test_every_reference_has_one_target(html):
     tags = Page(html).tags
     ids = [a["id"] for _, a in tags if "id" in a]
@@ -121,8 +141,11 @@ def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
     (panel,) = figure.panels
     for motion, study in inputs.motions.items():
         assert f"{motion}: {100 * study.mean_di['0']:.2f}\u00a0% at 0 kg" in panel.alt
-    badges = re.findall(r'class="badge \w+">(.*?)</span>', html)
-    assert set(badges) == set(inputs.every_study)
+    badges = re.findall(r'class="badge (\w+)">(.*?)</span>', html)
+    words = {"met": "comes out", "unmet": "does not come out", "unknown": "cannot be told"}
+    assert {text for _, text in badges} >= {f"1DOF, origin not stated: {words[badges[0][0]]}"}
+    assert {text.split(",")[0] for _, text in badges} == {"1DOF", "2DOF"}
+    assert all(text.endswith(f", origin not stated: {words[kind]}") for kind, text in badges)
 
 
 def grown(document, factor):
@@ -259,12 +282,21 @@ def test_gains_are_judged_by_their_target(build, gain, met):
     assert (cell.text, cell.met) == (f"{gain:.0%}".replace("%", "\u00a0%"), met)
 
 
-@pytest.mark.parametrize(("rms_m", "met"), [(0.0059, True), (0.0061, False)])
-def test_the_glance_judges_errors_against_their_target(build, rms_m, met):
+@pytest.mark.parametrize(
+    ("rms_m", "rig", "met"),
+    [(0.0016, "default", True), (0.0018, "default", False), (0.0018, "test_a", None)],
+)
+def test_the_glance_judges_errors_of_the_default_rig(build, rms_m, rig, met):
+    """Targets were set on the default rig; trials of another origin are shown without one."""
     inputs = read_build(build)
-    evaluation = inputs.evaluations["unseen 20° motion"]
+    title = "unseen 20° motion"
+    evaluation = inputs.evaluations[title]
     evaluation.dof["1"] = msgspec.structs.replace(evaluation.dof["1"], tip_rms_m=rms_m)
-    assert row_of(results_table(inputs), "Tip error (RMS)")[2].met is met
+    origins = (TrialOrigin("rig", rig, evaluation.trials),)
+    inputs.evaluations[title] = msgspec.structs.replace(evaluation, origins=origins)
+    row = row_of(results_table(inputs), "Tip error (RMS)")
+    assert row[2].met is met
+    assert (row[1].text == "–") is (met is None)
 
 
 def test_what_was_not_measured_is_not_judged(tmp_path):

@@ -1,0 +1,190 @@
+"""Shape of the bending link in space, from joint angles and the predicted tip.
+
+The tick knows where the base plate stands and where the tip is. Between them the link has the slope
+of the plant's link under a tip force (`models.plant.components.link`): root bend φ at the plate,
+and (2σ − σ²) of the span's bend ψ at the fraction σ of the length, with ψ/φ from the plant's
+stiffnesses. φ is such that the sideways distance of the tip is the predicted one; what is left
+along the link, a few millimetres, is spread over it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.files.input_files import read_json
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
+
+__all__ = ["LinkPose", "LinkShape", "pose_link", "shape_of_bundle"]
+
+Array = NDArray[np.float64]
+
+STATIONS: Final = 9
+"""Points along the centre line that are given beside the marker rows."""
+_CELLS: Final = 24
+"""Cells of the midpoint rule along the link: 0.1 mm at a bend of 0.5 rad."""
+_NEEDED: Final = ("base_offset_m", "link_length_m", "link_width_m", "span_position")
+
+
+class LinkShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the shape of a link depends on beside its angles and tip.
+
+    Attributes
+    ----------
+    base_offset_m, length_m : float
+        Base plate above the joint axes; length from there to the last marker row.
+    markers : MarkerLayout
+        Places of the markers.
+    bend_ratio : float
+        Bend of the span over that of the root under a force at the tip.
+    """
+
+    base_offset_m: float
+    length_m: float
+    markers: MarkerLayout
+    bend_ratio: float
+
+
+class LinkPose(msgspec.Struct, frozen=True):
+    """Link at one moment, world frame, m.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (stations, 3)
+        Centre line from the base plate to the tip.
+    edges : ndarray, shape (stations, corners, 3)
+        Corners of the section at each station, in the order of the layout.
+    markers : ndarray, shape (markers, 3)
+        Markers, m01 first.
+    rigid_tip : ndarray, shape (3,)
+        Tip of a link that does not bend.
+    """
+
+    centre: Array
+    edges: Array
+    markers: Array
+    rigid_tip: Array
+
+
+def shape_of_bundle(directory: Path) -> LinkShape | None:
+    """Shape of the link of a bundle; None where its plant is missing or is no link.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+    """
+    path = directory / "plant.json"
+    if not path.is_file():
+        return None
+    plant = read_json(path, "copy or train the bundle again")
+    try:
+        value = {name: float(entry["value"]) for name, entry in plant["parameters"].items()}
+        described = (plant.get("link") or {}).get("markers")
+        offset_m, length_m, width_m, position = (value[name] for name in _NEEDED)
+        ratio = value["root_stiffness_1_nm_rad"] / value["span_stiffness_1_nm_rad"]
+        layout = (
+            msgspec.convert(described, MarkerLayout)
+            if described
+            else square_layout(length_m, width_m)
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    return LinkShape(offset_m, length_m, layout, (1.0 - position) * ratio)
+
+
+def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
+    """Pose of the link.
+
+    Parameters
+    ----------
+    shape : LinkShape
+        The link.
+    angle_rad : ndarray, shape (dof,)
+        Joint angles.
+    tip_m : ndarray, shape (3,)
+        End effector, world frame.
+
+    Examples
+    --------
+    >>> shape = LinkShape(0.06, 0.94, square_layout(0.94, 0.15), 1.0)
+    >>> pose = pose_link(shape, np.array([0.0]), np.array([0.0, 0.0, 1.0]))
+    >>> pose.centre[-1].round(6).tolist(), pose.markers[0].round(6).tolist()
+    ([0.0, 0.0, 1.0], [0.075, 0.075, 0.295])
+    """
+    turn = _base_rotation(angle_rad)
+    own = turn.T @ tip_m - (0.0, 0.0, shape.base_offset_m)
+    sideways_m = float(np.hypot(own[0], own[1]))
+    towards = own[:2] / sideways_m if sideways_m > 0 else np.array([1.0, 0.0])
+    root_rad = _root_bend(shape, sideways_m)
+    layout = shape.markers
+    stations = np.linspace(0.0, 1.0, STATIONS)
+    rows = np.array(layout.rows_m) / layout.rows_m[-1]
+    centre, sections = _sections(shape, root_rad, towards, own, np.concatenate([stations, rows]))
+    corners = np.array([(x, y, 0.0) for x, y in layout.corners_m])
+    placed = centre[:, None] + np.einsum("nij,cj->nci", sections, corners)
+    lift = np.array([0.0, 0.0, shape.base_offset_m])
+    return LinkPose(
+        centre=(centre[:STATIONS] + lift) @ turn.T,
+        edges=(placed[:STATIONS] + lift) @ turn.T,
+        markers=((placed[STATIONS:] + lift) @ turn.T).reshape(-1, 3),
+        rigid_tip=turn[:, 2] * (shape.base_offset_m + shape.length_m),
+    )
+
+
+def _sections(
+    shape: LinkShape, root_rad: float, towards: Array, tip: Array, fractions: Array
+) -> tuple[Array, Array]:
+    """Centre and rotation of the sections at fractions of the length, frame of the base plate."""
+    grid = (np.arange(_CELLS) + 0.5) / _CELLS
+    slope = _slope(shape, root_rad, grid)
+    edges = np.linspace(0.0, 1.0, _CELLS + 1)
+    run = np.concatenate([[0.0], np.cumsum(np.sin(slope))]) * shape.length_m / _CELLS
+    rise = np.concatenate([[0.0], np.cumsum(np.cos(slope))]) * shape.length_m / _CELLS
+    across = np.interp(fractions, edges, run)
+    centre = np.column_stack(
+        [across * towards[0], across * towards[1], np.interp(fractions, edges, rise)]
+    )
+    last = np.array([run[-1] * towards[0], run[-1] * towards[1], rise[-1]])
+    centre += fractions[:, None] * (tip - last)
+    angle = _slope(shape, root_rad, fractions)
+    x, y = towards
+    zero, sine, cosine = np.zeros_like(angle), np.sin(angle), np.cos(angle)
+    less = 1.0 - cosine
+    rows = [
+        [1.0 - x * x * less, -x * y * less, x * sine],
+        [-x * y * less, 1.0 - y * y * less, y * sine],
+        [-x * sine, -y * sine, cosine + zero],
+    ]
+    return centre, np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _slope(shape: LinkShape, root_rad: float, fractions: Array) -> Array:
+    """Angle of the sections against the base plate."""
+    spread = 2.0 * fractions - fractions**2
+    return np.asarray(root_rad * (1.0 + shape.bend_ratio * spread))
+
+
+def _root_bend(shape: LinkShape, sideways_m: float) -> float:
+    """Bend of the root with which the tip is that far from the axis of the base plate."""
+    grid = (np.arange(_CELLS) + 0.5) / _CELLS
+    growth = _slope(shape, 1.0, grid)
+    wanted = min(sideways_m / shape.length_m, 0.9)  # a tip that is farther off is no link's
+    bend = wanted / float(growth.mean())
+    for _ in range(3):  # Newton: quadratic, from the bend to first order
+        error = float(np.sin(bend * growth).mean()) - wanted
+        bend -= error / float((np.cos(bend * growth) * growth).mean())
+    return bend
+
+
+def _base_rotation(angle_rad: Array) -> Array:
+    """R_y(angle 1) R_x(−angle 2), as `models.shared.kinematics.base_rotation`."""
+    q1, q2 = float(angle_rad[0]), float(angle_rad[1]) if len(angle_rad) > 1 else 0.0
+    c1, s1, c2, s2 = np.cos(q1), np.sin(q1), np.cos(q2), np.sin(q2)
+    return np.array(
+        [[c1, -s1 * s2, s1 * c2], [0.0, c2, s2], [-s1, -c1 * s2, c1 * c2]], dtype=np.float64
+    )

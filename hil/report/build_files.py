@@ -1,0 +1,145 @@
+"""Files of a build directory by what they hold, whatever they are called.
+
+The names that `make demo` gives come first; of several files for one place the others are listed
+as left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_json
+from models.study.study_document import StudyDocument, read_study
+
+__all__ = ["BuildFiles", "StudyFiles", "directories_with", "find_files", "find_studies"]
+
+_KEYS: Final = {
+    "plant": {"drive", "load", "parameters"},
+    "evaluation": {"signals", "trials", "dof"},
+    "check": {"fmi", "checks", "parity"},
+}
+"""Keys by which a JSON file is recognised."""
+_NAMED: Final = {"plant": "plant.json", "evaluation": "evaluate*.json", "check": "check_*.json"}
+"""Names that `make demo` gives: a file with one is read as what it is called."""
+
+
+@dataclass(frozen=True)
+class StudyFiles:
+    """Studies of a build directory.
+
+    Attributes
+    ----------
+    of_robot : dict of int to StudyDocument
+        By number of joints: the one that the robot's bundle holds.
+    apart : dict of int to StudyDocument
+        Of two joints and one phase each, by that phase in degrees.
+    left_out : list of str
+        Directories whose study has no place.
+    """
+
+    of_robot: dict[int, StudyDocument] = field(default_factory=dict)
+    apart: dict[int, StudyDocument] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class BuildFiles:
+    """JSON files and directories of a build directory.
+
+    Attributes
+    ----------
+    plant : Path or None
+        The plant.
+    evaluations, checks : list of Path
+        Outputs of `models evaluate` and `fmu check`.
+    left_out : list of str
+        Plants beside the one that is taken.
+    """
+
+    plant: Path | None
+    evaluations: list[Path]
+    checks: list[Path]
+    left_out: list[str]
+
+
+def directories_with(directory: Path, name: str, usual: Sequence[str] = ()) -> list[Path]:
+    """Directories that hold a file: the one given and those in it, usual names first.
+
+    Parameters
+    ----------
+    directory : Path
+        Build directory.
+    name : str
+        Name of the file.
+    usual : sequence of str
+        Beginnings of names that come first.
+    """
+    found = [p for p in (directory, *directory.iterdir()) if (p / name).is_file()]
+    return sorted(found, key=lambda p: (not p.name.startswith(tuple(usual)), p.name))
+
+
+def find_files(directory: Path) -> BuildFiles:
+    """Sort the JSON files of a build directory.
+
+    Parameters
+    ----------
+    directory : Path
+        Build directory.
+    """
+    found: dict[str, list[Path]] = {kind: [] for kind in _KEYS}
+    for path in sorted(directory.glob("*.json")):
+        kind = next((k for k, pattern in _NAMED.items() if path.match(pattern)), _kind(path))
+        if kind:
+            found[kind].append(path)
+    plants = sorted(found["plant"], key=lambda p: (p.name != _NAMED["plant"], p.name))
+    return BuildFiles(
+        plants[0] if plants else None, found["evaluation"], found["check"],
+        [f"{p.name}: {plants[0].name} is the plant shown" for p in plants[1:]],
+    )  # fmt: skip
+
+
+def find_studies(directory: Path) -> StudyFiles:
+    """Read the studies of a build directory.
+
+    Parameters
+    ----------
+    directory : Path
+        Build directory.
+
+    Raises
+    ------
+    InputError
+        If one is damaged.
+    """
+    found = StudyFiles()
+    for path in directories_with(directory, "study.json", ("bundle_",)):
+        study = read_study(path / "study.json")
+        phases = study.training.phase_2_rad
+        of_bundle = path.name.startswith("bundle_") or (path / "manifest.json").is_file()
+        phase_deg = round(float(np.degrees(phases[0]))) if len(phases) == 1 else None
+        if study.dof not in found.of_robot and (of_bundle or study.dof == 1 or phase_deg is None):
+            found.of_robot[study.dof] = study
+        elif study.dof == 2 and not of_bundle and phase_deg is not None:
+            if phase_deg in found.apart:
+                found.left_out.append(f"{path.name}: another study has phase {phase_deg}°")
+            else:
+                found.apart[phase_deg] = study
+        else:
+            found.left_out.append(f"{path.name}: another study of {study.dof}DOF is shown")
+    return found
+
+
+def _kind(path: Path) -> str | None:
+    """What a file with a name of its own holds; None where it is none of these."""
+    try:
+        content: Any = read_json(path, "")
+    except InputError:
+        return None
+    keys = content.keys() if isinstance(content, dict) else set()
+    return next((kind for kind, needed in _KEYS.items() if needed <= keys), None)

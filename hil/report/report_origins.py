@@ -1,0 +1,85 @@
+"""Origins of what a report shows: notice at its head, table of the inputs, words of the badges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hil.report.build_inputs import BuildInputs, LoopRun
+from models.plant.provenance import Evaluation
+from models.shared.page_parts import Cell, Notice, Table
+from models.study.study_document import StudyDocument, TrialsSummary
+from models.trials.origin_notice import KIND_WORDS, origin_notice
+from models.trials.trial_origin import TrialOrigin, kind_of_origins, merged_origins
+
+Origins = tuple[TrialOrigin, ...]
+
+EMULATED = Notice(
+    "simulated", "Emulated",
+    "The loop is the robot's; line and servos are emulated. No robot was run.",
+)  # fmt: skip
+"""Of pages that show runs of the loop only."""
+
+
+def report_notices(inputs: BuildInputs) -> list[Notice]:
+    """Notices at the head of a report: of its trials, and of its runs of the loop."""
+    of_trials = _trial_origins(inputs)
+    origins = merged_origins(o for origins in of_trials.values() for o in origins)
+    notices = [origin_notice(origins)] if of_trials else []
+    return [*notices, EMULATED] if inputs.loops or inputs.faults else notices
+
+
+def origin_table(inputs: BuildInputs) -> Table | None:
+    """Origin of the trials of each part; None where there are none."""
+    rows: list[list[Cell]] = [
+        [what, KIND_WORDS[kind_of_origins(origins)], ", ".join(o.counted for o in origins)]
+        for what, origins in _trial_origins(inputs).items()
+    ]
+    rows += [
+        [f"Control loop, {loop.name}", KIND_WORDS["simulated"], _behind(loop)]
+        for loop in inputs.loops
+    ]
+    return Table("Where the figures come from", ["", "", "trials"], rows) if rows else None
+
+
+def study_badges(studies: Mapping[str, StudyDocument]) -> dict[str, str]:
+    """Name of each study with the kind of its trials: "1DOF, simulated".
+
+    Parameters
+    ----------
+    studies : mapping of str to StudyDocument
+        By what they were trained on.
+    """
+    kinds = {name: kind_of_origins(study_origins(study)) for name, study in studies.items()}
+    return {name: f"{name}, {KIND_WORDS[kind].lower()}" for name, kind in kinds.items()}
+
+
+def study_origins(study: StudyDocument) -> Origins:
+    """Origins of the trials that a study was trained and tested on."""
+    parts = (study.training, *study.tests.values())
+    return merged_origins(o for part in parts for o in _of_summary(part))
+
+
+def evaluation_origins(evaluation: Evaluation) -> Origins:
+    """Origins of the trials that a plant was compared with."""
+    return evaluation.origins or (TrialOrigin("", trials=evaluation.trials),)
+
+
+def _trial_origins(inputs: BuildInputs) -> dict[str, Origins]:
+    """Origins by the part of the report that shows the trials."""
+    found = {f"Study, {name}": study_origins(s) for name, s in inputs.every_study.items()}
+    if inputs.plant and inputs.plant.provenance.fitted_trials:
+        found["Plant, fitted to"] = inputs.plant.provenance.origins
+    for title, evaluation in inputs.evaluations.items():
+        found[f"Plant, compared with {title}"] = evaluation_origins(evaluation)
+    return found
+
+
+def _of_summary(part: TrialsSummary) -> Origins:
+    return part.origins or (TrialOrigin("", trials=len(part.trials)),)
+
+
+def _behind(loop: LoopRun) -> str:
+    """What moved the emulated servos of a run."""
+    environment = loop.timing.environment
+    rig = f" “{loop.rig}”" if loop.rig and loop.rig != "twin" else ""
+    return f"emulated servos, the {environment.behind_the_servos}{rig} behind them"

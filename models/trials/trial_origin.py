@@ -1,0 +1,118 @@
+"""Origin of trials: simulated or measured, and on which rig.
+
+It follows from `source` and `rig` of a trial's conditions. A source that is none of those that the
+project writes is not taken for either.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Final, Literal
+
+import msgspec
+
+from models.trials.trial import Trial
+
+__all__ = ["OriginKind", "TrialOrigin", "kind_of_origins", "merged_origins", "origins_of"]
+
+OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
+
+SIMULATED: Final = ("rig", "sil", "simulated")
+"""Rig; the robot's loop with emulated servos; the twin."""
+MEASURED: Final = ("measured", "recording")
+"""Motion capture or a table; the log of a robot."""
+
+
+class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Trials of one origin.
+
+    Attributes
+    ----------
+    source : str
+        As in the conditions of the trials.
+    rig : str
+        Name of the rig; empty for a measured system, and where a simulated trial does not say.
+    trials : int
+        Number of trials.
+    """
+
+    source: str
+    rig: str = ""
+    trials: int = 1
+
+    @property
+    def kind(self) -> OriginKind:
+        """Whether the trials were simulated or measured."""
+        if self.source in SIMULATED:
+            return "simulated"
+        return "measured" if self.source in MEASURED else "unknown"
+
+    @property
+    def words(self) -> str:
+        """Origin in words: "trials of the rig “default”"."""
+        if self.source == "rig":
+            return f"trials of the rig “{self.rig}”" if self.rig else "trials of a rig"
+        if self.source == "sil":
+            behind = f", {_behind(self.rig)} behind them" if self.rig else ""
+            return f"runs of the loop with emulated servos{behind}"
+        if self.source == "simulated":
+            return "runs of a simulated plant"
+        if self.source == "recording":
+            return "trials from logs of a robot"
+        if self.source == "measured":
+            return "trials of a measured system"
+        return "trials that state no origin" + (f" but “{self.source}”" if self.source else "")
+
+    @property
+    def counted(self) -> str:
+        """The same with the number of trials."""
+        return f"{self.trials} {self.words}"
+
+
+def _behind(rig: str) -> str:
+    return "the twin" if rig == "twin" else f"the rig “{rig}”"
+
+
+def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
+    """Origins of trials, each once, in the order of their first trial.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+        Any trials.
+    """
+    return merged_origins(TrialOrigin(t.meta.source, t.meta.rig) for t in trials)
+
+
+def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
+    """Origins with the numbers of equal ones added.
+
+    Parameters
+    ----------
+    origins : iterable of TrialOrigin
+        Of several sets of trials.
+
+    Examples
+    --------
+    >>> merged_origins([TrialOrigin("rig", "default", 2), TrialOrigin("rig", "default", 3)])
+    (TrialOrigin(source='rig', rig='default', trials=5),)
+    """
+    counts: Counter[tuple[str, str]] = Counter()
+    for origin in origins:
+        counts[origin.source, origin.rig] += origin.trials
+    return tuple(TrialOrigin(*key, count) for key, count in counts.items())
+
+
+def kind_of_origins(origins: Iterable[TrialOrigin]) -> OriginKind:
+    """Kind of a set of trials: "mixed" where it holds simulated and measured ones.
+
+    Parameters
+    ----------
+    origins : iterable of TrialOrigin
+        Without any, or with one that is unknown, the kind is "unknown", unless both others occur.
+    """
+    kinds = {origin.kind for origin in origins}
+    if {"simulated", "measured"} <= kinds:
+        return "mixed"
+    return kinds.pop() if len(kinds) == 1 else "unknown"

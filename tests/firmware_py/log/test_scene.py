@@ -1,0 +1,163 @@
+"""Scenes in a log: decoded by the viewer's own schema, beside the twin's forward kinematics."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import make_reader
+
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from firmware_py.log.link_shape import LinkShape, pose_link, shape_of_bundle
+from firmware_py.log.recorder import recording
+from firmware_py.log.recording import read_recording
+from firmware_py.log.scene import EVERY, SHAPE_KEY, scene_schema
+from firmware_py.signals import tick_dtype
+from models.plant.plant import NOMINAL, read_plant
+from models.shared.kinematics import base_corners_m, base_rotation, rigid_tip_m
+
+OFFSET_M, LENGTH_M, WIDTH_M, POSITION, RATIO = 0.06, 0.95, 0.15, 1 / 3, 1.2
+SHAPE = LinkShape(OFFSET_M, LENGTH_M, square_layout(LENGTH_M, WIDTH_M), RATIO)
+ROUNDING_M = 1e-4
+TICKS = 3 * EVERY
+
+
+def twin_points_m(angle_rad, root_rad):
+    """Span hinge and tip as the twin's two hinges place them, for bends in the ratio of SHAPE."""
+    root, span = np.asarray(root_rad), RATIO * np.asarray(root_rad)
+    base, first, second = (base_rotation(np.atleast_2d(q))[0] for q in (angle_rad, root, span))
+    plate = base @ (0, 0, OFFSET_M)
+    hinge = plate + base @ first @ (0, 0, POSITION * LENGTH_M)
+    return hinge, hinge + base @ first @ second @ (0, 0, (1 - POSITION) * LENGTH_M)
+
+
+@pytest.mark.parametrize("angle", [(0.0, 0.0), (0.5,), (0.4, -0.3)])
+def test_a_link_that_does_not_bend_is_the_rigid_one(angle):
+    angle = np.array([angle])
+    pose = pose_link(SHAPE, angle[0], rigid_tip_m(angle, OFFSET_M, LENGTH_M)[0])
+    rigid = [base_corners_m(angle, OFFSET_M + z, SHAPE.markers.corners_m)[0]
+             for z in SHAPE.markers.rows_m]  # fmt: skip
+    np.testing.assert_allclose(pose.markers, np.concatenate(rigid), atol=1e-9)
+    np.testing.assert_allclose(pose.rigid_tip, pose.centre[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("root", [(0.08, 0.0), (-0.05, 0.06), (0.0, -0.1)])
+def test_a_bent_link_follows_the_twin(root):
+    """The tip is the twin's; on the way the smooth link stays beside the twin's two hinges."""
+    angle = np.array([0.3, -0.2])
+    hinge, tip = twin_points_m(angle, root)
+    pose = pose_link(SHAPE, angle, tip)
+    rows = pose.markers.reshape(4, 4, 3)
+    np.testing.assert_allclose(rows[-1].mean(axis=0), tip, atol=1e-12)
+    np.testing.assert_allclose(pose.centre[0], base_rotation(angle[None])[0] @ (0, 0, OFFSET_M))
+    beside = np.linalg.norm(pose.centre - hinge, axis=1).min()
+    assert beside < 0.012 + LENGTH_M / 16  # a station stands every eighth of the length
+    steps = np.linalg.norm(np.diff(pose.centre, axis=0), axis=1)
+    assert steps.sum() == pytest.approx(LENGTH_M, rel=5e-3)
+    # The last section has turned by both bends, as the twin's.
+    turned = base_rotation(angle[None])[0].T @ (rows[-1, 0] - rows[-1, 1]) / WIDTH_M
+    by = (1 + RATIO) * np.hypot(*root)
+    towards = np.array(root) / np.hypot(*root)
+    assert turned[0] == pytest.approx(1 - towards[0] ** 2 * (1 - np.cos(by)), abs=2e-3)
+
+
+def test_any_layout_of_markers_is_shown():
+    layout = MarkerLayout((0.3, 0.6), ((0.05, 0.0), (-0.05, 0.0)))
+    pose = pose_link(LinkShape(0.0, 0.6, layout, 1.0), np.zeros(1), np.array([0.1, 0.0, 0.58]))
+    assert pose.markers.shape == (4, 3)
+    assert np.isfinite(pose.markers).all()
+
+
+def test_the_shape_comes_from_the_plant_of_a_bundle(tmp_path):
+    assert shape_of_bundle(tmp_path) is None
+    plant = read_plant(NOMINAL)
+    plant.write(tmp_path / "plant.json")
+    shape = shape_of_bundle(tmp_path)
+    value = {name: q.value for name, q in plant.parameters.items()}
+    ratio = value["root_stiffness_1_nm_rad"] / value["span_stiffness_1_nm_rad"]
+    assert shape.bend_ratio == pytest.approx((1 - value["span_position"]) * ratio)
+    assert (shape.length_m, shape.markers.count) == (value["link_length_m"], 16)
+    document = json.loads((tmp_path / "plant.json").read_text())
+    del document["parameters"]["span_position"]
+    (tmp_path / "plant.json").write_text(json.dumps(document))
+    assert shape_of_bundle(tmp_path) is None  # another plant has no such scene
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Log of a recorder process: a bent link that swings."""
+    path = tmp_path_factory.mktemp("scene") / "run.mcap"
+    metadata = {SHAPE_KEY: msgspec.json.encode(SHAPE).decode()}
+    records = np.zeros(TICKS, tick_dtype(2))
+    records["tick"] = np.arange(TICKS)
+    records["time_s"] = 0.017 * np.arange(TICKS)
+    records["angle_1_rad"] = np.linspace(0.0, 0.4, TICKS)
+    for k, axis in enumerate("xyz"):
+        tips = [twin_points_m((q, 0.0), (0.05, 0.02))[1][k] for q in records["angle_1_rad"]]
+        records[f"predicted_tip_{axis}_m"] = tips
+        records[f"half_width_{axis}_m"] = 0.02
+    records["in_range"] = 1
+    records["predicted_tip_x_m"][EVERY] = np.nan  # a tick without a prediction has no scene
+    with recording(path, 2, 10**18, metadata) as telemetry:
+        for record in records:
+            telemetry.put(memoryview(record.tobytes()))
+    return path, records
+
+
+def decoded(path):
+    """Scenes of a log, by the schema that the log itself holds."""
+    with open(path, "rb") as stream:
+        found = list(make_reader(stream).iter_messages(topics=["/scene"]))
+    schema = found[0][0]
+    assert (schema.name, schema.encoding) == ("foxglove.SceneUpdate", "protobuf")
+    files, pool = descriptor_pb2.FileDescriptorSet(), descriptor_pool.DescriptorPool()
+    files.ParseFromString(schema.data)
+    for file in files.file:
+        pool.Add(file)
+    scene = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return [(message.log_time, scene.FromString(message.data)) for _, _, message in found]
+
+
+def xyz(point):
+    return (point.x, point.y, point.z)
+
+
+def test_the_schema_is_that_of_the_viewer():
+    messages = pytest.importorskip("foxglove.messages")
+    assert scene_schema() == messages.SceneUpdate.get_schema().data
+
+
+def test_a_log_shows_link_markers_and_tip_where_the_twin_has_them(log):
+    path, records = log
+    scenes = decoded(path)
+    assert len(scenes) == TICKS // EVERY - 1
+    for time_ns, scene in scenes:
+        tick = records[round((time_ns - 10**18) / 17e6)]
+        entities = {e.id: e for e in scene.entities}
+        assert set(entities) == {"link", "markers", "tip"}
+        assert {e.frame_id for e in scene.entities} == {"world"}
+        stamp = entities["link"].timestamp
+        assert stamp.seconds * 10**9 + stamp.nanos == time_ns
+        _, tip = twin_points_m((tick["angle_1_rad"], 0.0), (0.05, 0.02))
+        (ball,) = entities["tip"].spheres
+        np.testing.assert_allclose(xyz(ball.pose.position), tip, atol=ROUNDING_M)
+        assert ball.size.x == pytest.approx(0.04, abs=ROUNDING_M)
+        places = np.array([xyz(s.pose.position) for s in entities["markers"].spheres])
+        assert places.shape == (16, 3)
+        np.testing.assert_allclose(places[12:].mean(axis=0), tip, atol=ROUNDING_M)
+        centre, rigid = entities["link"].lines
+        plate = base_corners_m(np.array([[tick["angle_1_rad"]]]), OFFSET_M, [(0.0, 0.0)])[0, 0]
+        np.testing.assert_allclose(xyz(centre.points[0]), plate, atol=ROUNDING_M)
+        assert len(rigid.points) == 2
+        (skin,) = entities["link"].triangles
+        assert max(skin.indices) == len(skin.points) - 1
+        assert len(skin.indices) % 3 == 0
+
+
+def test_the_ticks_of_a_log_with_scenes_are_read_as_before(log):
+    path, records = log
+    again = read_recording(path)
+    assert again.complete
+    for name in ("tick", "angle_1_rad", "predicted_tip_x_m"):
+        np.testing.assert_array_equal(again.columns[name], records[name])
