@@ -21,9 +21,9 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
+from firmware_py.realtime.targets import OWN_COST_P99_NS
 from firmware_py.robot import LoopModels, build_bus, build_loop
 from firmware_py.signals import STAGES
-from firmware_py.targets import OWN_COST_P99_NS
 
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 

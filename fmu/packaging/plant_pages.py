@@ -12,7 +12,7 @@ from typing import Any, Final
 from markupsafe import Markup, escape
 
 from firmware_py.display_units import LENGTH, symbol_of
-from firmware_py.targets import FMU_PARITY
+from firmware_py.realtime.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
 from models.plant.components import lagrange
 from models.plant.components.drives.drive_registry import DRIVES

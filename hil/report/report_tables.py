@@ -14,7 +14,7 @@ from firmware_py.display_units import (
     signal_words,
     symbol_of,
 )
-from firmware_py.targets import (
+from firmware_py.realtime.targets import (
     DI_GAIN_DEGREE,
     DI_GAIN_FRACTION,
     FMU_PARITY,

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from firmware_py.documents import Document
 from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
+from firmware_py.realtime.targets import OWN_COST_P50_NS, OWN_COST_P99_NS
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import STAGES
-from firmware_py.targets import OWN_COST_P50_NS, OWN_COST_P99_NS
 from hil.timing.cpu_accounts import ProbeRecord, Releases
 from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
 from hil.verdict import JUnitCase, Verdict, junit_xml

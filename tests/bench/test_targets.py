@@ -5,8 +5,8 @@ import re
 import pytest
 
 from bench.claims.claim_table import ROOT, read_claims
-from firmware_py import targets
-from firmware_py.targets import DI_GAIN_FRACTION, PATH_RMS_TO_RIGID, PLANT_TIP_RMS_M
+from firmware_py.realtime import targets
+from firmware_py.realtime.targets import DI_GAIN_FRACTION, PATH_RMS_TO_RIGID, PLANT_TIP_RMS_M
 
 CLAIMS = {claim.name: claim for claim in read_claims()}
 TRIALS = {
@@ -33,7 +33,7 @@ def test_code_and_documentation_have_one_target(name):
 
 
 def test_no_module_states_a_target_of_its_own():
-    """Numbers of the targets beside a word for a limit, outside `firmware_py.targets`."""
+    """Numbers of the targets beside a word for a limit, outside `firmware_py.realtime.targets`."""
     number = re.compile(
         r"(TARGET|P99|P50|COST|LIMIT_NS)\w*(: Final)? = (1_500_000|1_000_000|500_000|1\.5e6|1e6)\b"
     )
@@ -43,4 +43,4 @@ def test_no_module_states_a_target_of_its_own():
         for path in (ROOT / room).rglob("*.py")
         if number.search(path.read_text(encoding="utf-8"))
     ]
-    assert found == ["firmware_py/targets.py"]
+    assert found == ["firmware_py/realtime/targets.py"]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.log.recording import read_recording
+from firmware_py.realtime.targets import PATH_RMS_TO_RIGID
 from firmware_py.signals import tip_names
-from firmware_py.targets import PATH_RMS_TO_RIGID
 from hil.sil.sil_loop import LOG_NAME
 from hil.timing.timing_document import read_timing
 from models.trials.trial_files import read_trial
