@@ -9,17 +9,13 @@ along the link, a few millimetres, is spread over it.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.files.input_files import read_json
-from firmware_py.link.marker_layout import MarkerLayout, square_layout
-
-__all__ = ["LinkPose", "LinkShape", "pose_link", "shape_of_bundle"]
+__all__ = ["LinkPose", "LinkShape", "pose_link"]
 
 Array = NDArray[np.float64]
 
@@ -27,7 +23,6 @@ STATIONS: Final = 9
 """Points along the centre line that are given beside the marker rows."""
 _CELLS: Final = 24
 """Cells of the midpoint rule along the link: 0.1 mm at a bend of 0.5 rad."""
-_NEEDED: Final = ("base_offset_m", "link_length_m", "link_width_m", "span_position")
 
 
 class LinkShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -37,15 +32,16 @@ class LinkShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ----------
     base_offset_m, length_m : float
         Base plate above the joint axes; length from there to the last marker row.
-    markers : MarkerLayout
-        Places of the markers.
+    rows_m, corners_m : tuple
+        Places of the markers, as in `firmware_py.link.marker_layout.MarkerLayout`.
     bend_ratio : float
         Bend of the span over that of the root under a force at the tip.
     """
 
     base_offset_m: float
     length_m: float
-    markers: MarkerLayout
+    rows_m: tuple[float, ...]
+    corners_m: tuple[tuple[float, float], ...]
     bend_ratio: float
 
 
@@ -70,33 +66,6 @@ class LinkPose(msgspec.Struct, frozen=True):
     rigid_tip: Array
 
 
-def shape_of_bundle(directory: Path) -> LinkShape | None:
-    """Shape of the link of a bundle; None where its plant is missing or is no link.
-
-    Parameters
-    ----------
-    directory : Path
-        The bundle.
-    """
-    path = directory / "plant.json"
-    if not path.is_file():
-        return None
-    plant = read_json(path, "copy or train the bundle again")
-    try:
-        value = {name: float(entry["value"]) for name, entry in plant["parameters"].items()}
-        described = (plant.get("link") or {}).get("markers")
-        offset_m, length_m, width_m, position = (value[name] for name in _NEEDED)
-        ratio = value["root_stiffness_1_nm_rad"] / value["span_stiffness_1_nm_rad"]
-        layout = (
-            msgspec.convert(described, MarkerLayout)
-            if described
-            else square_layout(length_m, width_m)
-        )
-    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError):
-        return None
-    return LinkShape(offset_m, length_m, layout, (1.0 - position) * ratio)
-
-
 def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
     """Pose of the link.
 
@@ -111,7 +80,7 @@ def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
 
     Examples
     --------
-    >>> shape = LinkShape(0.06, 0.94, square_layout(0.94, 0.15), 1.0)
+    >>> shape = LinkShape(0.06, 0.94, (0.235, 0.94), ((0.075, 0.075), (-0.075, -0.075)), 1.0)
     >>> pose = pose_link(shape, np.array([0.0]), np.array([0.0, 0.0, 1.0]))
     >>> pose.centre[-1].round(6).tolist(), pose.markers[0].round(6).tolist()
     ([0.0, 0.0, 1.0], [0.075, 0.075, 0.295])
@@ -121,11 +90,10 @@ def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
     sideways_m = float(np.hypot(own[0], own[1]))
     towards = own[:2] / sideways_m if sideways_m > 0 else np.array([1.0, 0.0])
     root_rad = _root_bend(shape, sideways_m)
-    layout = shape.markers
     stations = np.linspace(0.0, 1.0, STATIONS)
-    rows = np.array(layout.rows_m) / layout.rows_m[-1]
+    rows = np.array(shape.rows_m) / shape.rows_m[-1]
     centre, sections = _sections(shape, root_rad, towards, own, np.concatenate([stations, rows]))
-    corners = np.array([(x, y, 0.0) for x, y in layout.corners_m])
+    corners = np.array([(x, y, 0.0) for x, y in shape.corners_m])
     placed = centre[:, None] + np.einsum("nij,cj->nci", sections, corners)
     lift = np.array([0.0, 0.0, shape.base_offset_m])
     return LinkPose(

@@ -166,7 +166,7 @@ def _entity(name: str, parts: Iterable[tuple[int, bytes]]) -> bytes:
 
 def _surface(edges_m: Array, shape: LinkShape) -> bytes:
     """Skin between the corners of neighbouring sections; empty for fewer than three corners."""
-    around = np.argsort([np.arctan2(y, x) for x, y in shape.markers.corners_m], kind="stable")
+    around = np.argsort([np.arctan2(y, x) for x, y in shape.corners_m], kind="stable")
     count, corners = len(edges_m), len(around)
     if corners < 3:
         return b""

@@ -8,8 +8,9 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from firmware_py.log.link_shape import LinkShape, pose_link, shape_of_bundle
+from firmware_py.link.bundle_shape import shape_of_bundle
+from firmware_py.link.marker_layout import square_layout
+from firmware_py.log.link_shape import LinkShape, pose_link
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import read_recording
 from firmware_py.log.scene import EVERY, SHAPE_KEY, scene_schema
@@ -18,7 +19,8 @@ from models.plant.plant import NOMINAL, read_plant
 from models.shared.kinematics import base_corners_m, base_rotation, rigid_tip_m
 
 OFFSET_M, LENGTH_M, WIDTH_M, POSITION, RATIO = 0.06, 0.95, 0.15, 1 / 3, 1.2
-SHAPE = LinkShape(OFFSET_M, LENGTH_M, square_layout(LENGTH_M, WIDTH_M), RATIO)
+LAYOUT = square_layout(LENGTH_M, WIDTH_M)
+SHAPE = LinkShape(OFFSET_M, LENGTH_M, LAYOUT.rows_m, LAYOUT.corners_m, RATIO)
 ROUNDING_M = 1e-4
 TICKS = 3 * EVERY
 
@@ -36,8 +38,8 @@ def twin_points_m(angle_rad, root_rad):
 def test_a_link_that_does_not_bend_is_the_rigid_one(angle):
     angle = np.array([angle])
     pose = pose_link(SHAPE, angle[0], rigid_tip_m(angle, OFFSET_M, LENGTH_M)[0])
-    rigid = [base_corners_m(angle, OFFSET_M + z, SHAPE.markers.corners_m)[0]
-             for z in SHAPE.markers.rows_m]  # fmt: skip
+    rigid = [base_corners_m(angle, OFFSET_M + z, SHAPE.corners_m)[0]
+             for z in SHAPE.rows_m]  # fmt: skip
     np.testing.assert_allclose(pose.markers, np.concatenate(rigid), atol=1e-9)
     np.testing.assert_allclose(pose.rigid_tip, pose.centre[-1], atol=1e-9)
 
@@ -63,8 +65,8 @@ def test_a_bent_link_follows_the_twin(root):
 
 
 def test_any_layout_of_markers_is_shown():
-    layout = MarkerLayout((0.3, 0.6), ((0.05, 0.0), (-0.05, 0.0)))
-    pose = pose_link(LinkShape(0.0, 0.6, layout, 1.0), np.zeros(1), np.array([0.1, 0.0, 0.58]))
+    shape = LinkShape(0.0, 0.6, (0.3, 0.6), ((0.05, 0.0), (-0.05, 0.0)), 1.0)
+    pose = pose_link(shape, np.zeros(1), np.array([0.1, 0.0, 0.58]))
     assert pose.markers.shape == (4, 3)
     assert np.isfinite(pose.markers).all()
 
@@ -77,7 +79,7 @@ def test_the_shape_comes_from_the_plant_of_a_bundle(tmp_path):
     value = {name: q.value for name, q in plant.parameters.items()}
     ratio = value["root_stiffness_1_nm_rad"] / value["span_stiffness_1_nm_rad"]
     assert shape.bend_ratio == pytest.approx((1 - value["span_position"]) * ratio)
-    assert (shape.length_m, shape.markers.count) == (value["link_length_m"], 16)
+    assert (shape.length_m, len(shape.rows_m)) == (value["link_length_m"], 4)
     document = json.loads((tmp_path / "plant.json").read_text())
     del document["parameters"]["span_position"]
     (tmp_path / "plant.json").write_text(json.dumps(document))
