@@ -127,13 +127,8 @@ def add_observer(
             "again with this plant for the best accuracy",
             file=sys.stderr,
         )
-    reference = parts._replace(predictor=None).model()
-    motion = read_golden(bundle / GOLDEN, parts.dof)
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
-    golden = record_golden(
-        ModelEstimator(reference, predictor.wanted), predictor,
-        motion.angle_rad, motion.current_a, motion.step_s,
-    )  # fmt: skip
+    golden = _expected(read_golden(bundle / GOLDEN, parts.dof), parts, predictor)
     scratch = build_fmu(
         parts.model(),
         bundle / f".{OBSERVER}",
@@ -153,6 +148,15 @@ def add_observer(
     }  # fmt: skip
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
     return bundle / OBSERVER
+
+
+def _expected(motion: Golden, parts: FmuParts, predictor: OnnxPredictor) -> Golden:
+    """Golden ticks of a motion with the answers of the interpreted model."""
+    reference = parts._replace(predictor=None).model()
+    return record_golden(
+        ModelEstimator(reference, predictor.wanted), predictor,
+        motion.angle_rad, motion.current_a, motion.step_s,
+    )  # fmt: skip
 
 
 def _proven(
