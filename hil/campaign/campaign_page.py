@@ -14,7 +14,7 @@ from firmware_py.display_units import DisplayUnit, error_unit, signal_unit, sign
 from firmware_py.signals import unit_of
 from hil.campaign.campaign_cases import CampaignCase
 from hil.campaign.campaign_document import CampaignDocument
-from hil.campaign.campaign_spec import CampaignSpec, axis_names
+from hil.campaign.campaign_spec import CampaignSpec, axis_names, draw_axes
 from hil.campaign.campaign_summary import SummaryRow, summary_rows
 from hil.campaign.kinds.case_kind import CaseKind
 from hil.campaign.result_store import ResultStore
@@ -85,7 +85,7 @@ def write_campaign_page(
     }
     sections = [
         Section("figures", "Figures of all cases", [_overall(figures, rows)]),
-        *(_axis_section(name, figures, rows) for name in axis_names(spec)),
+        *(_axis_section(spec, name, figures, rows) for name in axis_names(spec)),
         Section("failures", "Cases without a result", [_failures(document)]),
         Section("costs", "Costs", [_costs(store, document.code)]),
     ]
@@ -139,7 +139,9 @@ def _quantiles(values: Sequence[float], name: str) -> list[Cell]:
     return [_unit(name).number(v) for v in np.quantile(values, [0.0, 0.5, 0.9, 1.0])]
 
 
-def _axis_section(axis: str, figures: Mapping[str, str], rows: Sequence[SummaryRow]) -> Section:
+def _axis_section(
+    spec: CampaignSpec, axis: str, figures: Mapping[str, str], rows: Sequence[SummaryRow]
+) -> Section:
     values = [_value_of(row, axis) for row in rows]
     levels = list(dict.fromkeys(values))
     words = signal_words(axis.rpartition(".")[2]) if "." not in axis else axis
@@ -149,7 +151,12 @@ def _axis_section(axis: str, figures: Mapping[str, str], rows: Sequence[SummaryR
     elif len(levels) <= MOST_LEVELS:
         parts = [_level_table(axis, words, levels, values, figures, rows)]
     elif all(isinstance(v, int | float) for v in values) and not words.endswith("seed"):
-        panels = [p for n, w in figures.items() if (p := _points(axis, words, n, w, values, rows))]
+        log = draw_axes(spec.draw).get(axis, ("", []))[0] == "log_uniform"
+        panels = [
+            panel
+            for name, figure in figures.items()
+            if (panel := _points(axis, words, (name, figure), values, rows, log=log))
+        ]
         parts = [Figure("", "One point a case.", panels)]
     else:
         parts = [Paragraph(f"{len(levels)} values, each case of its own: see summary.csv.")]
@@ -194,9 +201,10 @@ def _level_text(level: Any, unit: DisplayUnit) -> str:
 
 
 def _points(
-    axis: str, words: str, name: str, figure: str, values: Sequence[Any],
-    rows: Sequence[SummaryRow],
+    axis: str, words: str, shown: tuple[str, str], values: Sequence[Any],
+    rows: Sequence[SummaryRow], *, log: bool,
 ) -> Panel | None:  # fmt: skip
+    name, figure = shown
     pairs = [
         (x, y) for x, r in zip(values, rows, strict=True) if (y := _number(r, name)) is not None
     ]
@@ -207,7 +215,7 @@ def _points(
     unit = signal_unit(axis.rpartition(".")[2]) if unit_of(axis) else DisplayUnit("", 1.0, 2)
     with Drawing() as (drawing, ax):
         ax.plot(unit.shown(x), _unit(name).shown(y), ".", color=BLUE, ms=3, alpha=0.6)
-        if x.min() > 0 and x.max() / x.min() > 20:
+        if log:
             ax.set_xscale("log")
         ax.set(xlabel=unit.label(words), ylabel=_unit(name).label(figure))
     middle, most = _unit(name).text(np.median(y)), _unit(name).text(y.max())
