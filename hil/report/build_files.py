@@ -17,7 +17,14 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_json
 from models.study.study_document import StudyDocument, read_study
 
-__all__ = ["BuildFiles", "StudyFiles", "directories_with", "find_files", "find_studies"]
+__all__ = [
+    "BuildFiles",
+    "StudyFiles",
+    "directories_with",
+    "find_files",
+    "find_studies",
+    "is_bundle",
+]
 
 _KEYS: Final = {
     "plant": {"drive", "load", "parameters"},
@@ -84,6 +91,19 @@ def directories_with(directory: Path, name: str, usual: Sequence[str] = ()) -> l
     return sorted(found, key=lambda p: (not p.name.startswith(tuple(usual)), p.name))
 
 
+def is_bundle(directory: Path) -> bool:
+    """Whether a directory holds the robot's bundle; one written for its study alone is none.
+
+    Parameters
+    ----------
+    directory : Path
+        With a study.
+    """
+    if directory.name.startswith(("bundle_", "study_")):
+        return directory.name.startswith("bundle_")
+    return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
+
+
 def find_files(directory: Path) -> BuildFiles:
     """Sort the JSON files of a build directory.
 
@@ -121,7 +141,7 @@ def find_studies(directory: Path) -> StudyFiles:
     for path in directories_with(directory, "study.json", ("bundle_",)):
         study = read_study(path / "study.json")
         phases = study.training.phase_2_rad
-        of_bundle = path.name.startswith("bundle_") or (path / "manifest.json").is_file()
+        of_bundle = is_bundle(path)
         phase_deg = round(float(np.degrees(phases[0]))) if len(phases) == 1 else None
         if study.dof not in found.of_robot and (of_bundle or study.dof == 1 or phase_deg is None):
             found.of_robot[study.dof] = study

@@ -37,6 +37,7 @@ from hil.report.build_files import (
     directories_with,
     find_files,
     find_studies,
+    is_bundle,
 )
 from hil.timing.timing_document import TimingDocument, read_timing
 from models.plant.plant import Plant, read_plant
@@ -227,7 +228,10 @@ def read_build(directory: Path) -> BuildInputs:
 def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
     """Bundles by number of joints, those with the usual name first."""
     found: dict[int, tuple[Path, Manifest]] = {}
-    for path in directories_with(directory, "manifest.json", ("bundle_",)):
+    paths = directories_with(directory, "manifest.json", ("bundle_",))
+    for path in sorted(paths, key=lambda p: not is_bundle(p)):
+        if path.name.startswith("study_"):
+            continue
         manifest = read_manifest(path)
         found.setdefault(manifest.dof, (path, manifest))
     return found

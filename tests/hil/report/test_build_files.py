@@ -35,6 +35,18 @@ def test_files_are_found_by_what_they_hold(build, renamed):
     assert found.left_out == []
 
 
+def test_a_study_written_with_a_bundle_around_it_stays_a_study(build, tmp_path):
+    """`models train --study-only` writes a manifest too, which is no robot's."""
+    for name in ("bundle_1dof", "bundle_2dof", "study_2dof_phase0", "study_2dof_phase90"):
+        shutil.copytree(build / name, tmp_path / name)
+    for phase in (0, 90):
+        (tmp_path / f"study_2dof_phase{phase}" / "manifest.json").write_text("{}")
+    usual, found = read_build(build), read_build(tmp_path)
+    assert found.motions == usual.motions
+    assert found.manifests == usual.manifests
+    assert found.left_out == []
+
+
 def test_what_has_no_place_is_listed(renamed):
     shutil.copytree(renamed / "arm", renamed / "bundle_1dof")
     shutil.copytree(renamed / "a", renamed / "c")
