@@ -102,8 +102,7 @@ def pattern_case(rig: int, links: int, directory: str) -> None:
             continue
         residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
         estimator = GaussNewton(residuals, floor)
-        every = np.ones(len(residuals.fit_parameters), bool)
-        point = estimator.fit(estimator.start(), every, residuals.settings.nuisance_fit_steps)
+        point = estimator.fit_nuisance(estimator.start())
         (group,) = residuals.groups
         hz = group_frequencies_hz(group, residuals.trials)
         scale = np.array([floor.own_error(s, hz) for s in group.signals])

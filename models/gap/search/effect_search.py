@@ -84,11 +84,10 @@ class EffectSearch:
 
     def search(self) -> SearchResult:
         """Run the whole search."""
-        steps = self.settings.nuisance_fit_steps
         before = zero = self.estimator.start()
         for _ in range(self.settings.widening_rounds):  # the floor depends on the gap that is left
             self._widen(before)
-            before = self.estimator.fit(self.estimator.at(before.values), self.base, steps)
+            before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         zero = self.estimator.linearise(self.estimator.at(zero.values))
         self.estimator.linearise(before)
         self.report("nuisance fitted")
