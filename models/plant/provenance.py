@@ -115,6 +115,10 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Mean error: group of trials → payload in kg → signal → spectrum.
     rest_s : dict of str to float
         Rest before the motion by group of trials; the rig's where it is left out.
+    payload_ratio_hz : str
+        Frequencies of `noise_ratio` and `model_ratio`.
+    noise_ratio, model_ratio : dict
+        Variance at one payload over its mean: payload in kg → signal → ratios.
     """
 
     frequency_hz: str
@@ -123,6 +127,9 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     model: dict[str, str]
     curves: dict[str, dict[str, dict[str, str]]]
     rest_s: dict[str, float] = {}
+    payload_ratio_hz: str = "0"
+    noise_ratio: dict[str, dict[str, str]] = {}
+    model_ratio: dict[str, dict[str, str]] = {}
 
 
 class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

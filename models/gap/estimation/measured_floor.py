@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz, smoothed
+from models.gap.estimation.payload_ratios import NO_RATIOS, payload_ratios
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -71,6 +72,7 @@ def floor_from_residuals(
     model: dict[str, list[Array]] = {s: [] for s in signals}
     curves: dict[str, dict[float, dict[str, Array]]] = {}
     rest_s: dict[str, float] = {}
+    ratios = NO_RATIOS
     repeats = []
     for group, residual in zip(groups, rows, strict=True):
         own = group_frequencies_hz(group, trials)
@@ -91,15 +93,20 @@ def floor_from_residuals(
             noise[signal].append(np.interp(hz, own, varying))
             model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
         if split:
+            by_payload = {
+                float(p): part for p, part in zip(np.unique(payloads), parts, strict=True)
+            }
+            if ratios is NO_RATIOS:
+                ratios = payload_ratios(own, group.signals, by_payload)
             first = trials[group.trials[0]]
             rest_s.setdefault(group.key, first.meta.rest_samples * first.step_s)
-            for p, part in zip(np.unique(payloads), parts, strict=True):
-                own_curves = curves.setdefault(group.key, {}).setdefault(float(p), {})
+            for p, part in by_payload.items():
+                own_curves = curves.setdefault(group.key, {}).setdefault(p, {})
                 for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
                     own_curves.setdefault(s, curve)
     return NoiseFloor(
         hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated,
-        rest_s=rest_s,
+        rest_s=rest_s, ratios=ratios,
     )  # fmt: skip
 
 

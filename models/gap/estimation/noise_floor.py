@@ -6,7 +6,9 @@ effect, which repeats whenever a trial is repeated::
 
     V = noise · I + (s model + noise / R) · C,   C_ij = exp(−|payload_i − payload_j| / reach)
 
-so ten repetitions of one error weigh no more than one. The plant file carries both, and the mean
+so ten repetitions of one error weigh no more than one. Both grow with the payload
+(`models.gap.estimation.payload_ratios`); the spectra are means over payloads. The plant file
+carries them, and the mean
 curve over R repetitions of the error for every motion that `identify` used; where a trial repeats
 such a motion the curve is subtracted: of the model's part only a fraction
 s = `GapSettings.model_error_left_fraction`² remains, and the curve's own noise is added. Elsewhere
@@ -27,6 +29,7 @@ import numpy as np
 
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.gap.estimation.payload_ratios import NO_RATIOS, PayloadRatios
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -52,8 +55,9 @@ class NoiseFloor:
         Trials that went into each mean curve.
     learned : bool
         Whether the plant file carried it.
-    formulation : dict of str to ndarray, shape (F,)
-        Error of the equations of the effects named so far; correlated like the model's error.
+    formulation : dict
+        Error of the equations of the effects named so far, by payload in kg and signal, (F,);
+        correlated like the model's error.
     rest_s : dict of str to float
         Rest before the motion by group key of `curves`; the rig's where it is not told.
     patterns : ModelDiscrepancy, optional
@@ -61,6 +65,8 @@ class NoiseFloor:
     link_change : float
         How much the link differs from the one that the plant was identified on, relative to the
         links that the patterns were measured on: the patterns grow with it.
+    ratios : PayloadRatios
+        Of noise and model at each payload to their means.
     """
 
     frequency_hz: Array
@@ -69,10 +75,11 @@ class NoiseFloor:
     curves: Mapping[str, PayloadCurves] = field(default_factory=dict)
     repeats: float = 1.0
     learned: bool = True
-    formulation: Mapping[str, Array] = field(default_factory=dict)
+    formulation: PayloadCurves = field(default_factory=dict)
     rest_s: Mapping[str, float] = field(default_factory=dict)
     patterns: ModelDiscrepancy | None = None
     link_change: float = 1.0
+    ratios: PayloadRatios = NO_RATIOS
 
     def own_error(self, signal: str, hz: Array) -> Array:
         """Standard deviation of the mean error that `identify` left, at some frequencies.
@@ -161,14 +168,23 @@ class NoiseFloor:
         settings : GapSettings
             Tuned numbers.
         """
-        table: dict[str, list[Array]] = {}
+        table: dict[float, dict[str, list[Array]]] = {}
         for group, rows in zip(groups, gap, strict=True):
             hz = group_frequencies_hz(group, trials)
-            power = settings.equation_error_fraction**2 * np.mean(rows**2, axis=0)
-            for signal, row in zip(group.signals, power, strict=True):
-                smooth = smoothed(row, settings)
-                table.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
-        return replace(self, formulation={s: np.mean(rows, axis=0) for s, rows in table.items()})
+            payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
+            for payload in np.unique(payloads):
+                power = np.mean(rows[payloads == payload] ** 2, axis=0)
+                own = table.setdefault(float(payload), {})
+                for signal, row in zip(group.signals, power, strict=True):
+                    smooth = settings.equation_error_fraction**2 * smoothed(row, settings)
+                    own.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
+        return replace(
+            self,
+            formulation={
+                p: {s: np.mean(parts, axis=0) for s, parts in own.items()}
+                for p, own in table.items()
+            },
+        )
 
     def completed_by(self, other: NoiseFloor) -> NoiseFloor:
         """Floor with the spectra of another one for the signals that it lacks.
@@ -215,21 +231,35 @@ class NoiseFloor:
                 result[s] = 0.0
                 continue
             left, own_noise = (remains, 1 / self.repeats) if signal in known else (1.0, 0.0)
-            noise, model = (
-                np.interp(hz, self.frequency_hz, table[signal])
-                for table in (self.noise, self.model)
-            )
-            largest = float(max(np.max(noise), np.max(model)))
-            noise = np.maximum(noise, settings.least_noise_fraction * max(largest, 1e-12))
-            shared = left * model + own_noise * noise
-            if signal in self.formulation:
-                missed = np.interp(hz, self.frequency_hz, self.formulation[signal])
-                repeated = settings.equation_error_repeated_fraction
-                shared += repeated * missed
-                noise = noise + (1 - repeated) * missed
-            variance = noise[:, None, None] * np.eye(len(own)) + shared[:, None, None] * alike
+            noise, model = self._by_trial(signal, payload, hz, settings)
+            missed = np.array([self._missed(signal, p, hz) for p in payload])
+            repeated = settings.equation_error_repeated_fraction
+            shared = np.sqrt(left * model + own_noise * noise + repeated * missed)
+            drawn = noise + (1 - repeated) * missed
+            variance = drawn.T[:, :, None] * np.eye(len(own))
+            variance += shared.T[:, :, None] * shared.T[:, None, :] * alike
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
+
+    def _by_trial(
+        self, signal: str, payloads_kg: Array, hz: Array, settings: GapSettings
+    ) -> tuple[Array, Array]:
+        """Noise and model of each trial, shape (trials, K)."""
+        noise, model = (
+            np.interp(hz, self.frequency_hz, table[signal]) for table in (self.noise, self.model)
+        )
+        largest = float(max(np.max(noise), np.max(model)))
+        least = settings.least_noise_fraction * max(largest, 1e-12)
+        noise_by = [noise * self.ratios.noise_at(signal, p, hz) for p in payloads_kg]
+        model_by = [model * self.ratios.model_at(signal, p, hz) for p in payloads_kg]
+        return np.maximum(noise_by, least), np.array(model_by)
+
+    def _missed(self, signal: str, payload_kg: float, hz: Array) -> Array:
+        """Error of the equations named so far at a payload, shape (K,)."""
+        own = self.formulation.get(payload_kg, {})
+        if signal not in own:
+            return np.zeros(len(hz))
+        return np.interp(hz, self.frequency_hz, own[signal])
 
     def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Error to expect of the plant, shape (trials, signals, K); zero where none is known.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.payload_ratios import PayloadRatios, RatioTable
 from models.gap.residuals.spectrum import Array
 from models.plant.provenance import FloorRecord
 
@@ -21,6 +24,9 @@ def floor_to_record(floor: NoiseFloor) -> FloorRecord:
             for key, table in floor.curves.items()
         },
         rest_s=dict(floor.rest_s),
+        payload_ratio_hz=_text(floor.ratios.frequency_hz),
+        noise_ratio=_ratio_text(floor.ratios.noise),
+        model_ratio=_ratio_text(floor.ratios.model),
     )
 
 
@@ -36,7 +42,20 @@ def floor_from_record(record: FloorRecord) -> NoiseFloor:
         },
         record.repeats,
         rest_s=record.rest_s,
+        ratios=PayloadRatios(
+            _row(record.payload_ratio_hz),
+            _ratio_rows(record.noise_ratio),
+            _ratio_rows(record.model_ratio),
+        ),
     )
+
+
+def _ratio_text(table: RatioTable) -> dict[str, dict[str, str]]:
+    return {f"{p:g}": {s: _text(v) for s, v in own.items()} for p, own in table.items()}
+
+
+def _ratio_rows(table: Mapping[str, Mapping[str, str]]) -> dict[float, dict[str, Array]]:
+    return {float(p): {s: _row(v) for s, v in own.items()} for p, own in table.items()}
 
 
 def _text(row: Array) -> str:

@@ -1,0 +1,107 @@
+"""Ratios of the noise floor at one payload to the floor over all payloads, by frequency.
+
+A heavy payload brings the link near its limit: below 2 Hz two trials of one motion differ there by
+ten to forty times the power that they differ by without any, and the plant's own error grows alike.
+One floor for all payloads hides a small effect in the trials without payload, and takes the scatter
+of the heaviest for an effect. Ratios are of power, smoothed over half the frequency to either side,
+with one sample of the common floor added to each: they are told from few repetitions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from models.gap.residuals.spectrum import Array, smoothed_power
+
+SMOOTHING_FRACTION: Final = 0.5
+"""Half width of the smoothing, as a fraction of the frequency [assumed]."""
+
+SMOOTHING_COEFFICIENTS: Final = 8
+"""Least half width, in coefficients: seventeen coefficients are averaged [assumed]."""
+
+COMMON_SHARE: Final = 1 / (2 * SMOOTHING_COEFFICIENTS + 2)
+"""Weight of the common floor beside those of a window: one coefficient."""
+
+POINTS: Final = 12
+"""Frequencies that ratios are kept at [assumed]."""
+
+RatioTable = Mapping[float, Mapping[str, Array]]
+"""Ratios of power, shape (POINTS,), by payload in kg and signal."""
+
+
+@dataclass(frozen=True)
+class PayloadRatios:
+    """Ratios by payload and signal.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray, shape (POINTS,)
+        Where the ratios are known.
+    noise, model : dict
+        Of what differs between repetitions, and of the plant's own error.
+    """
+
+    frequency_hz: Array
+    noise: RatioTable = field(default_factory=dict)
+    model: RatioTable = field(default_factory=dict)
+
+    def noise_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
+        """Ratio of the noise at a payload, shape (K,); ones where none is known."""
+        return self._at(self.noise, signal, payload_kg, hz)
+
+    def model_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
+        """Ratio of the plant's own error at a payload, as `noise_at`."""
+        return self._at(self.model, signal, payload_kg, hz)
+
+    def _at(self, table: RatioTable, signal: str, payload_kg: float, hz: Array) -> Array:
+        """Logarithm interpolated in payload and frequency; beyond the ends the last value holds."""
+        known = sorted(p for p, own in table.items() if signal in own)
+        if not known:
+            return np.ones(len(hz))
+        rows = np.log(np.array([table[p][signal] for p in known]))
+        own = np.array([np.interp(payload_kg, known, column) for column in rows.T])
+        return np.asarray(np.exp(np.interp(hz, self.frequency_hz, own)))
+
+
+NO_RATIOS: Final = PayloadRatios(np.zeros(1))
+
+
+def payload_ratios(
+    hz: Array, signals: Sequence[str], parts: Mapping[float, Array]
+) -> PayloadRatios:
+    """Ratios from residuals of repeated trials; none where a payload or a repetition is alone.
+
+    Parameters
+    ----------
+    hz : ndarray, shape (K,)
+        Frequencies of the coefficients.
+    signals : sequence of str
+        Of the residuals.
+    parts : mapping of float to ndarray, shape (repetitions, signals, K)
+        Residual spectra by payload in kg.
+    """
+    if len(parts) < 2 or any(len(rows) < 2 for rows in parts.values()):
+        return NO_RATIOS
+    within = {p: np.var(rows, axis=0, ddof=1) for p, rows in parts.items()}
+    standing = {p: np.mean(rows, axis=0) ** 2 for p, rows in parts.items()}
+    at = np.geomspace(hz[1], hz[-1], POINTS)
+    return PayloadRatios(at, _ratios(within, hz, at, signals), _ratios(standing, hz, at, signals))
+
+
+def _ratios(
+    power: Mapping[float, Array], hz: Array, at: Array, signals: Sequence[str]
+) -> dict[float, dict[str, Array]]:
+    smooth = {
+        p: smoothed_power(rows, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
+        for p, rows in power.items()
+    }
+    common = np.maximum(np.mean(list(smooth.values()), axis=0), np.finfo(float).tiny)
+    result: dict[float, dict[str, Array]] = {}
+    for p, rows in smooth.items():
+        ratio = (1 - COMMON_SHARE) * rows / common + COMMON_SHARE
+        result[p] = {s: np.interp(at, hz, row) for s, row in zip(signals, ratio, strict=True)}
+    return result
