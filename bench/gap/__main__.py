@@ -81,6 +81,7 @@ def main() -> None:
     add("--outside", type=int, default=20, help="effect denied to the catalogue")
     add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
     add("--seed", type=int, default=0, help="of the draw")
+    add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
     args = parser.parse_args()
@@ -115,7 +116,8 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
         return cases_of_run(args.like)
     cases: list[BenchCase] = []
     for rig in args.rigs or [DEFAULT_RIG]:
-        own = list(draw_cases(args.singles, args.nulls, args.pairs, args.outside, args.seed, rig))
+        counts = args.singles, args.nulls, args.pairs, args.outside
+        own = list(draw_cases(*counts, args.seed, rig, same_link=args.same_link))
         cases += own if args.most is None else mixed_cases(own, args.most)
     return cases
 

@@ -1,7 +1,8 @@
 """Cases of the benchmark: effects hidden in the rig, drawn at random.
 
 The rig has its own formulation of every effect. Its stiffness, mass and damping are drawn anew in
-each case, so that the plant, identified on the default rig, is never nominally right. Strengths are
+each case, so that the plant is never nominally right: it was identified on another link. With
+`same_link` they stay: the robot is the one that the plant was identified on. Strengths are
 drawn log-uniformly within a factor of two around what would be noticed on the bench (`TYPICAL`), or
 around a fifth of it.
 """
@@ -72,7 +73,13 @@ class BenchCase:
 
 
 def draw_cases(
-    singles: int, nulls: int, pairs: int, outside: int, seed: int, rig: str = DEFAULT_RIG
+    singles: int,
+    nulls: int,
+    pairs: int,
+    outside: int,
+    seed: int,
+    rig: str = DEFAULT_RIG,
+    same_link: bool = False,
 ) -> Iterator[BenchCase]:
     """Draw cases; those of each rig differ.
 
@@ -86,6 +93,8 @@ def draw_cases(
         Of the draw.
     rig : str
         Name of the rig.
+    same_link : bool
+        Whether the link is the one that the plant was identified on.
     """
     own = [] if rig == DEFAULT_RIG else [zlib.crc32(rig.encode())]
     rng = np.random.default_rng([seed, *own] if own else seed)
@@ -94,6 +103,7 @@ def draw_cases(
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
         nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
         strengths = {e: _strength(rng, e, size) for e, size in hidden}
+        nuisance = {} if same_link else nuisance
         return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig)
 
     for _ in range(singles):
