@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
-from models.gap.acceptance import Acceptance
+from models.gap.decision import decide
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
-from models.gap.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.gap_verdict import GapVerdict
 from models.gap.improved_plant import improved_plant
 from models.gap.residuals.fit_parameters import (
     FitParameter,
@@ -202,14 +202,9 @@ def diagnose(
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     hypotheses = posterior_of(search, result)
-    acceptance = Acceptance(search, result)
-    accepted = acceptance.accepted()
+    decision = decide(search, result)
+    result, accepted = decision.result, decision.accepted
     report("tested on what was left out")
-    consistencies = consistencies_of_named(search, result)
-    verdict, left = gap_verdict(search, result, consistencies)
-    if verdict in ("not in the catalogue", "no gap"):
-        accepted = acceptance.without_stand_ins(accepted, verdict)
-        left = left if result.named else float(verdict != "no gap")
     located, remaining = (
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
         for p in (result.before, result.after)
@@ -219,8 +214,8 @@ def diagnose(
         improved=improved_plant(plant, search, result, accepted.point, accepted.free, recorded),
         trials=trials,
         settings=settings,
-        verdict=verdict,
-        gap_left_fraction=left,
+        verdict=decision.verdict,
+        gap_left_fraction=decision.gap_left_fraction,
         floor=floor,
         null_distribution=search.null_distribution,
         dispersion=search.dispersion(result.before),
@@ -239,7 +234,7 @@ def diagnose(
         named=tuple(result.named),
         inclusions=_inclusions(result, settings),
         hypotheses=hypotheses,
-        strength_consistency=consistencies,
+        strength_consistency=dict(decision.consistencies),
         screened=result.screened,
         refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},
         rejected=rejected_effects(result, search.null_distribution),

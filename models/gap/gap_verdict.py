@@ -49,9 +49,11 @@ def gap_verdict(
     A named effect is a stand-in where its strength would have to differ from one payload, signal or
     band to the next, where most of the gap is left, or where the gap went into the variation
     between trials. A stand-in in a residual that the plant's own error reaches says nothing: the
-    verdict is "no gap". What is left does not count where a named effect takes out of that
-    variation what had gone into it. Without a learned noise floor nobody knows what noise is:
-    then neither "no gap" nor "closed" nor "reduced" can be said, and the verdict is "no floor".
+    verdict is "no gap". In such a residual most may well be the plant's own error: what is left
+    does not count there if every named effect stands out clearly. Nor does it count where a named
+    effect takes out of that variation what had gone into it. Without a learned noise floor nobody
+    knows what noise is: then neither "no gap" nor "closed" nor "reduced" can be said, and the
+    verdict is "no floor".
 
     Parameters
     ----------
@@ -81,11 +83,27 @@ def gap_verdict(
     gap = search.has_gap(result.before)
     if biased or (unclosed and gap) or (differing and (gap or not search.learned)):
         return "not in the catalogue", left
-    if search.learned and (unclosed or differing):
+    if search.learned and (differing or (unclosed and not stands_out_clearly(search, result))):
         return "no gap", left
     if not search.learned:
         return "no floor", left
     return ("reduced" if search.has_gap(result.after) else "closed"), left
+
+
+def stands_out_clearly(search: EffectSearch, result: SearchResult) -> bool:
+    """Whether every named effect exceeds what any effect showed in residuals without one.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    """
+    size = np.sqrt(max(search.mean_residual(result.after), 1.0))
+    least = search.settings.clear_separation_fraction * size
+    kept = [c for c in result.chosen if set(c.effects) & set(result.named)]
+    return all(c.separation >= least * c.least for c in kept)
 
 
 def _power_beyond_noise(search: EffectSearch, rows: Sequence[Array]) -> float:

@@ -11,8 +11,8 @@ so ten repetitions of one error weigh no more than one. Both grow with the paylo
 carries them, and the mean curve over R repetitions of the error for every motion that `identify`
 used; where a trial repeats such a motion the curve is subtracted: of the model's part only a
 fraction s = `GapSettings.model_error_left_fraction`² remains, and the curve's own noise is added.
-Elsewhere s = 1 and the last term is absent. Variation between trials (pressure, friction, …) is not part of
-the floor: it is fitted, within its prior.
+Elsewhere s = 1 and the last term is absent. Variation between trials (pressure, friction, …) is not
+part of the floor: it is fitted, within its prior.
 
 Where the plant file carries no floor, the residual's own spectrum after the nuisance fit takes its
 place (`floor_of_residual`): then only an effect that explains the residual better than any noise of

@@ -16,7 +16,7 @@ One round of the search, repeated after each inclusion with everything tried aga
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -33,6 +33,10 @@ from models.gap.search.cross_validation import held_out_gain
 from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcited_effects
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import null_distribution_of
+from models.gap.search.several_starts import (
+    refitted_from_both_signs,
+    refitted_from_far_strengths,
+)
 from models.gap.search.strength_consistency import strength_consistency_of
 from models.plant.effects import EFFECTS
 
@@ -60,6 +64,8 @@ class EffectSearch:
         Fit parameters of each effect.
     held : ndarray of bool, shape (p,)
         Fit parameters that keep the plant's value because they ended at a bound.
+    excluded : frozenset of str
+        Effects that were refused in an earlier search.
     """
 
     def __init__(
@@ -81,9 +87,10 @@ class EffectSearch:
         }
         self.absent = [e for e in catalogue if e not in self.of]
         self.held = np.zeros(len(self.fit_parameters), dtype=bool)
+        self.excluded: frozenset[str] = frozenset()
 
     def search(self) -> SearchResult:
-        """Run the whole search."""
+        """Result of the whole search."""
         before = zero = self.estimator.start()
         for _ in range(self.settings.widening_rounds):  # the floor depends on the gap that is left
             self._widen(before)
@@ -92,24 +99,42 @@ class EffectSearch:
         self.estimator.linearise(before)
         self.report("nuisance fitted")
         found = SearchResult(before, before)
-        found.unexcited = self.absent + unexcited_effects(
-            self.estimator, before, self.base, self.of
-        )
+        flat = unexcited_effects(self.estimator, before, self.base, self.of)
+        found.unexcited = self.absent + flat
+        self._round(found, [zero])
+        self._include(found)
+        return found
+
+    def search_without(self, earlier: SearchResult, effects: Collection[str]) -> SearchResult:
+        """Search from an earlier first round on, without effects that were refused.
+
+        Parameters
+        ----------
+        earlier : SearchResult
+            Of `search`, on a learned floor.
+        effects : collection of str
+            That may not be named.
+        """
+        self.held[:] = False
+        self.excluded = frozenset(effects)
+        found = replace(
+            earlier, after=earlier.before, named=[], chosen=[], refused=[],
+            rounds=earlier.rounds[:1],
+        )  # fmt: skip
+        self._include(found)
+        return found
+
+    def _include(self, found: SearchResult) -> None:
+        """Include the best candidates of the last round, and go on with further rounds."""
         while len(found.named) < self.settings.most_named:
             here = found.after
-            screen = self._screen(here, [zero] if not found.named else [], found)
-            if not found.named:
-                found.screened = {e: c.separation for (e,), c in screen.items()}
-            best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)
-            best = best[: self._most_refitted()]
-            refitted = [self._refit(c, here, found) for c in best]
-            refitted.sort(key=lambda c: c.score, reverse=True)
-            found.rounds.append(refitted)
-            choice = self._accept(refitted, here, found)
+            if found.named:
+                self._round(found, [])
+            choice = self._accept(found.rounds[-1], here, found)
             if choice is None and (self._is_open(here) or not (self.learned or found.named)):
                 choice = self._pairs(here, found)
             if choice is None:
-                break
+                return
             found.named += list(choice.effects)
             self.held[list(choice.held)] = True
             found.chosen.append(choice)
@@ -120,7 +145,15 @@ class EffectSearch:
                 self._delete(found)
             elif len(found.chosen) == 1:
                 self._flatten(found)
-        return found
+
+    def _round(self, found: SearchResult, others: Sequence[FitPoint]) -> None:
+        """Screen every effect and refit the best candidates."""
+        screen = self._screen(found.after, others, found)
+        if not found.named:
+            found.screened = {e: c.separation for (e,), c in screen.items()}
+        best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)
+        refitted = [self._refit(c, found.after, found) for c in best[: self._most_refitted()]]
+        found.rounds.append(sorted(refitted, key=lambda c: c.score, reverse=True))
 
     @cached_property
     def held_out(self) -> HeldOut:
@@ -153,7 +186,7 @@ class EffectSearch:
     ) -> dict[tuple[str, ...], Candidate]:
         """One simulated step of each effect that is not yet named."""
         result: dict[tuple[str, ...], Candidate] = {}
-        for effect in (e for e in self.of if e not in found.named):
+        for effect in self._choices(found):
             free = self.free([*found.named, effect])
             tried, predicted = [here], 0.0
             for start in [here, *others]:
@@ -169,52 +202,24 @@ class EffectSearch:
         self.report(f"{len(result)} effects screened")
         return result
 
-    def _refit(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> Candidate:
-        """Fit a candidate from its screened start, from zero and from the other sign.
+    def _choices(self, found: SearchResult) -> list[str]:
+        """Effects that may still be named."""
+        return [e for e in self.of if e not in found.named and e not in self.excluded]
 
-        The present fit is among the starts, so the cost of a nested model never rises.
-        """
-        settings = self.settings
-        free = self.free([*found.named, *candidate.effects])
-        starts = [candidate.point]
-        mirrored = candidate.point.values.copy()
+    def _refit(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> Candidate:
+        """Fit a candidate from its screened start, from zero and from the other sign."""
         own = self.free(candidate.effects) & ~self.base
-        mirrored[own] = np.clip(-mirrored[own], self.estimator.low[own], self.estimator.high[own])
-        if np.any(mirrored != candidate.point.values):
-            starts.append(self.estimator.carry(here, self.estimator.at(mirrored)))
-        first = [
-            self.estimator.fit(start, free, settings.candidate_start_steps)
-            for start in starts
-            if start.cost < np.inf
-        ]
-        steps, relative = settings.candidate_fit_steps, settings.candidate_relative_fall
-        best = min([here, *first], key=lambda p: p.cost)
-        point = self.estimator.fit(best, free, steps, relative)
+        free = self.free([*found.named, *candidate.effects])
+        point = refitted_from_both_signs(self.estimator, candidate.point, here, free, own)
         self.report(" + ".join(candidate.effects))
         found.explore([*found.named, *candidate.effects], point)
         return self._candidate(candidate.effects, point, here)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
-        """Fit of the choice; where much is left, also from strengths far from the search's.
-
-        A delay and friction that compensate each other form separate valleys of the cost, and no
-        step leads from one into the next.
-        """
-        settings, steps = self.settings, self.settings.nuisance_fit_steps
-        best = self.estimator.fit(choice.point, free, steps)
-        if not self._is_open(best):
-            return best
-        ends = [best]
-        for effect, fraction in itertools.product(choice.effects, settings.restart_bound_fractions):
-            k = int(np.flatnonzero(self.of[effect])[0])
-            strength, values = self.fit_parameters[k], best.values.copy()
-            values[k] = fraction * (strength.high if fraction > 0 else -strength.low)
-            start = self.estimator.at(values)
-            if start.cost < np.inf:
-                carried = self.estimator.carry(here, start)
-                ends.append(self.estimator.fit(carried, free, settings.restart_steps))
-        nearest = min(ends, key=lambda p: p.cost)
-        return best if nearest is best else self.estimator.fit(nearest, free, steps)
+        strengths = [int(np.flatnonzero(self.of[e])[0]) for e in choice.effects]
+        return refitted_from_far_strengths(
+            self.estimator, choice.point, here, free, strengths, self._is_open
+        )
 
     def _accept(
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
@@ -231,7 +236,7 @@ class EffectSearch:
                 enough = candidate.score >= self.settings.acceptable_score_fraction * best
                 enough = enough and self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
-            if not enough:
+            if not enough or self.excluded & set(candidate.effects):
                 continue
             bounded = bounded_candidate(self.estimator, candidate, here, own, found.refused)
             if not bounded:
@@ -300,10 +305,10 @@ class EffectSearch:
 
     def _pairs(self, here: FitPoint, found: SearchResult) -> Candidate | None:
         """Best pair of effects, by the prediction of derivatives, then refitted."""
-        if len(found.named) + 2 > self.settings.most_named:
+        if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
         predicted = []
-        for pair in itertools.combinations((e for e in self.of if e not in found.named), 2):
+        for pair in itertools.combinations(self._choices(found), 2):
             step, gain = self.estimator.step(here, self.free([*found.named, *pair]))
             predicted.append((gain, pair, step))
         predicted.sort(key=lambda row: -row[0])

@@ -1,0 +1,99 @@
+"""Decision on a search: what is accepted, its verdict, and what is named in place of what fails.
+
+Several effects often explain a gap almost equally well. Where the best one is refused, because its
+value ends at a bound, because it does not lower the held-out error, or because its strength is not
+the same everywhere, another may pass every test: the search goes on from its first round without
+what was refused. Where none passes, the decision on the first one stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from models.gap.acceptance import Acceptance, AcceptedFit
+from models.gap.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.search.candidate import SearchResult
+from models.gap.search.effect_search import EffectSearch
+from models.gap.search.refused_effect import RefusalKind
+from models.gap.search.strength_consistency import StrengthConsistency
+
+OF_THE_EFFECT: Final[frozenset[RefusalKind]] = frozenset(
+    {"at a bound", "impossible", "held-out error", "rise of a signal"}
+)
+"""Refusals that speak against one effect, not against every effect of the catalogue."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Outcome of the tests of one search.
+
+    Attributes
+    ----------
+    result : SearchResult
+        Of the search; `named` holds what was accepted.
+    accepted : AcceptedFit
+        Fit that the improved plant is written from.
+    consistencies : dict of str to StrengthConsistency
+        Of the effects that the tests left.
+    verdict : str
+        See `models.gap.gap_verdict.GapVerdict`.
+    gap_left_fraction : float
+        Fraction of the gap's amplitude that is left.
+    """
+
+    result: SearchResult
+    accepted: AcceptedFit
+    consistencies: Mapping[str, StrengthConsistency]
+    verdict: GapVerdict
+    gap_left_fraction: float
+
+
+def decide(search: EffectSearch, result: SearchResult) -> Decision:
+    """Decision on a search and, where its first choice was refused, on its alternatives.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    """
+    first = decision = _decision(search, result)
+    excluded: set[str] = set()
+    for _ in range(search.settings.most_alternatives):
+        if not search.learned or not _first_choice_refused(decision):
+            break
+        excluded |= set(decision.result.chosen[0].effects)
+        decision = _decision(search, search.search_without(result, excluded))
+        refused = [*first.result.refused, *decision.result.refused]
+        if decision.result.named:
+            decision.result.refused = refused
+            return decision
+        first.result.refused = refused
+    return first
+
+
+def _decision(search: EffectSearch, result: SearchResult) -> Decision:
+    acceptance = Acceptance(search, result)
+    accepted = acceptance.accepted()
+    consistencies = consistencies_of_named(search, result)
+    verdict, left = gap_verdict(search, result, consistencies)
+    if verdict in ("not in the catalogue", "no gap"):
+        accepted = acceptance.without_stand_ins(accepted, verdict)
+        left = left if result.named else float(verdict != "no gap")
+    return Decision(result, accepted, consistencies, verdict, left)
+
+
+def _first_choice_refused(decision: Decision) -> bool:
+    """Whether the tests speak against the first choice itself, and nothing else is named."""
+    result = decision.result
+    if result.named or not result.chosen:
+        return False
+    effects = set(result.chosen[0].effects)
+    if any(not c.holds for e, c in decision.consistencies.items() if e in effects):
+        return True
+    return any(
+        r.kind in OF_THE_EFFECT and set(r.effect.split(" + ")) & effects for r in result.refused
+    )

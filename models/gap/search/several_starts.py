@@ -1,0 +1,85 @@
+"""Fits of an effect from several starts: the cost has valleys that no step leads out of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.residuals.spectrum import Array
+
+
+def refitted_from_both_signs(
+    estimator: GaussNewton, screened: FitPoint, here: FitPoint, free: Array, own: Array
+) -> FitPoint:
+    """Fit from a screened start, from zero and from the other sign.
+
+    The present fit is among the starts, so the cost of a nested model never rises.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of the trials.
+    screened, here : FitPoint
+        Screened start, and the fit without the effect.
+    free, own : ndarray of bool, shape (p,)
+        Fit parameters that are fitted, and those of the effect among them.
+    """
+    settings = estimator.settings
+    starts = [screened]
+    mirrored = screened.values.copy()
+    mirrored[own] = np.clip(-mirrored[own], estimator.low[own], estimator.high[own])
+    if np.any(mirrored != screened.values):
+        starts.append(estimator.carry(here, estimator.at(mirrored)))
+    first = [
+        estimator.fit(start, free, settings.candidate_start_steps)
+        for start in starts
+        if start.cost < np.inf
+    ]
+    best = min([here, *first], key=lambda p: p.cost)
+    steps, relative = settings.candidate_fit_steps, settings.candidate_relative_fall
+    return estimator.fit(best, free, steps, relative)
+
+
+def refitted_from_far_strengths(
+    estimator: GaussNewton,
+    chosen: FitPoint,
+    here: FitPoint,
+    free: Array,
+    strengths: Sequence[int],
+    is_open: Callable[[FitPoint], bool],
+) -> FitPoint:
+    """Fit of a choice; where much is left, also from strengths far from the search's.
+
+    A delay and friction that compensate each other form separate valleys of the cost, and no step
+    leads from one into the next.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of the trials.
+    chosen, here : FitPoint
+        Fit of the choice so far, and the fit without it.
+    free : ndarray of bool, shape (p,)
+        Fit parameters that are fitted.
+    strengths : sequence of int
+        Fit parameters that are strengths of the choice.
+    is_open : callable
+        Whether so much is left that more starts are worth their time.
+    """
+    settings = estimator.settings
+    best = estimator.fit(chosen, free, settings.nuisance_fit_steps)
+    if not is_open(best):
+        return best
+    ends = [best]
+    for k, fraction in itertools.product(strengths, settings.restart_bound_fractions):
+        parameter, values = estimator.residuals.fit_parameters[k], best.values.copy()
+        values[k] = fraction * (parameter.high if fraction > 0 else -parameter.low)
+        start = estimator.at(values)
+        if start.cost < np.inf:
+            carried = estimator.carry(here, start)
+            ends.append(estimator.fit(carried, free, settings.restart_steps))
+    nearest = min(ends, key=lambda p: p.cost)
+    return best if nearest is best else estimator.fit(nearest, free, settings.nuisance_fit_steps)
