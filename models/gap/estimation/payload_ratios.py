@@ -23,7 +23,7 @@ SMOOTHING_FRACTION: Final = 0.5
 SMOOTHING_COEFFICIENTS: Final = 8
 """Least half width, in coefficients: seventeen coefficients are averaged [assumed]."""
 
-COMMON_SHARE: Final = 1 / (2 * SMOOTHING_COEFFICIENTS + 2)
+COMMON_FRACTION: Final = 1 / (2 * SMOOTHING_COEFFICIENTS + 2)
 """Weight of the common floor beside those of a window: one coefficient."""
 
 POINTS: Final = 12
@@ -102,6 +102,6 @@ def _ratios(
     common = np.maximum(np.mean(list(smooth.values()), axis=0), np.finfo(float).tiny)
     result: dict[float, dict[str, Array]] = {}
     for p, rows in smooth.items():
-        ratio = (1 - COMMON_SHARE) * rows / common + COMMON_SHARE
+        ratio = (1 - COMMON_FRACTION) * rows / common + COMMON_FRACTION
         result[p] = {s: np.interp(at, hz, row) for s, row in zip(signals, ratio, strict=True)}
     return result

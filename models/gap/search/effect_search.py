@@ -117,10 +117,8 @@ class EffectSearch:
         """
         self.held[:] = False
         self.excluded = frozenset(effects)
-        found = replace(
-            earlier, after=earlier.before, named=[], chosen=[], refused=[],
-            rounds=earlier.rounds[:1],
-        )  # fmt: skip
+        found = replace(earlier, named=[], chosen=[], refused=[], rounds=earlier.rounds[:1])
+        found.after = found.before
         self._include(found)
         return found
 
@@ -194,8 +192,8 @@ class EffectSearch:
                 predicted = max(predicted, here.cost - start.cost + fall)
                 if start.cost - fall < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
-            flat = effect in found.unexcited
-            tried += strengths_far_from_zero(self.estimator, here, effect, self.of[effect], flat)
+            own, flat = self.of[effect], effect in found.unexcited
+            tried += strengths_far_from_zero(self.estimator, here, effect, own, flat)
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)
