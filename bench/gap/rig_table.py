@@ -21,7 +21,7 @@ from bench.gap.score_summary import (
     is_said_outside,
     is_strength_covered,
 )
-from models.gap.search.posterior import set_probabilities
+from models.gap.decision.posterior import set_probabilities
 from models.rig.rig_structure import named_structures
 from models.shared.catalogue import CATALOGUE
 

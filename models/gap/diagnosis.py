@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
-from models.gap.decision import decide
+from models.gap.decision.decision import decide
+from models.gap.decision.gap_verdict import GapVerdict
+from models.gap.decision.posterior import Hypothesis, posterior_of
+from models.gap.decision.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
-from models.gap.gap_verdict import GapVerdict
 from models.gap.improved_plant import improved_plant
 from models.gap.residuals.fit_parameters import (
     FitParameter,
@@ -26,9 +28,7 @@ from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.look_alikes import LookAlike, look_alikes_of
 from models.gap.search.null_distribution import NullDistribution
-from models.gap.search.posterior import Hypothesis, posterior_of
 from models.gap.search.refused_effect import RefusedEffect
-from models.gap.search.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
@@ -77,7 +77,7 @@ class Diagnosis:
     settings : GapSettings
         Tuned numbers of this run.
     verdict : str
-        See `models.gap.gap_verdict.GapVerdict`.
+        See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
         Fraction of the gap's amplitude, in units of the noise floor, that is left.
     floor : NoiseFloor

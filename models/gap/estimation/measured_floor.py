@@ -77,7 +77,8 @@ def floor_from_residuals(
     for group, residual in zip(groups, rows, strict=True):
         own = group_frequencies_hz(group, trials)
         payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
-        parts = [residual[payloads == p] for p in np.unique(payloads)]
+        by_payload = {float(p): residual[payloads == p] for p in np.unique(payloads)}
+        parts = list(by_payload.values())
         within = [np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts if len(p) > 1]
         freedom = sum(len(p) - 1 for p in parts)
         split = repeated and freedom > 0
@@ -87,15 +88,11 @@ def floor_from_residuals(
             else:
                 varying = smoothed(np.mean(residual[:, b] ** 2, axis=0), settings)
             mean_power = np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0)
-            count = len(group.trials) / len(parts)
-            repeats.append(count)
+            repeats.append(count := len(group.trials) / len(parts))
             standing = np.maximum(smoothed(mean_power, settings) - varying / count, 0.0)
             noise[signal].append(np.interp(hz, own, varying))
             model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
         if split:
-            by_payload = {
-                float(p): part for p, part in zip(np.unique(payloads), parts, strict=True)
-            }
             if ratios is NO_RATIOS:
                 ratios = payload_ratios(own, group.signals, by_payload)
             first = trials[group.trials[0]]

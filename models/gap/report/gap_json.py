@@ -8,10 +8,10 @@ from typing import ClassVar
 import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
+from models.gap.decision.gap_verdict import GapVerdict
+from models.gap.decision.rejected_effects import RejectedEffect
 from models.gap.estimation.curve_transfer import Knowledge
-from models.gap.gap_verdict import GapVerdict
 from models.gap.search.refused_effect import RefusedEffect
-from models.gap.search.rejected_effects import RejectedEffect
 from models.gap.settings import GapSettings
 
 __all__ = ["DiagnosisInputs", "GapDocument", "read_gap_document", "write_gap_document"]
@@ -207,7 +207,7 @@ class GapDocument(Document, frozen=True):
     Attributes
     ----------
     verdict : str
-        See `models.gap.gap_verdict.GapVerdict`.
+        See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
         Fraction of the gap's amplitude that is left.
     noise_floor : NoiseFloorSummary

@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from models.gap.decision.posterior import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis, Inclusion
 from models.gap.improved_plant import written_values
 from models.gap.report.gap_json import (
@@ -32,7 +33,6 @@ from models.gap.report.gap_json import (
 from models.gap.report.separating_motion import separating_motion
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
-from models.gap.search.posterior import Hypothesis, effect_probabilities
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet

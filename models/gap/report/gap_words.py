@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.report.gap_json import GapDocument, NamedEffect
-from models.gap.search.rejected_effects import UNEXCITED
 
 DECIDED: Final = 0.9
 """Probability from which on an effect counts as decided; below the rest of it, as excluded."""

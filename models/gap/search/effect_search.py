@@ -65,7 +65,7 @@ class EffectSearch:
     held : ndarray of bool, shape (p,)
         Fit parameters that keep the plant's value because they ended at a bound.
     excluded : frozenset of str
-        Effects that were refused in an earlier search.
+        Refused in an earlier search.
     """
 
     def __init__(
@@ -185,8 +185,7 @@ class EffectSearch:
         """One simulated step of each effect that is not yet named."""
         result: dict[tuple[str, ...], Candidate] = {}
         for effect in self._choices(found):
-            free = self.free([*found.named, effect])
-            tried, predicted = [here], 0.0
+            free, tried, predicted = self.free([*found.named, effect]), [here], 0.0
             for start in [here, *others]:
                 step, fall = self.estimator.step(start, free)
                 predicted = max(predicted, here.cost - start.cost + fall)
@@ -298,8 +297,8 @@ class EffectSearch:
 
     def _is_open(self, point: FitPoint) -> bool:
         """Whether so much is left that more starts and pairs are tried."""
-        limit = min(self.null_distribution.explained, self.settings.open_residual)
-        return self.mean_residual(point) > limit
+        least = min(self.null_distribution.explained, self.settings.open_residual)
+        return self.mean_residual(point) > least
 
     def _pairs(self, here: FitPoint, found: SearchResult) -> Candidate | None:
         """Best pair of effects, by the prediction of derivatives, then refitted."""

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.diagnosis import diagnose
 from models.gap.report.gap_results import errors_in_floors, gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.residuals import rows_that_follow
-from models.gap.search.rejected_effects import UNEXCITED
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import read_plant

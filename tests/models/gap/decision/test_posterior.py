@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from models.gap.decision.posterior import effect_probabilities, posterior_of
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult
 from models.gap.search.null_distribution import NullDistribution
-from models.gap.search.posterior import effect_probabilities, posterior_of
 
 
 @dataclass

@@ -29,8 +29,8 @@ from typing import Final
 
 import numpy as np
 
+from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.gap_verdict import GapVerdict, consistencies_of_named
 from models.gap.improved_plant import written_values
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from models.gap.acceptance import Acceptance, AcceptedFit
-from models.gap.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.decision.acceptance import Acceptance, AcceptedFit
+from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.refused_effect import RefusalKind
@@ -38,7 +38,7 @@ class Decision:
     consistencies : dict of str to StrengthConsistency
         Of the effects that the tests left.
     verdict : str
-        See `models.gap.gap_verdict.GapVerdict`.
+        See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
         Fraction of the gap's amplitude that is left.
     """

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap import acceptance
-from models.gap.acceptance import Acceptance
+from models.gap.decision import acceptance
+from models.gap.decision.acceptance import Acceptance
+from models.gap.decision.gap_verdict import gap_verdict
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.gap_verdict import gap_verdict
-from models.gap.search.candidate import SearchResult
+from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.null_distribution import NullDistribution
 from models.gap.search.refused_effect import RefusedEffect
 from models.gap.settings import DEFAULT_SETTINGS
@@ -41,8 +41,15 @@ class Search:
         return self.mean_residual(fit) > self.null_distribution.explained
 
 
-def result(before, after, *named, refused=()):
-    return SearchResult(point(before), point(after), named=list(named), refused=list(refused))
+LEAST = 10.0
+"""d′ that an effect of these tests must reach."""
+
+
+def result(before, after, *named, refused=(), separation=LEAST):
+    chosen = [Candidate((e,), point(after), separation**2 / 2, LEAST) for e in named]
+    return SearchResult(
+        point(before), point(after), named=list(named), refused=list(refused), chosen=chosen
+    )
 
 
 def inconsistent(effect):
@@ -63,6 +70,20 @@ def test_an_effect_that_leaves_most_of_a_usual_residual_says_nothing():
     assert gap_verdict(Search(), result(1.9, 1.85, "stiction"), {})[0] == "no gap"
     assert gap_verdict(Search(), result(1.9, 1.2, "stiction"), {})[0] == "closed"
     assert gap_verdict(Search(), result(4.0, 3.9, "stiction"), {})[0] == "not in the catalogue"
+
+
+def test_an_effect_that_stands_out_clearly_is_named_in_a_usual_residual():
+    """No effect reached that d′ where nothing was missing; a gap is more than a usual residual."""
+    clear = 1.01 * DEFAULT_SETTINGS.clear_separation_fraction * LEAST
+    found = result(1.9, 1.85, "stiction", separation=clear * np.sqrt(1.85))
+    assert gap_verdict(Search(), found, {})[0] == "closed"
+    found = result(1.9, 1.85, "stiction", separation=clear)
+    assert gap_verdict(Search(), found, {})[0] == "no gap", "the residual's size counts"
+    differing = {"stiction": SimpleNamespace(holds=False)}
+    found = result(1.9, 1.85, "stiction", separation=10 * clear)
+    assert gap_verdict(Search(), found, differing)[0] == "no gap"
+    found = result(4.0, 3.9, "stiction", separation=10 * clear)
+    assert gap_verdict(Search(), found, {})[0] == "not in the catalogue"
 
 
 def test_a_bias_that_is_still_there_is_no_explanation():

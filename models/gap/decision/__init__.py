@@ -1,0 +1,1 @@
+"""Decision on a search: tests of what was found, verdict, probabilities."""
