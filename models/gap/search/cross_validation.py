@@ -1,10 +1,11 @@
 """Cross-validation of an effect on trials that its values were not fitted to.
 
 Whole payloads are left out in turn (where there is one, other conditions such as a gain, motions,
-or repetitions), and the effects fitted without them. Both models are linear around their fits,
-which costs no simulation. The nuisance keeps the values of all trials: extrapolating it to another
-payload is not tested here. The variation of a trial that was left out is fitted to it, within its
-prior.
+or repetitions), and the effects fitted without them. What an effect does not act on says nothing
+about it: a current limit that only the heaviest payload meets is tested on repetitions. Both models
+are linear around their fits, which costs no simulation. The nuisance keeps the values of all
+trials: extrapolating it to another payload is not tested here. The variation of a trial that was
+left out is fitted to it, within its prior.
 """
 
 from __future__ import annotations
@@ -33,10 +34,13 @@ def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedMo
     without, with_ : tuple
         Fitted model without the candidate, and with it.
     """
+    size = _contributions(estimator, without, with_)
     return np.array(
         [
             _held_out_cost(estimator, *without, fold) - _held_out_cost(estimator, *with_, fold)
-            for fold in left_out_folds(estimator.residuals.trials)
+            for fold in left_out_folds(
+                estimator.residuals.trials, size, estimator.settings.least_block_information
+            )
         ]
     )
 
@@ -50,13 +54,37 @@ def held_out_gain(
     return float(gains.sum()), float(np.sqrt(len(gains))) * deviation
 
 
-def left_out_folds(trials: Sequence[Trial]) -> list[list[int]]:
-    """Indices of the trials that are left out together."""
+def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:
+    """Indices of the trials that are left out together, in at least two folds where there are.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All of them.
+    contributions : ndarray, shape (trials,)
+        Square of what an effect changes in each trial, in noise floors.
+    least : float
+        Sum of these in a fold from which the effect acts on it.
+    """
     for condition in ("payload_kg", "conditions", "motion", "trial"):
         keys = [str(getattr(t.meta, condition)) for t in trials]
-        if len(set(keys)) > 1:
-            return [[i for i, k in enumerate(keys) if k == own] for own in sorted(set(keys))]
+        folds = [[i for i, k in enumerate(keys) if k == own] for own in sorted(set(keys))]
+        acted_on = [fold for fold in folds if contributions[fold].sum() > least]
+        if len(acted_on) > 1:
+            return acted_on
     return [[i] for i in range(len(trials))]
+
+
+def _contributions(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
+    """Square of what a candidate changes in each trial, in noise floors, shape (trials,)."""
+    (_, before), (point, free) = without, with_
+    values = np.where((free != 0) & (before == 0), 0.0, point.values)
+    change = [a - b for a, b in zip(estimator.residuals.residuals(values), point.rows, strict=True)]
+    result = np.zeros(len(estimator.residuals.trials))
+    for group, rows in zip(estimator.residuals.groups, estimator.whiten(change), strict=True):
+        for a, k in enumerate(group.trials):
+            result[k] += float(np.sum(rows[a] ** 2))
+    return result
 
 
 def _held_out_cost(

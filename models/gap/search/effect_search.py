@@ -192,7 +192,8 @@ class EffectSearch:
                 if start.cost - fall < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
             own, flat = self.of[effect], effect in found.unexcited
-            tried += strengths_far_from_zero(self.estimator, here, effect, own, flat)
+            for start in [here, *(others if flat else [])]:
+                tried += strengths_far_from_zero(self.estimator, start, effect, own, flat)
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)
@@ -214,9 +215,8 @@ class EffectSearch:
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
         strengths = [int(np.flatnonzero(self.of[e])[0]) for e in choice.effects]
-        return refitted_from_far_strengths(
-            self.estimator, choice.point, here, free, strengths, self._is_open
-        )
+        fit = self.estimator, choice.point, here, free
+        return refitted_from_far_strengths(*fit, strengths, self._is_open)
 
     def _accept(
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
