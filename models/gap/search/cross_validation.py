@@ -48,9 +48,13 @@ def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedMo
 def held_out_gain(
     estimator: GaussNewton, without: FittedModel, with_: FittedModel
 ) -> tuple[float, float]:
-    """Sum of `held_out_gains` and its standard error; the parameters are the same."""
+    """Sum of `held_out_gains` and its standard error; the parameters are the same.
+
+    The deviation is that of these folds, not an estimate for others: with the latter the gain of an
+    effect that shows on one payload alone would equal its standard error, whatever its size.
+    """
     gains = held_out_gains(estimator, without, with_)
-    deviation = float(np.std(gains, ddof=1)) if len(gains) > 1 else 0.0
+    deviation = float(np.std(gains))
     return float(gains.sum()), float(np.sqrt(len(gains))) * deviation
 
 

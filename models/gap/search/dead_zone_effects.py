@@ -50,13 +50,14 @@ def unexcited_effects(
 
 
 def strengths_far_from_zero(
-    estimator: GaussNewton, here: FitPoint, effect: str, own: Array, flat: bool
+    estimator: GaussNewton, here: FitPoint, effect: str, own: Array, free: Array, flat: bool
 ) -> list[FitPoint]:
     """Points at strengths of an effect to which no step from zero leads.
 
     A plant that was identified without an effect may have made up for it: excessive damping looks
     like a low-pass of the sensor. Then a far strength lowers the cost, although no step does; it is
-    tried where the plant is not the link. An effect with a dead zone gets a ladder.
+    tried where the plant is not the link. An effect with a dead zone gets a ladder, and a short fit
+    from its best rung: the nuisance around it may have made up for the effect.
 
     Parameters
     ----------
@@ -68,11 +69,15 @@ def strengths_far_from_zero(
         Its name.
     own : ndarray of bool, shape (p,)
         Its fit parameters, the strength first.
+    free : ndarray of bool, shape (p,)
+        All fit parameters that are fitted with it.
     flat : bool
         Whether its derivatives vanish at zero.
     """
     if flat:
-        return strength_ladder(estimator, here, effect, own)
+        rungs = strength_ladder(estimator, here, effect, own)
+        best = min(rungs, key=lambda p: p.cost)
+        return [*rungs, estimator.fit(best, free, estimator.settings.candidate_start_steps)]
     if estimator.residuals.plant.load == "link":
         return []
     return _distant_strengths(estimator, here, own)

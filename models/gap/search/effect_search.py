@@ -193,7 +193,7 @@ class EffectSearch:
                     tried.append(self.estimator.search(start, step) or start)
             own, flat = self.of[effect], effect in found.unexcited
             for start in [here, *(others if flat else [])]:
-                tried += strengths_far_from_zero(self.estimator, start, effect, own, flat)
+                tried += strengths_far_from_zero(self.estimator, start, effect, own, free, flat)
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)

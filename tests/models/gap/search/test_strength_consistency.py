@@ -172,7 +172,7 @@ def test_the_strength_of_an_effect_that_is_there_is_the_same_everywhere(
 
 def test_the_strength_of_a_stand_in_is_not(fitted):
     late = fitted("dead_time_1_s", 0.02, "viscous_friction")
-    heavy = fitted("unmodelled_payload_kg", 0.3, "viscous_friction")
+    heavy = fitted("unmodelled_payload_kg", 0.3, "current_bias")
     for found in (late, heavy):
         assert not found.holds
         assert found.standard_deviation > found.tolerated
