@@ -144,7 +144,7 @@ def test_an_effect_that_hides_in_the_variation_of_the_trials_is_missed(plant, hi
 
 
 def test_an_effect_that_removes_a_nuisance_bias_need_not_stand_out_beside_the_first(plant, hidden):
-    trials = hidden(hardening_share=1.0, payload_offset_share=0.033)
+    trials = hidden(hardening_share=1.5, payload_offset_share=0.04)
     kept = ("stiffness_hardening", "payload_offset")
     others = [e for e in candidate_effects(plant) if e not in kept]
     found = diagnose(plant, trials, leave_out=others)
