@@ -161,7 +161,7 @@ def every_reader(bundle=None):
     bundle : Path, optional
         Bundle of one joint with its observer.
     """
-    return [*_recordings(), *_documents(), *_bundle_files(bundle)]
+    return [*_recordings(), *_documents(), *_outside_goals_and_signatures(), *_bundle_files(bundle)]
 
 
 def _recordings():
@@ -214,10 +214,7 @@ def _recordings():
 def _documents():
     from firmware_py.config import read_config
     from firmware_py.goals.outside.goal_map import read_goal_map
-    from firmware_py.goals.outside.goal_message import decode_goal
     from firmware_py.goals.tip_plan import read_tip_plan
-    from firmware_py.inference.bundle_signature import check_signature
-    from firmware_py.inference.file_content import content_of
     from firmware_py.link.link_description import read_link
     from firmware_py.motion_document import read_motion_document
     from firmware_py.summary import RunDocument, read_run_summary
@@ -249,11 +246,6 @@ def _documents():
         read_plant(file)
         rig_named(str(file))
 
-    def goal(file):
-        said = decode_goal(file.read_bytes(), 1)
-        if isinstance(said, str):
-            raise InputError("the message", said, "mend the program")
-
     yield document("robot.toml", "robot.toml", (root / "robot.toml").read_bytes(), toml_file, robot)
     yield document("plant toml", "a.toml", nominal.read_bytes(), toml_file, read_plant)
     yield document("plant json", "a.json", pendulum.read_bytes(), of_json, read_plant)
@@ -267,8 +259,21 @@ def _documents():
         yield document(name, "a.json", valid_files.example_of(kind), of_json, read)
     yield document("goalmap", "a.json", valid_files.goal_map(), of_json, read_goal_map)
     yield document("link", "a.toml", valid_files.link(), toml_file, link)
-    message = one_of(of_json, of_text, of_bytes)
-    yield document("goal message", "a", valid_files.goal_message(), message, goal)
+
+
+def _outside_goals_and_signatures():
+    from firmware_py.goals.outside.goal_message import decode_goal
+    from firmware_py.inference.bundle_signature import check_signature
+    from firmware_py.inference.file_content import content_of
+
+    def goal(file):
+        said = decode_goal(file.read_bytes(), 1)
+        if isinstance(said, str):
+            raise InputError("the message", said, "mend the program")
+
+    message = one("a", one_of(of_json, of_text, of_bytes))
+    content = {"a": valid_files.goal_message()}
+    yield FuzzReader("goal message", content, message, lambda f: goal(f / "a"))
     trusted, manifest, signature = valid_files.signature()
     yield FuzzReader(
         "signature", {"manifest.json": manifest, "manifest.sig": signature},
