@@ -196,7 +196,8 @@ def main() -> int:
 def _sinks(task: RecorderTask) -> Iterator[Sink]:
     """Open the sinks of a task; the live view first, because it never waits."""
     if task.live is not None:
-        live = LiveSink(*task.live, task.dof, task.origins, task.viewers)
+        shown = shape_in(task.metadata) is not None
+        live = LiveSink(*task.live, task.dof, task.origins, task.viewers, shown)
         print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
         yield live
     if task.path is not None:

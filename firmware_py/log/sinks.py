@@ -146,6 +146,8 @@ class LiveSink:
         Origins that are admitted, see `firmware_py.log.live_gate`.
     viewers : int
         Largest number of viewers.
+    scene : bool
+        Whether scenes follow the ticks.
 
     Attributes
     ----------
@@ -165,17 +167,21 @@ class LiveSink:
         dof: int,
         origins: Sequence[str] = ORIGINS,
         viewers: int = VIEWERS,
+        scene: bool = False,
     ) -> None:
         import foxglove
 
         from firmware_py.log.live_gate import LiveGate
 
         ticks = foxglove.Schema(name=SCHEMA_NAME, encoding="jsonschema", data=_schema_json(dof))
-        scene = foxglove.Schema(name=SCENE_SCHEMA, encoding="protobuf", data=scene_schema())
         self._channels = {
             TOPIC: foxglove.Channel(TOPIC, message_encoding="json", schema=ticks),
-            SCENE_TOPIC: foxglove.Channel(SCENE_TOPIC, message_encoding="protobuf", schema=scene),
         }
+        if scene:
+            shown = foxglove.Schema(name=SCENE_SCHEMA, encoding="protobuf", data=scene_schema())
+            self._channels[SCENE_TOPIC] = foxglove.Channel(
+                SCENE_TOPIC, message_encoding="protobuf", schema=shown
+            )
         # Unguarded, so a page must not find it: one of 16 million addresses, on any port.
         hidden = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
         try:
