@@ -103,8 +103,6 @@ class LoopRun:
         True tip in each recorded tick.
     phase_2_rad : float
         Lead of joint 2.
-    rig : str
-        Name of what moved the servos, where the run kept its trial.
     """
 
     name: str
@@ -112,7 +110,6 @@ class LoopRun:
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None
     phase_2_rad: float = 0.0
-    rig: str = ""
 
     @property
     def dof(self) -> int | None:
@@ -298,9 +295,7 @@ def read_loop(directory: Path) -> LoopRun:
     run = read_trial(trial)
     known = slot < len(run)
     ticks = {name: column[known] for name, column in ticks.items()}
-    return LoopRun(
-        directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad, run.meta.rig
-    )
+    return LoopRun(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
 
 
 def read_commands(path: Path) -> list[str]:

@@ -81,5 +81,4 @@ def _of_summary(part: TrialsSummary) -> Origins:
 def _behind(loop: LoopRun) -> str:
     """What moved the emulated servos of a run."""
     environment = loop.timing.environment
-    rig = f" “{loop.rig}”" if loop.rig and loop.rig != "twin" else ""
-    return f"emulated servos, the {environment.behind_the_servos}{rig} behind them"
+    return f"emulated servos, the {environment.behind_the_servos} behind them"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -58,7 +57,6 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
         payload_kg=options.payload_kg,
         trial=1,
         source="sil",
-        rig=Path(options.rig.rig).name if options.rig else "twin",
         **conditions,
         rest_samples=min(max(round(rest_s / options.period_s), 1), len(grid) - 1),
         notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",

@@ -14,7 +14,7 @@ from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert
 from models.trials.trial import Trial
-from models.trials.trial_origin import TrialOrigin, merged_origins
+from models.trials.trial_origin import TrialOrigin, merged_origins, recorded_rig
 
 __all__ = [
     "DofEvaluation",
@@ -142,7 +142,7 @@ class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
     sha256 : str
         Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
     source, rig : str
-        As in its conditions; empty in files of earlier versions.
+        Its origin (`models.trials.trial_origin`); empty in files of earlier versions.
     """
 
     name: str
@@ -200,7 +200,7 @@ class Provenance(
         for trial in trials:
             digest = trial.sha256()
             by_hash.setdefault(
-                digest, FittedTrial(trial.name, digest, trial.meta.source, trial.meta.rig)
+                digest, FittedTrial(trial.name, digest, trial.meta.source, recorded_rig(trial))
             )
         return tuple(by_hash.values())
 

@@ -1,7 +1,8 @@
 """Record of the conditions under which the rig ran each trial of a directory.
 
 The record lies beside the trials. Nothing but `refuse_other_conditions` reads it, so that hidden
-effects stay out of the trials themselves.
+effects stay out of the trials themselves; pages read the name of the rig
+(`models.trials.trial_origin`).
 """
 
 from __future__ import annotations

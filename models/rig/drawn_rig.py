@@ -77,8 +77,7 @@ def draw_rig(rng: np.random.Generator) -> RigParameters:
     values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
     values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
     values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    changed = rig.changed(**values)
-    return replace(changed, structure=_draw_structure(rng), path=Path("drawn"))
+    return replace(rig.changed(**values), structure=_draw_structure(rng))
 
 
 def rig_named(name: str) -> RigParameters:
@@ -108,7 +107,7 @@ def rig_named(name: str) -> RigParameters:
     number = name.removeprefix(PREFIX)
     if not number.isdecimal():
         raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
-    return replace(draw_rig(np.random.default_rng([SEED, int(number)])), path=Path(name))
+    return draw_rig(np.random.default_rng([SEED, int(number)]))
 
 
 def _draw_structure(rng: np.random.Generator) -> RigStructure:

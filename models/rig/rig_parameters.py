@@ -85,13 +85,6 @@ class RigParameters(Mapping[str, float]):
         return len(self.entries)
 
     @property
-    def name(self) -> str:
-        """Name of the structure, or of the file that changes it."""
-        if self.path == RIG_TOML:
-            return "default"
-        return self.path.stem if self.path.parent == STRUCTURES else self.path.name
-
-    @property
     def layout(self) -> MarkerLayout:
         """Places of the markers."""
         if self.link is not None:

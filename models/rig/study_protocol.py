@@ -186,7 +186,6 @@ def _trial(
         trial=case.trial,
         motion=motion.name,
         source="rig",
-        rig=p.name,
         period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad,
         phase_2_rad=motion.phase_2_rad if motion.dof == 2 else 0.0,

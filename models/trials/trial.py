@@ -54,7 +54,6 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Conditions of a trial (the TOML file); every dimensional key ends in its unit.
 
-    `rig` names the rig that a simulated trial ran on; empty where there is none or nobody said.
     Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
     numbers that replace the plant's parameters of the same name in this trial. `gravity_m_s2` is
     None where the link stands upright, `markers` where there are four rows of four.
@@ -67,7 +66,6 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     trial: int
     motion: str
     source: str
-    rig: str = ""
     period_s: float
     amplitude_rad: float = 0.0
     phase_2_rad: float = 0.0
@@ -95,8 +93,6 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         entries: dict[str, object] = msgspec.to_builtins(self)
         if not self.conditions:
             del entries["conditions"]
-        if not self.rig:
-            del entries["rig"]
         entries = {k: v for k, v in entries.items() if v is not None}
         if not self.link_length_m:
             entries = {k: v for k, v in entries.items() if k not in LINK_CONDITIONS}
@@ -195,9 +191,8 @@ class Trial:
         return slice(self.meta.rest_samples, None)
 
     def sha256(self) -> str:
-        """Hash of the samples and conditions, for provenance; the name of the rig is neither."""
-        unnamed = msgspec.structs.replace(self.meta, rig="")
-        digest = hashlib.sha256(msgspec.json.encode(unnamed.document()))
+        """Hash of the samples and conditions, for provenance."""
+        digest = hashlib.sha256(msgspec.json.encode(self.meta.document()))
         for name, column in self.columns.items():
             digest.update(name.encode())
             digest.update(np.where(np.isnan(column), np.nan, column).tobytes())  # one kind of NaN

@@ -1,27 +1,52 @@
 """Origin of trials: simulated or measured, and on which rig.
 
-It follows from `source` and `rig` of a trial's conditions. A source that is none of those that the
-project writes is not taken for either.
+It follows from `source` of a trial's conditions; one that is none of those that the project writes
+is not taken for either. Which rig it was the trial does not tell, so that nothing can be tuned to
+it. The record beside it does (`models.rig.conditions_record`), of which the name of the rig alone
+is read, as a label for people.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
 
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_json
 from models.trials.trial import Trial
 
-__all__ = ["OriginKind", "TrialOrigin", "kind_of_origins", "merged_origins", "origins_of"]
+__all__ = [
+    "OriginKind",
+    "TrialOrigin",
+    "kind_of_origins",
+    "merged_origins",
+    "origins_of",
+    "recorded_rig",
+]
 
 OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
 
 SIMULATED: Final = ("rig", "sil", "simulated")
 """Rig; the robot's loop with emulated servos; the twin."""
+RECORD: Final = "rig_conditions.json"
 MEASURED: Final = ("measured", "recording")
 """Motion capture or a table; the log of a robot."""
+
+
+class _Entry(msgspec.Struct, frozen=True):
+    """What is read of the conditions of a trial."""
+
+    rig: str = "default"
+
+
+class _Record(msgspec.Struct, frozen=True):
+    """What is read of the record of a directory."""
+
+    trials: dict[str, _Entry]
 
 
 class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -32,7 +57,7 @@ class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
     source : str
         As in the conditions of the trials.
     rig : str
-        Name of the rig; empty for a measured system, and where a simulated trial does not say.
+        Name of the rig; empty for a measured system, and where no record says.
     trials : int
         Number of trials.
     """
@@ -82,7 +107,29 @@ def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
     trials : iterable of Trial
         Any trials.
     """
-    return merged_origins(TrialOrigin(t.meta.source, t.meta.rig) for t in trials)
+    return merged_origins(TrialOrigin(t.meta.source, recorded_rig(t)) for t in trials)
+
+
+def recorded_rig(trial: Trial) -> str:
+    """Name of the rig that a trial ran on, by the record beside its file; empty without one.
+
+    Parameters
+    ----------
+    trial : Trial
+        Any trial.
+    """
+    if trial.meta.source != "rig" or trial.path == Path():
+        return ""
+    return _rigs(trial.path.parent / RECORD).get(trial.name, "")
+
+
+def _rigs(record: Path) -> dict[str, str]:
+    """Names of rigs by trial; none where the record is missing or damaged."""
+    try:
+        content = msgspec.convert(read_json(record, "simulate the trials again"), _Record)
+    except (InputError, msgspec.ValidationError):
+        return {}
+    return {name: Path(entry.rig).name for name, entry in content.trials.items()}
 
 
 def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:

@@ -45,7 +45,7 @@ def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: 
     meta = msgspec.structs.replace(
         like.meta, motion=motion.name, payload_kg=payload_kg, period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
-        rest_samples=rest_samples, source="simulated", rig="",
+        rest_samples=rest_samples, source="simulated",
     )  # fmt: skip
     return Trial(motion.name, meta, columns)
 

@@ -86,7 +86,6 @@ def _simulated(plant: Plant, like: Trial, kind: Kind, payload_kg: float, rest: i
         payload_kg=payload_kg,
         rest_samples=rest,
         source="simulated",
-        rig="",
     )
     trial = Trial(kind, conditions, columns)
     compiled = CompiledModel(plant.step_model(meta.dof, "twin"))

@@ -60,7 +60,5 @@ def test_a_build_without_trials_claims_nothing_of_them(inputs):
 
 
 def test_the_run_says_what_moved_its_servos(inputs):
-    (loop,) = inputs.loops
-    assert loop.rig == "twin"
     (row,) = [r for r in origin_table(inputs).cells if r[0].text.startswith("Control loop")]
     assert row[2].text == "emulated servos, the twin behind them"

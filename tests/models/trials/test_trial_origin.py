@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import msgspec
 import pytest
 
+from firmware_py.motion import Motion
 from models.plant.provenance import Provenance
-from models.rig.drawn_rig import rig_named
-from models.rig.rig_parameters import read_parameters
+from models.rig.conditions_record import RigConditions, record_conditions
+from models.rig.trial_case import TrialCase
 from models.trials.origin_notice import origin_notice
 from models.trials.trial_files import read_trial, write_trial
 from models.trials.trial_origin import TrialOrigin, kind_of_origins, origins_of
@@ -38,20 +41,19 @@ def test_a_notice_names_the_rig_and_says_that_no_robot_was_measured():
     assert "No robot" not in origin_notice([MEASURED]).text
 
 
-def test_the_rig_is_kept_in_the_file_and_left_out_of_the_hash(make_trial, tmp_path):
-    plain = make_trial([0.0, 0.1, 0.2, 0.3, 0.4], source="rig", rest_samples=2)
-    named = msgspec.structs.replace(plain.meta, rig="drawn_3")
-    path = write_trial(type(plain)("run", named, plain.columns), tmp_path)
-    again = read_trial(path)
-    assert again.meta.rig == "drawn_3"
-    assert again.sha256() == plain.sha256()  # plants fitted before the key existed know the trial
-    assert origins_of([again, again]) == (TrialOrigin("rig", "drawn_3", 2),)
-    fitted = Provenance().fitted_with([again])
+def test_the_rig_is_read_from_the_record_beside_a_trial(make_trial, tmp_path):
+    trial = make_trial([0.0, 0.1, 0.2, 0.3, 0.4], source="rig", rest_samples=2)
+    again = read_trial(write_trial(trial, tmp_path))
+    assert origins_of([again, trial]) == (TrialOrigin("rig", trials=2),)  # no record: not known
+    conditions = RigConditions(seed=1, hidden={"backlash": 0.1}, rig_sha256="", rig="drawn_3")
+    case = TrialCase(Motion(), 0.0, 1)
+    record_conditions([case], conditions, tmp_path)
+    named = replace(again, name=case.name)
+    assert origins_of([named, named]) == (TrialOrigin("rig", "drawn_3", 2),)
+    fitted = Provenance().fitted_with([named])
     assert Provenance(fitted_trials=fitted).origins == (TrialOrigin("rig", "drawn_3"),)
-
-
-@pytest.mark.parametrize("name", ["default", "test_a", "drawn_3"])
-def test_a_rig_knows_its_name_whatever_is_hidden_in_it(name):
-    rig = rig_named(name)
-    assert rig.name == rig.hide({"backlash": 0.01}).name == name
-    assert read_parameters().name == "default"
+    assert "backlash" not in repr(origins_of([named]))  # what is hidden stays hidden
+    measured = replace(named, meta=msgspec.structs.replace(named.meta, source="measured"))
+    assert origins_of([measured]) == (TrialOrigin("measured"),)
+    (tmp_path / "rig_conditions.json").write_text("{")
+    assert origins_of([named]) == (TrialOrigin("rig"),)
