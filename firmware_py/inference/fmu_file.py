@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import io
 import platform
 import zipfile
@@ -89,22 +90,28 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
             binary = archive.read(name)
     except (*ARCHIVE_DAMAGE, ET.ParseError) as error:
         raise InputError(path, f"is no FMU ({error})", remedy) from None
-    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
-        library = Path(private) / PurePosixPath(name).name
-        library.write_bytes(binary)
-        try:
-            # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
-            # could cost the loop's thread a switch interval to get it back.
-            loaded = ctypes.PyDLL(str(library))  # stays mapped when the file is deleted
-        except OSError as error:
-            raise InputError(
-                path, f"its binary does not load ({error})",
-                "set TMPDIR to a directory from which programs may run, or build the FMU again",
-            ) from None  # fmt: skip
+    try:
+        loaded = _loaded(binary, PurePosixPath(name).name)
+    except OSError as error:
+        raise InputError(
+            path, f"its binary does not load ({error})",
+            "set TMPDIR to a directory from which programs may run, or build the FMU again",
+        ) from None  # fmt: skip
     absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
     if absent:
         raise InputError(path, f"its binary lacks {absent[0]}", remedy)
     return root, variables, loaded
+
+
+@functools.lru_cache(maxsize=16)
+def _loaded(binary: bytes, name: str) -> ctypes.PyDLL:
+    """Library of some bytes, mapped once in a process: a mapping is never given back."""
+    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
+        library = Path(private) / name
+        library.write_bytes(binary)
+        # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
+        # could cost the loop's thread a switch interval to get it back.
+        return ctypes.PyDLL(str(library))  # stays mapped when the file is deleted
 
 
 def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:

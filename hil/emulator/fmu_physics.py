@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,6 +37,7 @@ class FmuPhysics:
 
     def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
         self.fmu = FmuInstance(path)
+        weakref.finalize(self, self.fmu.close)  # a process may run thousands of cases
         goals = [name for name in self.fmu.variables if name.startswith("goal_")]
         if not goals:
             raise InputError(path, "takes no goals", "build it with --unit twin")
