@@ -84,6 +84,8 @@ FILE_SIZE: Final = DisplayUnit("kB", 1e-3, 0)
 """Of sizes in bytes."""
 DATA_SIZE: Final = DisplayUnit("MB", 1e-6, 0)
 """Of limits in bytes: what a reader takes."""
+LARGE_DATA_SIZE: Final = DisplayUnit("GB", 1e-9, 1)
+"""Of sizes in bytes of what a cluster keeps."""
 BAUD_RATE: Final = DisplayUnit("Mbaud", 1e-6, 0)
 """Of baud rates in bits per second."""
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import DisplayUnit, error_unit, signal_unit, signal_words
+from firmware_py.display_units import DATA_SIZE, DisplayUnit, error_unit, signal_unit, signal_words
 from firmware_py.signals import unit_of
 from hil.campaign.campaign_cases import CampaignCase
 from hil.campaign.campaign_document import CampaignDocument
@@ -250,6 +250,6 @@ def _costs(store: ResultStore, code: str) -> Part:
             ("processor time of a case", f"{np.median(cpu_s):.2f} s (median), "
              f"{np.quantile(cpu_s, 0.95):.2f} s (95 %)"),
             ("processor time of all", f"{cpu_s.sum() / 60:.1f} min"),
-            ("memory of a worker", f"{memory / 1e6:.0f} MB"),
+            ("memory of a worker", DATA_SIZE.text(memory)),
         ]
     )  # fmt: skip

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
+from firmware_py.display_units import DATA_SIZE, LARGE_DATA_SIZE
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from hil.campaign.code_version import ROOT
@@ -181,8 +182,12 @@ def _span(hours: float) -> str:
     return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h"
 
 
+LARGE_BYTES: Final = 2_000_000_000
+"""Size from which it is told in gigabytes."""
+
+
 def _size(count: int) -> str:
-    return f"{count / 1e6:.0f} MB" if count < 2e9 else f"{count / 1e9:.1f} GB"
+    return DATA_SIZE.text(count) if count < LARGE_BYTES else LARGE_DATA_SIZE.text(count)
 
 
 def rows_of_code(rows: Sequence[Mapping[str, Any]], code: str) -> list[Mapping[str, Any]]:

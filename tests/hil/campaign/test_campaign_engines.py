@@ -131,6 +131,12 @@ def test_a_dask_cluster_with_workers_killed_at_random_gives_the_same_bytes(
             assert path.read_bytes() == twin.store.path(case.key).read_bytes()
 
 
+class FakeFuture(SimpleNamespace):
+    """Future of dask, as far as the engine asks; a key of dictionaries."""
+
+    __hash__ = object.__hash__
+
+
 class FakeClient:
     """Client whose cluster gives up the cases of some keys as often as it is told."""
 
@@ -146,13 +152,12 @@ class FakeClient:
         self.begun.append(task.key)
         bad = self.begun.count(task.key) <= self.gives_up.get(task.key, 0)
         outcome = TaskOutcome(key=task.key, state="done")
-        future = SimpleNamespace(
+        future = FakeFuture(
             status="error" if bad else "finished",
             result=lambda timeout: outcome,
             exception=lambda timeout: MemoryError("of a worker"),
             release=lambda: None,
         )
-        future.__class__ = type("Future", (SimpleNamespace,), {"__hash__": object.__hash__})
         future.add_done_callback = lambda call: call(future)
         return future
 

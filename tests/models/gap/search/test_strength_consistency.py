@@ -170,12 +170,12 @@ def test_the_strength_of_an_effect_that_is_there_is_the_same_everywhere(
         assert found.standard_deviation < variation["friction"]
 
 
-def test_the_strength_of_a_stand_in_is_not(fitted):
-    late = fitted("dead_time_1_s", 0.02, "viscous_friction")
-    heavy = fitted("unmodelled_payload_kg", 0.3, "current_bias")
-    for found in (late, heavy):
-        assert not found.holds
-        assert found.standard_deviation > found.tolerated
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_the_strength_of_a_stand_in_is_not(fitted, seed):
+    """Friction for a delay. What the nuisance can take up, like a payload, leaves no stand-in."""
+    found = fitted("dead_time_1_s", 0.02, "viscous_friction", seed)
+    assert not found.holds
+    assert found.standard_deviation > found.tolerated
 
 
 def test_noise_alone_does_not_make_a_strength_inconsistent(fitted):
