@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from bench.gap.cases import BenchCase
+from hil.campaign.case_task import canonical_json
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.result_store import CaseRecord, ResultStore
 
@@ -56,7 +57,8 @@ KIND = BenchKind()
 def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
     """Results of a run of the benchmark by key, each with its case and its times.
 
-    A run from before campaigns has one plain file for each case.
+    Of a case that ran again with other code, or another plant, the latest result counts. A run from
+    before campaigns has one plain file for each case.
 
     Parameters
     ----------
@@ -68,11 +70,14 @@ def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
         return {path.stem: json.loads(path.read_text()) for path in files}
     store = ResultStore(directory)
     times = {row["key"]: json.loads(row["parts_s"]) for row in store.read_costs()}
-    records = (store.read(path.stem) for path in sorted((directory / "results").rglob("*.json")))
-    valid: list[CaseRecord] = [record for record in records if record is not None]
+    files = (directory / "results").rglob("*.json")
+    latest: dict[str, CaseRecord] = {}
+    for path in sorted(files, key=lambda p: (p.stat().st_mtime_ns, p.name)):
+        if (record := store.read(path.stem)) is not None:
+            latest[canonical_json(record.config["case"])] = record
     return {
         record.key: {"case": record.config["case"], **record.result, **times.get(record.key, {})}
-        for record in valid
+        for record in latest.values()
     }
 
 

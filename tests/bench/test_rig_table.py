@@ -1,12 +1,14 @@
 """Figures of the gap benchmark by rig: groups of effects, harm and bounds."""
 
 import json
+import os
 
 import pytest
 
-from bench.gap.bench_kind import cases_of_run
-from bench.gap.cases import draw_cases, mixed_cases
+from bench.gap.bench_kind import bench_configuration, bench_results, cases_of_run
+from bench.gap.cases import BenchCase, draw_cases, mixed_cases
 from bench.gap.rig_table import figures_by_rig, is_link_effect, rig_figures, rig_table_text
+from hil.campaign.result_store import ResultStore
 
 
 def result(hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", rig="default"):
@@ -22,6 +24,17 @@ def result(hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", ri
         "estimates": {n: [[0.3, 0.05, 0.0]] for n in named},
         "true": hidden,
     }
+
+
+def test_of_a_case_that_ran_with_other_code_the_latest_result_counts(tmp_path):
+    """Each version of the code keeps a result of its own; figures hold every case once."""
+    store, case = ResultStore(tmp_path), BenchCase("single", {"creep": 0.3}, {}, 1)
+    config = bench_configuration(case, tmp_path / "plant.json")
+    for age, (key, named) in enumerate([("ff", "prebend"), ("aa", "creep"), ("cc", "backlash")]):
+        store.write(key, "gap benchmark", key, config, json.dumps({"named": [named]}))
+        os.utime(store.path(key), ns=(0, [1, 3, 2][age]))
+    assert [r["named"] for r in bench_results(tmp_path).values()] == [["creep"]]
+    assert cases_of_run(tmp_path) == [case]
 
 
 def test_link_and_servo_effects_are_counted_apart():
