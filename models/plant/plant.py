@@ -191,7 +191,7 @@ class Plant:
         dof : int
             Joints, 1 or 2.
         """
-        return EFFECTS[effect].strengths(scope_of(self.load, dof))
+        return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
 
     def document(self) -> PlantDocument:
         """Content of the plant's file."""
@@ -279,7 +279,7 @@ def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
     """Nominal plant of a described link: the study's, with values, bounds and priors scaled."""
     nominal = read_plant()
     scale = LinkScale(link)
-    scope = scope_of(nominal.load, LOADS[nominal.load].max_dof)
+    scope = scope_of(nominal.drive, nominal.load, LOADS[nominal.load].max_dof)
     others = [EFFECTS[name]() for name in nominal.applicable()]
     possible = declared_parameters(scope, nominal.drive, nominal.load, others, observer=True)
     known = {q.name: q for q in possible} | nominal.expected | nominal.parameters
@@ -301,7 +301,7 @@ def _complete(
     The entries may also be parameters of effects that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
-    scope = scope_of(plant.load, LOADS[plant.load].max_dof)
+    scope = scope_of(plant.drive, plant.load, LOADS[plant.load].max_dof)
     parts = plant.drive, plant.load
     own = {q.name: q for q in declared_parameters(scope, *parts, plant._effects(), observer=True)}
     others = [EFFECTS[name]() for name in plant.applicable()]

@@ -18,6 +18,7 @@ import msgspec
 
 from firmware_py.link.marker_layout import MarkerLayout
 from models.plant.parameter import Parameter
+from models.plant.sensor_low_pass import SensorLowPass
 from models.plant.step_model import Variable
 
 Expr = Any
@@ -61,25 +62,6 @@ class StateVariable:
     finish: Expr | None = None
 
 
-@dataclass(frozen=True)
-class SensorLowPass:
-    """Low-pass of the measured signals of a joint.
-
-    Attributes
-    ----------
-    time_s : SX
-        Mean delay of the filtered signal.
-    second_share : SX or None
-        Fraction of it in a second stage, 0.5 for two equal stages; None for first order.
-    angle_s : SX
-        Time of the first-order low-pass of the coordinate.
-    """
-
-    time_s: Expr
-    second_share: Expr | None
-    angle_s: Expr
-
-
 @dataclass
 class Scope:
     """Symbols of one composition.
@@ -98,8 +80,8 @@ class Scope:
         Parameters that are fixed at zero.
     goal, start : dict by joint
         Goal after the command port; coordinate of the joint at the start.
-    goal_jump : dict by joint
-        Jump of the goal at the begin of the step, where the goal has a shape within it.
+    goal_change, current_change : dict by joint
+        Change of a goal in the step that has a shape within it; jump of the current by all of it.
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
     mean_acceleration : dict by joint
@@ -142,6 +124,8 @@ class Scope:
         Places of the link's markers; None for four rows of four by the link's size.
     gravity : tuple of float
         Direction of gravity, of length one; z along the link at zero angle.
+    features : frozenset of str
+        Features of the drive and the load.
     """
 
     joints: tuple[int, ...]
@@ -149,6 +133,7 @@ class Scope:
     columns: tuple[str, ...] = ()
     layout: MarkerLayout | None = None
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    features: frozenset[str] = frozenset()
     step_s: Expr = field(default_factory=lambda: ca.SX.sym("step_s"))
     states: dict[str, StateVariable] = field(default_factory=dict)
     inputs: dict[str, tuple[Variable, Expr]] = field(default_factory=dict)
@@ -156,7 +141,8 @@ class Scope:
     absent: set[str] = field(default_factory=set)
     goal: dict[int, Expr] = field(default_factory=dict)
     start: dict[int, Expr] = field(default_factory=dict)
-    goal_jump: dict[int, Expr] = field(default_factory=dict)
+    goal_change: dict[int, Expr] = field(default_factory=dict)
+    current_change: dict[int, Expr] = field(default_factory=dict)
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)

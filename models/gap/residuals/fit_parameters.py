@@ -15,10 +15,10 @@ from typing import Final, Literal
 
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.components.drives.drive_registry import DRIVES
+from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS, applicable
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, Plant
-from models.plant.scope import Scope
 from models.trials.trial import Trial
 
 Kind = Literal["nuisance", "trial", "effect"]
@@ -171,7 +171,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
-    scope = Scope(tuple(range(1, dof + 1)), suffix=dict(LOADS[plant.load].suffix))
+    scope = scope_of(plant.drive, plant.load, dof)
     declared = [q.name for q in effect.parameters(scope)]
     if name == "cross_axis_coupling" and dof == 1:
         return []
@@ -187,11 +187,11 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
         first = full.parameters[group[0]]
         if first.role != "effect":
             continue
-        is_strength = group[0] in strengths or first.value == 0  # then it has no scale of its own
+        has_scale = group[0] not in strengths and (first.prior_deviation or first.value)
         result.append(
             FitParameter(
                 group[0], "effect", dict.fromkeys(group, 1.0), {},
-                math.inf if is_strength else max(abs(first.value), 1e-9),
+                first.prior_deviation or abs(first.value) if has_scale else math.inf,
                 max(full.parameters[n].low - full.parameters[n].value for n in group),
                 min(full.parameters[n].high - full.parameters[n].value for n in group),
                 effect=name,

@@ -15,6 +15,7 @@ from typing import Final
 
 import casadi as ca
 
+from models.plant.composition.step_functions import current_variable
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 
@@ -49,6 +50,9 @@ def lag_outputs(
         for number, share in enumerate(shares, 1):
             filtered = Variable(f"lagged_{name}_{number}", variable.unit)
             value = _stage(scope, filtered, value, share * lag.time_s)
+        if lag.jump_fraction is not None and name == current_variable(j).name:
+            passed = _passed_fraction(lag.time_s)
+            value += passed * lag.jump_fraction * scope.current_change[j]
         result[name] = (variable, value)
     return result
 
@@ -74,8 +78,16 @@ def lagged_output(
 
 
 def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:
-    delay_s = ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
     still = [(s.symbol, s.initial) for s in scope.states.values()]
     state = scope.state(variable, substitute(value, still))
-    scope.states[variable.name].rate = (value - state) / delay_s
-    return value + time_s / delay_s * (state - value)
+    scope.states[variable.name].rate = (value - state) / _delay_s(time_s)
+    return value + _passed_fraction(time_s) * (state - value)
+
+
+def _delay_s(time_s: Expr) -> Expr:
+    return ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
+
+
+def _passed_fraction(time_s: Expr) -> Expr:
+    """Fraction θ/D of the output that passes the filter."""
+    return time_s / _delay_s(time_s)

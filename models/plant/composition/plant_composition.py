@@ -56,7 +56,7 @@ def compose_plant(
     link : LinkDescription, optional
         Markers and direction of gravity; left out, those of the study's link.
     """
-    scope, held = scope_of(load, dof, columns, link), [effect() for effect in effects]
+    scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
     known, observer = dict(parameters), kind != "twin"
     scope.declare([known[q.name] for q in declared_parameters(scope, drive, load, held, observer)])
     imposed = kind == "twin" and "imposed motion" in DRIVES[drive].features
@@ -65,18 +65,23 @@ def compose_plant(
 
 
 def scope_of(
-    load: str, dof: int, columns: tuple[str, ...] = (), link: LinkDescription | None = None
+    drive: str,
+    load: str,
+    dof: int,
+    columns: tuple[str, ...] = (),
+    link: LinkDescription | None = None,
 ) -> Scope:
-    """Empty scope of a load.
+    """Empty scope of a drive and a load.
 
     Parameters
     ----------
-    load, dof, columns, link
+    drive, load, dof, columns, link
         As for `compose_plant`.
     """
     return Scope(
         tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns,
         None if link is None else link.layout, (link or STUDY_LINK).gravity.unit,
+        frozenset(DRIVES[drive].features) | frozenset(LOADS[load].features),
     )  # fmt: skip
 
 

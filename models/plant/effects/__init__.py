@@ -29,7 +29,9 @@ __all__ = ["EFFECTS", "Effect", "Need", "applicable", "check_effects"]
 EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
-Need = Literal["bend", "gear load", "tip", "current", "current limit", "straight guide"]
+Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
+    "straight guide",
+]  # fmt: skip
 """Features that an effect may need and that not every drive and load has."""
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Scope, SensorLowPass
+from models.plant.scope import Scope
+from models.plant.sensor_low_pass import SensorLowPass
 
 
 class EncoderOffset(Effect):
@@ -119,6 +120,9 @@ class SensorLag(Effect):
     deflection, and where there is none that of the joint's coordinate
     (`models.plant.composition.output_lag`). A fraction of θ
     lies in a second stage where a plant document frees it or gives it; otherwise there is none.
+    A low-pass also takes the saw-tooth away that a held goal makes in the current. A trial without
+    it does not tell the saw-tooth from viscous friction, since all samples have one phase; so what
+    the plant believes of it may be wrong, and a fit corrects it together with the lag.
     Lags of the coordinate and of the motion capture are zero unless a document frees or gives them:
     −T of their rate and T² of their acceleration, which leaves (ωT)³. The drive's own loops are not
     delayed, nor is anything in the driven link and the observer.
@@ -132,6 +136,10 @@ class SensorLag(Effect):
         Parameter(name="sensor_lag_second_{j}", unit="1", value=0.0, low=0.0, high=0.5,
                   description="fraction of it in a second stage; 0.5 is critically damped",
                   source="assumed of first order"),
+        Parameter(name="sensor_lag_jump_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
+                  role="effect", prior_deviation=0.29,
+                  description="mean of the current above its sample, in jumps of the goal, beyond "
+                  "the plant's saw-tooth", source="uniform: a saw-tooth spans one jump"),
         Parameter(name="sensor_lag_angle_{j}_s", unit="s", value=0.0, low=0.0, high=0.05,
                   description="low-pass of the measured angle", source="assumed absent"),
     )  # fmt: skip
@@ -140,13 +148,23 @@ class SensorLag(Effect):
                   description="low-pass of the motion capture", source="assumed absent"),
     )  # fmt: skip
 
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters, without the saw-tooth where the drive has none."""
+        declared = super().parameters(scope)
+        if "goal shape" in scope.features:
+            return declared
+        jumps = {scope.name("sensor_lag_jump_{j}", j) for j in scope.joints}
+        return tuple(q for q in declared if q.name not in jumps)
+
     def apply(self, scope: Scope) -> None:
         """Set the low-pass of every joint's signals and of the motion capture."""
         for j in scope.joints:
             second = scope.name("sensor_lag_second_{j}", j)
+            shaped = "goal shape" in scope.features
             scope.sensor_lag[j] = SensorLowPass(
                 time_s=scope.p("sensor_lag_{j}_s", j),
                 second_share=None if second in scope.absent else scope.p(second),
                 angle_s=scope.p("sensor_lag_angle_{j}_s", j),
+                jump_fraction=scope.p("sensor_lag_jump_{j}", j) if shaped else None,
             )
         scope.frame_lag_s += scope.p("sensor_lag_mocap_s")

@@ -26,6 +26,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from models.plant.components.drives.drive_registry import DRIVES
+from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.goal_profile_fit import (
@@ -37,7 +38,6 @@ from models.plant.identification.simulation_fit import Objective, Solution, fit_
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, ModelKind, Plant
 from models.plant.provenance import Evaluation, Provenance
-from models.plant.scope import Scope
 from models.plant.simulation.compiled_model import Array
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
@@ -201,7 +201,7 @@ def _base_name(name: str) -> str:
 
 def _free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names to fit in the link's stage and in the drive's; friction is in both."""
-    scope = Scope(tuple(range(1, planes + 1)), suffix=dict(LOADS[plant.load].suffix))
+    scope = scope_of(plant.drive, plant.load, planes)
 
     def wanted(part: Any) -> list[str]:
         declared = [q.name for q in part.parameters(scope)]

@@ -32,7 +32,7 @@ class Cascade:
     """
 
     kind: ClassVar[str] = "cascade"
-    features: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    features: ClassVar[tuple[str, ...]] = ("current", "current limit", "goal shape")
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -84,7 +84,10 @@ class Cascade:
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
-            jump = gain * scope.p("position_gain_{j}_per_s", j) * scope.goal_jump[j]
+            per_goal = gain * scope.p("position_gain_{j}_per_s", j)
+            at_once = 1 - scope.p("goal_interpolation_{j}", j)
+            jump = per_goal * (at_once * scope.goal_change[j])
+            scope.current_change[j] = per_goal * scope.goal_change[j]
             above_end = sawtooth_above_end(
                 scope, j, declare_step_length(scope), self._decay_s(scope, j)
             )

@@ -64,7 +64,7 @@ def declare_step_length(scope: Scope) -> Expr:
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
-    """Add a goal as an input and its shape within the step; set `goal`, `goal_jump` and `start`.
+    """Add a goal as an input and its shape within the step; set `start` and all of `goal*`.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
     scope.states[shaped.name()].begin = shaped + held * wanted
     scope.states[shaped.name()].rate = (1 - held) * change / step_s
     scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
-    scope.goal_jump[joint] = held * change
+    scope.goal_change[joint] = change
 
 
 def sawtooth_above_end(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:

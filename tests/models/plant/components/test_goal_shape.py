@@ -139,7 +139,7 @@ class HeldCascade(Cascade):
     def declare(self, scope):
         for j in scope.joints:
             declare_goal(scope, j)
-            scope.goal_jump[j] = 0
+            scope.goal_change[j] = 0
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
 

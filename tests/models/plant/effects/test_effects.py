@@ -18,8 +18,8 @@ ALL = tuple(read_plant().applicable())
 UNITS = ("twin", "driven", "observer")
 
 
-def unit_of_strength(name, load="link"):
-    plant_scope = scope_of(load, 1)
+def unit_of_strength(name, drive="cascade", load="link"):
+    plant_scope = scope_of(drive, load, 1)
     return EFFECTS[name]().parameters(plant_scope)[0].unit
 
 
@@ -33,8 +33,8 @@ def test_every_name_of_the_catalogue_is_an_effect_with_its_port_and_unit():
 def test_every_effect_is_documented_bounded_and_absent_by_default():
     for name, effect in EFFECTS.items():
         assert effect.__doc__ and effect.apply.__doc__
-        parameters = effect().parameters(scope_of("link", 2))
-        strengths = effect.strengths(scope_of("link", 2))
+        parameters = effect().parameters(scope_of("cascade", "link", 2))
+        strengths = effect.strengths(scope_of("cascade", "link", 2))
         assert parameters[0].name == strengths[0]
         assert len({q.name for q in parameters}) == len(parameters)
         for q in parameters:
@@ -42,7 +42,7 @@ def test_every_effect_is_documented_bounded_and_absent_by_default():
             assert q.low <= q.value <= q.high and q.low < q.high
             if q.name in strengths:
                 assert q.value == 0, (name, q.name)
-            elif q.value == 0 and "_cosine_" not in q.name:  # a strength for plants that free it
+            elif q.value == 0 and q.prior_deviation is None and "_cosine_" not in q.name:
                 assert q.role == "fixed", (name, q.name)
 
 

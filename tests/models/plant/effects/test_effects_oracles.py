@@ -53,6 +53,36 @@ def test_sensor_lag_is_a_low_pass_of_the_current_alone(bench, share):
         assert np.array_equal(before[name], after[name]), name
 
 
+def test_a_lag_takes_the_saw_tooth_of_a_held_goal_away_and_its_jump_gives_it_back(bench):
+    """On a steady ramp a low-pass leaves the mean of the current, above its sample at the end.
+
+    The mean of a saw-tooth that decays by exp(-t/τ) is τ/h - r/(1 - r) jumps above its end,
+    r = exp(-h/τ). τ is that of the velocity loop against all inertia, here of the rotor; the link's
+    own changes it little, as its joint is soft.
+    """
+    step_s, rate_rad_s, lag_s = 0.017, 0.2, 0.05
+    plant = bench.plant("sensor_lag")
+    known = {name: q.value for name, q in plant.parameters.items()}
+    decay_s = known["rotor_inertia_1_kg_m2"] / (CONSTANT_NM_A * known["velocity_gain_1_a_s_rad"])
+    left = np.exp(-step_s / decay_s)
+    above = decay_s / step_s - left / (1 - left)
+    change_a = (
+        known["velocity_gain_1_a_s_rad"] * known["position_gain_1_per_s"] * rate_rad_s * step_s
+    )
+    model = CompiledModel(plant.step_model(1))
+    goal = rate_rad_s * step_s * np.arange(-150, 150)
+    column = names(model.model.outputs).index("current_1_a")
+
+    def current_a(**changes):
+        u = np.column_stack([goal, np.zeros(len(goal))])
+        return model.simulate(u, step_s, model.model.parameter_values(changes))[100:, column]
+
+    sampled, lagged = current_a(), current_a(sensor_lag_1_s=lag_s)
+    restored = current_a(sensor_lag_1_s=lag_s, sensor_lag_jump_1=-above)
+    assert np.mean(lagged - sampled) == pytest.approx(above * change_a, rel=0.1)
+    assert abs(np.mean(restored - sampled)) < 0.1 * above * change_a
+
+
 def test_the_lags_of_angle_and_mocap_delay_slow_signals(bench):
     lag_s = 0.02
     plant = bench.plant("sensor_lag")
