@@ -146,7 +146,10 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         if not verdict.refused:
             verdict.findings.append(ImportFinding("refused", "refused", error.what, error.remedy))
         page = write_verdict(verdict, args.out)
-        raise InputError(error.where, error.what, f"{error.remedy} (see {page})") from None
+        written = str(out) in error.where
+        raise InputError(
+            take.file if written else error.where, error.what, f"{error.remedy} (see {page})"
+        ) from None
     write_verdict(verdict, out)
     result: dict[str, Any] = verdict.as_json() | {
         "trial": str(args.out / path.name),

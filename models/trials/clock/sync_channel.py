@@ -1,8 +1,12 @@
-"""Offset between two clocks from a hardware synchronisation signal that both files recorded."""
+"""Offset between two clocks from a hardware synchronisation signal that both files recorded.
+
+An edge lies between two samples, so each pair of edges gives an interval of the offset. All pairs
+hold for the one offset: their intervals overlap, and the more edges, the less is left.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -10,54 +14,92 @@ from models.trials.trial import Array
 
 LEAST_SWING_V: Final = 0.5
 """Smallest difference between the levels of the signal [assumed: logic is at 1.8 V or more]."""
+JITTER_S: Final = 2e-4
+"""Error of a time stamp [assumed]."""
+DRIFT: Final = 3e-5
+"""Difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
+LEAST_SHARED: Final = 0.5
+"""Part of the edges of the file with fewer that must have a partner."""
+
+
+class EdgeOffset(NamedTuple):
+    """Offsets for which the edges of two files fit together.
+
+    Attributes
+    ----------
+    low_s, high_s : float
+        To be added to the servo's times.
+    shared : int
+        Pairs of edges.
+    """
+
+    low_s: float
+    high_s: float
+    shared: int
+
+    @property
+    def offset_s(self) -> float:
+        """Middle of the interval."""
+        return 0.5 * (self.low_s + self.high_s)
+
+    @property
+    def error_s(self) -> float:
+        """Half of its width."""
+        return 0.5 * (self.high_s - self.low_s)
 
 
 def rising_edges_s(time_s: Array, level_v: Array) -> Array:
-    """Times at which a signal crosses the middle of its range upwards, linearly interpolated.
+    """Times of the samples before and after each rise through the middle of a signal's range.
 
     Parameters
     ----------
     time_s, level_v : ndarray, shape (n,)
         Samples; those that are not finite are left out.
 
+    Returns
+    -------
+    ndarray, shape (edges, 2)
+
     Examples
     --------
     >>> rising_edges_s(np.arange(6.0), np.array([0.0, 0, 4, 4, 0, 4]))
-    array([1.5, 4.5])
+    array([[1., 2.],
+           [4., 5.]])
     """
     seen = np.isfinite(level_v)
     time_s, level_v = time_s[seen], level_v[seen]
     if len(level_v) < 2 or np.ptp(level_v) < LEAST_SWING_V:
-        return np.zeros(0)
+        return np.zeros((0, 2))
     middle = 0.5 * (level_v.min() + level_v.max())
     at = np.flatnonzero((level_v[:-1] < middle) & (level_v[1:] >= middle))
-    fraction = (middle - level_v[at]) / (level_v[at + 1] - level_v[at])
-    return np.asarray(time_s[at] + fraction * (time_s[at + 1] - time_s[at]))
+    return np.column_stack([time_s[at], time_s[at + 1]])
 
 
-def edge_offset_s(servo_s: Array, mocap_s: Array) -> tuple[float, float] | None:
-    """Offset to be added to the servo's times, and the half width of its 95 % interval.
+def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
+    """Offsets for which the edges of two files fit together, that with the most pairs first.
 
     Parameters
     ----------
-    servo_s, mocap_s : ndarray
-        Edges in each file. If one file has fewer, they are taken for a run of the other's.
+    servo_s, mocap_s : ndarray, shape (edges, 2)
+        Edges in each file, from `rising_edges_s`. Either may lack edges at its ends.
 
     Returns
     -------
-    tuple of float or None
-        None where an edge is missing or no run of edges fits to within 5 ms.
+    list of EdgeOffset
+        More than one where the signal repeats itself; empty where nothing fits.
     """
-    few, many = sorted((servo_s, mocap_s), key=len)
-    if not len(few):
-        return None
-    found: list[tuple[float, float]] = []
-    for k in range(len(many) - len(few) + 1):
-        apart_s = many[k : k + len(few)] - few
-        found.append((float(np.std(apart_s)), float(np.median(apart_s))))
-    deviation_s, median_s = min(found)
-    ambiguous = len(found) > 1 and sorted(found)[1][0] < 3 * deviation_s + 1e-4
-    if deviation_s > 5e-3 or ambiguous:
-        return None
-    sign = 1.0 if few is servo_s else -1.0
-    return sign * median_s, float(1.96 * deviation_s / np.sqrt(len(few)))
+    least = max(LEAST_SHARED * min(len(servo_s), len(mocap_s)), 1)
+    found = []
+    for shift in range(1 - len(servo_s), len(mocap_s)):
+        servo = servo_s[max(-shift, 0) :]
+        mocap = mocap_s[max(shift, 0) :]
+        shared = min(len(servo), len(mocap))
+        if shared < least:
+            continue
+        servo, mocap = servo[:shared], mocap[:shared]
+        slack_s = JITTER_S + DRIFT * float(servo[-1, 1] - servo[0, 0])
+        low_s = float(np.max(mocap[:, 0] - servo[:, 1])) - slack_s
+        high_s = float(np.min(mocap[:, 1] - servo[:, 0])) + slack_s
+        if low_s <= high_s:
+            found.append(EdgeOffset(low_s, high_s, shared))
+    return sorted(found, key=lambda fit: -fit.shared)

@@ -290,12 +290,33 @@ def read_mapping(path: Path | None) -> RecordingMap:
             raise InputError(
                 path, f"[markers] {name!r} is no marker", f"use m01 … {last}, tip or b01 … b04"
             )
+    _refuse_doubled(mapping, path)
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
     mapping = msgspec.structs.replace(mapping, path=str(path))
     if mapping.plant:
         mapping = msgspec.structs.replace(mapping, signals=_signals(path.parent / mapping.plant))
     return mapping
+
+
+def _refuse_doubled(mapping: RecordingMap, path: Path) -> None:
+    """Refuse two names for one source; only a goal may be taken from another signal's column."""
+    joints = {f"joint {j}": name for j, name in enumerate(mapping.joints, start=1)}
+    tables = [("[markers]", mapping.markers), ("'joints'", joints)]
+    both = {"[columns]": mapping.columns, "[servo_columns]": mapping.servo_columns}
+    for key, columns in ({} if mapping.plant else both).items():
+        signals = {name: column.source for name, column in columns.items() if name != "time_s"}
+        tables.append((key, signals))
+    for key, table in tables:
+        first: dict[str, str] = {}
+        for name, source in table.items():
+            pair = {name.partition("_")[0], first.get(source, name).partition("_")[0]}
+            if source in first and pair not in ({"goal"}, {"goal", "angle"}):
+                raise InputError(
+                    path, f"{key} takes {first[source]} and {name} both from {source!r}",
+                    "name the source of each",
+                )  # fmt: skip
+            first.setdefault(source, name)
 
 
 def _signals(path: Path) -> dict[str, SignalRole]:

@@ -84,6 +84,11 @@ def _rows(path: Path) -> Iterator[list[str]]:
 def _header(path: Path, first: list[str]) -> dict[str, str]:
     """Key, value pairs of the header's first line, checked."""
     header = dict(zip(first[::2], first[1::2], strict=False))
+    if first and first[0].startswith("Format Version;"):
+        raise InputError(
+            path, "is separated by semicolons, with decimal commas",
+            "export it with commas and decimal points",
+        )  # fmt: skip
     if "Format Version" not in header:
         raise InputError(
             path, "is no Motive export with header", "export CSV with 'Header Information' on"

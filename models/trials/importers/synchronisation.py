@@ -18,7 +18,7 @@ from models.shared.kinematics import pointing_angles_rad
 from models.trials.clock.bending_lag import BendRatio, nominal_bend_ratio
 from models.trials.clock.offset_fit import OffsetFit, fit_offset
 from models.trials.clock.offset_search import SEPARATION_S, ClockSignal, Peak, find_peaks
-from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
+from models.trials.clock.sync_channel import EdgeOffset, edge_offsets, rising_edges_s
 from models.trials.importers.mapping import BASE_MARKERS
 from models.trials.importers.series import Series, row_centre_m
 from models.trials.trial import Array, TrialMeta
@@ -29,6 +29,8 @@ MIN_CORRELATION: Final = 0.9
 """Correlation below which two files do not show the same motion."""
 SYNC: Final = "sync_v"
 """Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
+FINE_S: Final = 0.001
+"""Half width of the signal's offset above which the motion refines it: the clock's target."""
 NEAR_FACTOR: Final = 3.0
 NEAR_FLOOR: Final = 0.001
 """A second offset is near if its lack of correlation is below this multiple of the best one's plus
@@ -87,9 +89,15 @@ def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Sy
         If a file lacks what is compared, the correlation is below `MIN_CORRELATION`, another sign
         or order of the joints fits better, or a second offset fits nearly as well.
     """
-    by_edge = _by_edges(servo, mocap)
-    if by_edge is not None:
-        return by_edge
+    by_edges = _by_edges(servo, mocap)
+    if len(by_edges) == 1 and by_edges[0].error_s <= FINE_S:
+        return Synchronisation(by_edges[0].offset_s, np.nan, by_edges[0].error_s, by="sync")
+    if by_edges:
+        return _edge_with_motion(by_edges, servo, mocap, meta)
+    return _by_motion(servo, mocap, meta)
+
+
+def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
     angle = _angle(servo, meta.dof)
     seen, bend, ratio = _direction(mocap, meta)
     for own, time_s in ((servo, angle.time_s), (mocap, seen.time_s)):
@@ -139,24 +147,43 @@ def without_sync(series: list[Series]) -> list[Series]:
     ]  # fmt: skip
 
 
-def _by_edges(servo: list[Series], mocap: list[Series]) -> Synchronisation | None:
-    owners = [next((s for s in side if SYNC in s.columns), None) for side in (servo, mocap)]
-    if owners[0] is None or owners[1] is None:
-        return None
-    edges = [rising_edges_s(s.time_s, s.columns[SYNC]) for s in owners if s is not None]
-    found = edge_offset_s(edges[0], edges[1])
-    if found is None:
+def _by_edges(servo: list[Series], mocap: list[Series]) -> list[EdgeOffset]:
+    owners = [s for side in (servo, mocap) for s in side if SYNC in s.columns]
+    if not all(any(SYNC in s.columns for s in side) for side in (servo, mocap)):
+        return []
+    edges = [rising_edges_s(s.time_s, s.columns[SYNC]) for s in (owners[0], owners[-1])]
+    found = edge_offsets(*edges)
+    if not found:
         raise InputError(
             owners[0].path,
-            f"its {SYNC} has {len(edges[0])} rising edges, that of {owners[1].path} "
+            f"its {SYNC} has {len(edges[0])} rising edges, that of {owners[-1].path} "
             f"{len(edges[1])}, and they do not fit together",
             f"map the same signal in both files, or leave {SYNC} out",
         )
-    steps_s = [float(np.median(np.diff(s.time_s))) for s in owners if s is not None]
-    sampling_s = float(np.linalg.norm(steps_s)) / np.sqrt(12 * max(min(map(len, edges)), 1))
-    return Synchronisation(
-        found[0], np.nan, float(np.hypot(found[1], 1.96 * sampling_s)), by="sync"
-    )
+    return found
+
+
+def _edge_with_motion(
+    edges: list[EdgeOffset], servo: list[Series], mocap: list[Series], meta: TrialMeta
+) -> Synchronisation:
+    """Offset of a signal that repeats itself, or was sampled coarsely, with the motion's help."""
+    try:
+        motion = _by_motion(servo, mocap, meta)
+    except InputError as error:
+        if len(edges) == 1:
+            return Synchronisation(edges[0].offset_s, np.nan, edges[0].error_s, by="sync")
+        raise InputError(
+            servo[0].path,
+            f"its {SYNC} repeats itself and fits at {edges[0].offset_s:.3f} s and at "
+            f"{edges[1].offset_s:.3f} s, and the motion does not decide: {error.what}",
+            "send pulses at uneven times, or give --offset SECONDS",
+        ) from None  # fmt: skip
+    nearest = min(edges, key=lambda edge: abs(edge.offset_s - motion.offset_s))
+    inside_s = float(np.clip(motion.offset_s, nearest.low_s, nearest.high_s))
+    if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal counts, not the motion
+        return Synchronisation(nearest.offset_s, np.nan, nearest.error_s, by="sync")
+    error_s = min(nearest.error_s, motion.error_s)
+    return replace(motion, offset_s=inside_s, error_s=error_s, by="sync")
 
 
 def _angle(servo: list[Series], dof: int) -> ClockSignal:

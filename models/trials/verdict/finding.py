@@ -33,6 +33,16 @@ GAIN: Final = (0.15, 0.3)
 """Deviation of the link's motion, relative to the angle's, from one; bend adds 0.1 at 2 kg."""
 CLOCK_ERROR_S: Final = (0.002, 0.02)
 """Half width of the interval of the clock's offset: the study's tip moves 0.7 m/s."""
+STUCK_RAD: Final = (0.03, 0.1)
+"""Way of a goal during which the angle keeps one and the same value: a servo that sticks lags by
+less, an encoder's step is 1.5 mrad at most."""
+REPEATED_LOAD: Final = 0.25
+"""Relative difference of the load between trials of one payload and motion; the rig's differ by 1
+to 2 %."""
+ACROSS: Final = (0.1, 0.3)
+"""Motion of the link across the plane of the only joint, relative to that in it."""
+PRESSURE_PA: Final = 1e3
+"""Pressure below which the number is not one in Pa: the link is pumped to some tens of kPa."""
 COMMON_CLOCK_S: Final = (0.01, 0.05)
 """Offset between markers and angles that one file gives on one clock."""
 

@@ -86,7 +86,7 @@ class ImportVerdict:
         """
         reasons = self.refused
         if reasons:
-            others = "".join(f"; also: {f.text}" for f in reasons[1:3])
+            others = "".join(f"; also: {f.text}" for f in [*reasons[1:], *self.warnings][:2])
             raise InputError(where, reasons[0].text + others, reasons[0].remedy)
 
     def as_json(self) -> dict[str, Any]:

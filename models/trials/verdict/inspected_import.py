@@ -21,7 +21,6 @@ from models.trials.importers.synchronisation import (
     without_sync,
 )
 from models.trials.trial import Array, Trial
-from models.trials.verdict.common_clock import check_common_clock
 from models.trials.verdict.completeness import (
     judge_gaps,
     judge_markers,
@@ -32,6 +31,12 @@ from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.motion_findings import judge_motion
 from models.trials.verdict.pose_findings import judge_pose
 from models.trials.verdict.rest_pose import rest_pose
+from models.trials.verdict.signal_findings import (
+    check_common_clock,
+    judge_goal_sources,
+    judge_signals,
+    judge_times,
+)
 
 _UP: Final = {"motive": "y"}
 """Upward axis by format; z in all others."""
@@ -87,7 +92,9 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     series, servo = _since(series, epoch_s), _since(servo, servo_epoch_s)
     link = not mapping.signals
     if link:
-        verdict.findings += judge_markers(series, mapping)
+        verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
+        for side in filter(None, (servo, series)):
+            verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
         rest_rad = _first_angles([*servo, *series], mapping.dof)
         _judge_rest_pose(series, mapping, verdict, rest_rad, _UP.get(source.kind, "z"))
         verdict.refuse(source.file)
@@ -97,14 +104,11 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         try:
             clock = _clock(servo, series, source, mapping, apart_s)
         except InputError:
-            for side in (servo, series):  # a gap is the cause, not a motion that is not alike
-                verdict.gaps += longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
-            verdict.findings += judge_gaps(verdict.gaps)
+            _judge_whole_files(servo, series, verdict)
             verdict.refuse(source.file)
             raise
         series = [*series, *shift_clock(servo, clock.offset_s)]
         verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s)
-        verdict.check_clock()
     elif link:
         check_common_clock(series, mapping.meta(0), verdict)
     series = without_sync(_without_base(series))
@@ -112,6 +116,10 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     start_s = max(s.time_s[0] for s in series)
     verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
     verdict.findings += judge_gaps(verdict.gaps)
+    if servo and not verdict.refused:
+        verdict.check_clock()
+        if verdict.refused:
+            _judge_whole_files(servo, series[:1], verdict)
     verdict.refuse(source.file)
     trial = assemble_trial(series, mapping, verdict.name)
     verdict.trial = trial
@@ -119,6 +127,16 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
     verdict.refuse(source.file)
     return trial
+
+
+def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: ImportVerdict) -> None:
+    """Add gaps anywhere in two files: such a gap is why their clocks do not fit."""
+    gaps = [
+        gap for side in (servo, mocap)
+        for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
+    ]  # fmt: skip
+    verdict.gaps = gaps
+    verdict.findings[:0] = judge_gaps(gaps)
 
 
 def _table_to_world(series: Series, mapping: RecordingMap) -> Series:

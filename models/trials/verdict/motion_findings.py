@@ -10,12 +10,34 @@ from firmware_py.display_units import ANGLE
 from models.shared.kinematics import base_rotation, pointing_angles_rad
 from models.trials.importers.series import row_centre_m
 from models.trials.trial import Array, Trial
-from models.trials.verdict.finding import GAIN, YAW_RAD, ImportFinding, Level, level_of
+from models.trials.verdict.finding import (
+    ACROSS,
+    GAIN,
+    PRESSURE_PA,
+    YAW_RAD,
+    ImportFinding,
+    Level,
+    level_of,
+)
 
 LEAST_MOTION_RAD: Final = 0.03
 """Standard deviation of an angle from which a motion can be judged."""
 LARGEST_RAD: Final = 6.3
-"""Angle beyond which it is no angle in rad."""
+"""Angle beyond which it is none in rad."""
+LARGEST: Final = (
+    ("goal", "rad", LARGEST_RAD, "deg"),
+    ("angle", "rad", LARGEST_RAD, "deg"),
+    ("current", "a", 100.0, "mA"),
+)
+"""Signals of a joint, with the value beyond which they have another unit than SI."""
+LEAST_CURRENT_A: Final = 0.01
+"""Largest current of a motion below which it is not in A: the smallest servo's friction takes 0.02
+to 0.04 A (docs/sources.md, "The servo")."""
+REPEATING: Final = 0.5
+"""Part of a sinusoid's goals that a sine of the declared period must give."""
+SWAPPED: Final = 1.5
+"""Power that a current leaves beside its own joint, over that beside the other one: at most 0.4 on
+the rig, 2.4 and more where they are exchanged."""
 ALIKE: Final = 0.9
 """Correlation from which two signals show the same motion."""
 AMPLITUDE: Final = 0.3
@@ -32,9 +54,11 @@ def judge_motion(trial: Trial) -> list[ImportFinding]:
     trial : Trial
         Assembled, all signals on one clock.
     """
-    if np.nanmax(np.abs(trial.angle_rad)) > LARGEST_RAD:
-        return []  # degrees: the trial's own check says so
-    return [*_link_findings(trial), *_goal_findings(trial), *_current_findings(trial)]
+    found = [*_unit_findings(trial), *_condition_findings(trial)]
+    if any(f.level == "refused" for f in found):
+        return found
+    found += [*_link_findings(trial), *_goal_findings(trial)]
+    return found + _current_findings(trial)
 
 
 def link_direction(trial: Trial) -> Array | None:
@@ -50,18 +74,80 @@ def link_direction(trial: Trial) -> Array | None:
     return np.asarray(root_m / np.linalg.norm(root_m, axis=1, keepdims=True))
 
 
+def _unit_findings(trial: Trial) -> list[ImportFinding]:
+    """Angles in degrees, currents in mA, and the reverse."""
+    found = []
+    for j in range(1, trial.meta.dof + 1):
+        for kind, suffix, largest, unit in LARGEST:
+            name = f"{kind}_{j}_{suffix}"
+            reached = float(np.nanmax(np.abs(trial.columns[name])))
+            if reached > largest:
+                found.append(
+                    ImportFinding(
+                        "refused", "unit", f"{name} reaches {reached:.3g}: it is in {unit}",
+                        f'set unit = "{unit}" for {name} in MAP.toml',
+                    )
+                )  # fmt: skip
+        current = np.abs(trial.current_a[:, j - 1])
+        moves = trial.angle_rad[:, j - 1].std() > LEAST_MOTION_RAD
+        if moves and 0 < np.nanmax(current) < LEAST_CURRENT_A:
+            found.append(
+                ImportFinding(
+                    "warning", "unit",
+                    f"current {j} reaches {1e3 * np.nanmax(current):.2g} mA only, less than "
+                    "friction takes: its unit is wrong",
+                    f"correct unit or scale of current_{j}_a",
+                )
+            )  # fmt: skip
+    return found
+
+
+def _condition_findings(trial: Trial) -> list[ImportFinding]:
+    """Pressure and period that cannot be."""
+    found, meta = [], trial.meta
+    if 0 < meta.pressure_pa < PRESSURE_PA:
+        found.append(
+            ImportFinding(
+                "refused", "pressure", f"pressure_pa is {meta.pressure_pa:g}: that is not in Pa",
+                "give it in Pa: 6 PSI are 41370 Pa, 0.4 bar are 40000 Pa",
+            )
+        )  # fmt: skip
+    goal = trial.goal_rad[meta.rest_samples :, 0]
+    time_s = trial.time_s[meta.rest_samples :]
+    if meta.motion == "sinusoid" and len(goal) > 3 and goal.std() > LEAST_MOTION_RAD:
+        phase = 2 * np.pi * (time_s - time_s[0]) / meta.period_s
+        design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
+        left = goal - design @ np.linalg.lstsq(design, goal, rcond=None)[0]
+        if 1 - left.var() / goal.var() < REPEATING:
+            found.append(
+                ImportFinding(
+                    "warning", "period",
+                    f"the goals are no sinusoid with the period of {meta.period_s:g} s",
+                    "correct period_s or motion under [trial]",
+                )
+            )  # fmt: skip
+    return found
+
+
 def _link_findings(trial: Trial) -> list[ImportFinding]:
     seen = link_direction(trial)
     angle = trial.angle_rad
-    if seen is None or not np.isfinite(angle).all() or angle.std(axis=0).max() < LEAST_MOTION_RAD:
+    if seen is None or not np.isfinite(angle).all():
         return []
     kept = np.isfinite(seen).all(axis=1)
     seen, angle = seen[kept], angle[kept]
+    moves = max(
+        angle.std(axis=0).max(), pointing_angles_rad(seen)[:, : trial.meta.dof].std(axis=0).max()
+    )
+    if moves < LEAST_MOTION_RAD:
+        return []
     rigid = base_rotation(angle)[:, :, 2]
     moved, due = (v[:, :2] - v[:, :2].mean(axis=0) for v in (seen, rigid))
     found = _reading(pointing_angles_rad(seen)[:, : trial.meta.dof], angle)
     if found:
         return found
+    if trial.meta.dof == 1 and (one := _across(moved)) is not None:
+        return [one]
     along = np.sum(due * moved)
     across = np.sum(due[:, 0] * moved[:, 1] - due[:, 1] * moved[:, 0])
     yaw = float(np.arctan2(across, along))
@@ -84,6 +170,20 @@ def _link_findings(trial: Trial) -> list[ImportFinding]:
             )
         ]  # fmt: skip
     return []
+
+
+def _across(moved: Array) -> ImportFinding | None:
+    """Finding where the link of one joint moves in a second direction too."""
+    sizes = np.sqrt(np.linalg.eigvalsh(moved.T @ moved))
+    across = float(sizes[0] / sizes[1])
+    level = level_of(across, ACROSS)
+    if not level:
+        return None
+    return ImportFinding(
+        level, "joints",
+        f"the link moves in two directions, {across:.0%} across the plane of its only joint",
+        "set dof = 2 and map the second servo, or hold the second joint still",
+    )  # fmt: skip
 
 
 def _reading(direction: Array, angle: Array) -> list[ImportFinding]:
@@ -159,15 +259,19 @@ def _current_findings(trial: Trial) -> list[ImportFinding]:
     must be turned before the current is said to be.
     """
     found: list[ImportFinding] = []
+    if trial.meta.dof == 2 and _exchanged_currents(trial):
+        found.append(
+            ImportFinding(
+                "warning", "current", "currents 1 and 2 are swapped",
+                "exchange their columns in MAP.toml",
+            )
+        )  # fmt: skip
     for j in range(trial.meta.dof):
         current, q = trial.current_a[:, j], trial.angle_rad[:, j]
         rate = np.gradient(q, trial.step_s)
         if not np.isfinite(current + q).all() or np.std(rate) < MOVING_RAD_S:
             continue
-        columns = [np.ones_like(q), np.sin(q), np.tanh(rate / MOVING_RAD_S)]
-        design = np.column_stack(columns)
-        terms, *_ = np.linalg.lstsq(design, current, rcond=None)
-        error = current - design @ terms
+        terms, error = current_terms(current, q, trial.step_s)
         weight, friction = terms[1] * np.sin(q).std(), terms[2]
         noise = max(0.2 * error.std(), 0.1 * current.std())
         level: Level = "warning"
@@ -180,3 +284,38 @@ def _current_findings(trial: Trial) -> list[ImportFinding]:
                 )
             )  # fmt: skip
     return found
+
+
+def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, Array]:
+    """Parts of a current: offset, per sine of the angle (load), by the sign of the rate (friction).
+
+    Parameters
+    ----------
+    current, angle : ndarray, shape (n,)
+        In A and rad.
+    step_s : float
+        Time step.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        The three parts in A.
+    ndarray, shape (n,)
+        What they leave.
+    """
+    rate = np.gradient(angle, step_s)
+    design = np.column_stack([np.ones_like(angle), np.sin(angle), np.tanh(rate / MOVING_RAD_S)])
+    terms, *_ = np.linalg.lstsq(design, current, rcond=None)
+    return terms, current - design @ terms
+
+
+def _exchanged_currents(trial: Trial) -> bool:
+    """Whether each current goes with the other joint's motion."""
+    angle, current = trial.angle_rad, trial.current_a
+    if not np.isfinite(angle + current).all() or angle.std(axis=0).min() < LEAST_MOTION_RAD:
+        return False
+    left = [
+        [current_terms(current[:, i], angle[:, j], trial.step_s)[1].var() for j in (0, 1)]
+        for i in (0, 1)
+    ]
+    return all(left[i][i] > SWAPPED * left[i][1 - i] for i in (0, 1))

@@ -46,7 +46,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
             )
         )  # fmt: skip
     aligned = mapping.frame.align != "none"
-    if not aligned:
+    if not aligned and level != "refused":
         found += _frame(pose, mapping, default_up)
     worst = int(np.argmax(pose.misfit_m))
     level = level_of(pose.misfit_m[worst], SHAPE_M)
@@ -84,7 +84,16 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
             )
         )  # fmt: skip
     level = level_of(pose.tilt_rad, TILT_RAD)
-    if level:
+    if level and pose.tilt_turned_rad < pose.tilt_rad / 3:
+        found.append(
+            ImportFinding(
+                "refused", "sign",
+                f"the link leans by {ANGLE.text(pose.tilt_rad)} against its angles at rest, and "
+                "not at all against these with the other sign: the servo counts the other way",
+                "set scale = -1.0 for the angle and its goal, or correct up and yaw_deg",
+            )
+        )  # fmt: skip
+    elif level:
         found.append(
             ImportFinding(
                 level, "tilt",

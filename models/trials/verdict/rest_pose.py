@@ -28,6 +28,8 @@ LEAST_MARKERS: Final = 4
 """Markers from which a pose can be told."""
 _BETTER: Final = 0.35
 """Fraction to which another order of the names must bring the misfit to be believed [assumed]."""
+_PER_RAD_M: Final = 0.001
+"""What a turn costs against misfit: it decides between orders that fit within 3 mm [assumed]."""
 _FAR_M: Final = 0.015
 """Misfit of a marker from which other orders of the names are tried."""
 
@@ -46,6 +48,8 @@ class RestPose:
         Crossing of the joint axes, as the markers show it.
     tilt_rad, yaw_rad : float
         Of the link against the nominal one; yaw about z.
+    tilt_turned_rad : float
+        Tilt against the nominal link with the joint angles of the other sign.
     axis : ndarray, shape (3,)
         Direction of the link.
     scale : float
@@ -64,6 +68,7 @@ class RestPose:
     offset_m: Array
     tilt_rad: float
     yaw_rad: float
+    tilt_turned_rad: float
     axis: Array
     scale: float
     misfit_m: Array
@@ -103,7 +108,7 @@ def rest_pose(
     placed = nominal[order]
     rotation, shift = fit_rigid_motion(placed, measured)  # measured = rotation nominal + shift
     axis = rotation @ turn[:, 2]
-    tilt = float(np.arccos(np.clip(rotation[2] @ [0, 0, 1.0], -1, 1)))
+    tilt = _tilt_rad(rotation)
     rows = np.array(places) // layout.corners
     heights = [
         measured[rows == r, 2].mean() if (rows == r).any() else np.nan for r in range(layout.rows)
@@ -115,12 +120,17 @@ def rest_pose(
         _origin_m(measured, placed, rotation, shift),
         tilt,
         float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])),
+        _tilt_rad(rotation @ turn @ turn),
         axis,
         _scale(measured, placed),
         np.linalg.norm(placed @ rotation.T + shift - measured, axis=1),
         np.array(heights),
         wording,
     )
+
+
+def _tilt_rad(rotation: Array) -> float:
+    return float(np.arccos(np.clip(rotation[2, 2], -1, 1)))
 
 
 def _scale(measured: Array, nominal: Array) -> float:
@@ -154,8 +164,9 @@ def _order(
 ) -> tuple[Order, str]:
     """Order of the nominal places that fits the measured ones, and its name.
 
-    Tried in turn: single markers exchanged, corners exchanged in all rows, rows exchanged. The
-    first that brings the misfit down to a third is taken.
+    Tried in turn: single markers exchanged, corners exchanged in one row, corners in all rows and
+    rows exchanged. The first that brings the misfit down to a third is taken. Reversed rows look
+    like mirrored corners of a link upside down: of two that fit alike, that with the smaller turn.
     """
     same = np.arange(len(names))
     rotation, shift = fit_rigid_motion(nominal, measured)
@@ -167,20 +178,35 @@ def _order(
     if found is not None:
         return found
     index = {name: k for k, name in enumerate(names)}
-    for kind in ("corner", "row"):  # corners first: reversed rows look like mirrored corners
-        best = (misfit, same, "")
-        for order in _orders(layout.corners if kind == "corner" else layout.rows):
-            moved = _permuted(index, order, kind, layout)
-            if moved is None:
-                continue
-            now = _misfit(measured, nominal[moved])
-            # Corners turned all together are a yaw, which the rigid motion tells.
-            if now < best[0] - 1e-6 and not (kind == "corner" and misfit - now < 1e-3):
-                listed = ", ".join(str(o + 1) for o in order)
-                best = (now, moved, f"{kind}s are named in the order {listed}")
-        if best[0] < _BETTER * misfit and best[0] < _FAR_M:
+    kinds = [("corner", row) for row in range(layout.rows)] if layout.rows > 1 else []
+    for group in (kinds, [("corner", None), ("row", None)]):
+        best = (np.inf, same, "")
+        for kind, only in group:
+            for order in _orders(layout.corners if kind == "corner" else layout.rows):
+                moved = _permuted(index, order, kind, layout, only)
+                if moved is None:
+                    continue
+                now = _misfit(measured, nominal[moved])
+                # Corners turned all together are a yaw, which the rigid motion tells.
+                if kind == "corner" and misfit - now < 1e-3:
+                    continue
+                if now < _BETTER * misfit and now < _FAR_M:
+                    cost = now + _PER_RAD_M * _turn_rad(measured, nominal[moved])
+                    listed = ", ".join(str(o + 1) for o in order)
+                    of = "" if only is None else f" of row {only + 1}"
+                    best = min(
+                        best, (cost, moved, f"{kind}s{of} are named in the order {listed}"),
+                        key=lambda choice: choice[0],
+                    )  # fmt: skip
+        if best[2]:
             return best[1], best[2]
     return same, ""
+
+
+def _turn_rad(measured: Array, nominal: Array) -> float:
+    """Angle of the best rotation between nominal and measured places."""
+    rotation, _ = fit_rigid_motion(nominal, measured)
+    return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
@@ -195,11 +221,18 @@ def _orders(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def _permuted(
-    index: Mapping[str, int], order: Sequence[int], kind: str, layout: MarkerLayout
+    index: Mapping[str, int],
+    order: Sequence[int],
+    kind: str,
+    layout: MarkerLayout,
+    only: int | None,
 ) -> Order | None:
     moved = []
     for name in index:
         row, corner = divmod(layout.names.index(name), layout.corners)
+        if only not in (None, row):
+            moved.append(index[name])
+            continue
         row, corner = (order[row], corner) if kind == "row" else (row, order[corner])
         other = layout.row(row)[corner]
         if other not in index:

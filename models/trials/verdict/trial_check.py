@@ -12,13 +12,14 @@ from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 from models.trials.trial import Trial, TrialMeta, TrialSet
-from models.trials.verdict.common_clock import check_common_clock
 from models.trials.verdict.completeness import judge_markers, judge_rest
 from models.trials.verdict.finding import ImportFinding
 from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.load_findings import judge_payloads
 from models.trials.verdict.motion_findings import judge_motion
 from models.trials.verdict.pose_findings import judge_pose
 from models.trials.verdict.rest_pose import rest_pose
+from models.trials.verdict.signal_findings import check_common_clock, judge_signals
 
 __all__ = ["check_trial", "check_trials"]
 
@@ -37,6 +38,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
     verdict = ImportVerdict(trial.name, trial=trial)
     columns = {n: v for n, v in trial.columns.items() if n != "time_s"}
     series = [Series(trial.time_s, columns, trial.path)]
+    verdict.findings += judge_signals(series, trial.meta.dof)
     markers_m = trial.markers_m
     if np.isfinite(markers_m).any():
         mapping = _map_of(trial.meta)
@@ -74,6 +76,7 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
                     "keep the trials of each link in a directory of their own",
                 )
             )  # fmt: skip
+    found += [*_doubled(trials), *judge_payloads(list(trials))]
     _, held_out = trials.split()
     if not len(held_out):
         found.append(
@@ -105,6 +108,24 @@ def _worded(value: Any) -> str:
     if isinstance(value, MarkerLayout):
         return f"{value.rows} rows of {value.corners}, the first at {value.rows_m[0]:g} m"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _doubled(trials: TrialSet) -> list[ImportFinding]:
+    """Findings on trials that hold the same samples, which then are no test of each other."""
+    first: dict[bytes, str] = {}
+    found = []
+    for trial in trials:
+        samples = trial.angle_rad.tobytes()
+        if samples in first and trial.angle_rad.std() > 0:
+            found.append(
+                ImportFinding(
+                    "refused", "doubled",
+                    f"{first[samples]} and {trial.name} hold the same angles",
+                    "import each recording once",
+                )
+            )  # fmt: skip
+        first.setdefault(samples, trial.name)
+    return found
 
 
 def _collinear(trial: Trial) -> bool:

@@ -7,7 +7,7 @@ from firmware_py.link.link_description import STUDY_LINK
 from models.trials.clock.bending_lag import nominal_bend_ratio
 from models.trials.clock.offset_fit import fit_offset
 from models.trials.clock.offset_search import ClockSignal, find_peaks
-from models.trials.clock.sync_channel import edge_offset_s, rising_edges_s
+from models.trials.clock.sync_channel import edge_offsets, rising_edges_s
 from models.trials.trial import TrialMeta
 
 LENGTH_M, BASE_M = 0.95, 0.06
@@ -79,9 +79,24 @@ def test_edges_give_the_offset_and_miss_no_run():
     time_s = np.arange(0, 10, 0.01)
     level = np.where((time_s % 2.0 > 1.0) ^ (time_s > 7.3), 3.3, 0.0)
     edges_s = rising_edges_s(time_s, level)
-    offset_s, error_s = edge_offset_s(edges_s - 4.2, edges_s)
-    assert offset_s == pytest.approx(4.2) and error_s < 1e-9
-    offset_s, _ = edge_offset_s(edges_s[2:] - 4.2, edges_s)
-    assert offset_s == pytest.approx(4.2)
-    assert edge_offset_s(np.zeros(0), edges_s) is None
-    assert edge_offset_s(np.array([1.0]), edges_s) is None  # which of them?
+    (found,) = edge_offsets(edges_s - 4.2, edges_s)
+    assert found.offset_s == pytest.approx(4.2) and found.error_s < 0.011  # one grid of samples
+    assert edge_offsets(edges_s[2:] - 4.2, edges_s)[0].offset_s == pytest.approx(4.2)
+    assert edge_offsets(np.zeros((0, 2)), edges_s) == []
+    assert len(edge_offsets(edges_s[:1], edges_s)) == len(edges_s)  # which of them?
+
+
+def test_edges_between_samples_leave_an_interval_that_holds_the_offset():
+    """A log with a step of 17 ms and cameras at 120 Hz see uneven pulses."""
+    rng = np.random.default_rng(4)
+    pulses_s = np.cumsum(rng.uniform(0.4, 0.9, 12))
+
+    def edges_s(step_s, until_s=9.0):
+        time_s = np.arange(0, until_s, step_s)
+        on = np.any((time_s[:, None] > pulses_s) & (time_s[:, None] < pulses_s + 0.1), axis=1)
+        return rising_edges_s(time_s, 3.3 * on)
+
+    (found,) = edge_offsets(edges_s(0.017) + 1.234, edges_s(1 / 120))
+    assert found.low_s < -1.234 < found.high_s and found.error_s < 0.006  # 8.5 + 4.2 of one edge
+    (lost,) = edge_offsets(edges_s(0.017, 6.0)[2:] + 1.234, edges_s(1 / 120))
+    assert lost.low_s < -1.234 < lost.high_s

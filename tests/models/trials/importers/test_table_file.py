@@ -130,7 +130,7 @@ def test_columns_of_other_plants_are_read_by_the_same_reader(tmp_path):
         ({"angle_1_rad": {"from": "nope"}}, "column 'nope' (mapped to angle_1_rad) is missing"),
         ({"angle_1_rad": {"from": "pos1", "unit": "furlong"}}, "unit 'furlong' is unknown"),
         ({"angle_1_rad": {"from": "pos1", "unit": "mA"}}, "does not measure rad"),
-        ({"angle_1_rad": {"from": "pos1", "unit": "rad"}}, "convert it if it is in degrees"),
+        ({"angle_1_rad": {"from": "pos1", "unit": "rad"}}, "it is in deg"),
         ({"angle_1_rad": {"from": "status1"}}, "'OK' is not a number"),
         ({"angle_1_rad": None}, "nothing holds angle_1_rad"),
         ({"time_s": None}, "no column is mapped to time_s"),

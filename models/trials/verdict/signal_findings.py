@@ -1,0 +1,168 @@
+"""Findings on the signals of a file: unit of time, one signal twice, stuck angles, common clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from firmware_py.display_units import ANGLE, DURATION
+from firmware_py.errors import InputError
+from models.trials.importers.mapping import RecordingMap
+from models.trials.importers.series import Series
+from models.trials.importers.synchronisation import synchronise
+from models.trials.trial import Array, TrialMeta
+from models.trials.verdict.finding import COMMON_CLOCK_S, STUCK_RAD, ImportFinding, level_of
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
+
+STEP_RANGE_S: Final = (5e-5, 0.5)
+"""Usual step of a recording: beyond it the times have another unit (the motion is below 4 Hz, and
+the fastest analog channels have some kilohertz)."""
+
+
+def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
+    """Findings on the unit of the times of one file.
+
+    Parameters
+    ----------
+    series : sequence of Series
+        Of the file, on its own clock.
+    """
+    for s in series:
+        step_s = float(np.median(np.diff(s.time_s)))
+        if not STEP_RANGE_S[0] <= step_s <= STEP_RANGE_S[1]:
+            unit = '"ms"' if step_s > 1 else '"s"'
+            return [
+                ImportFinding(
+                    "refused", "time",
+                    f"the samples of {s.path.name} are {step_s:.3g} s apart: its times have "
+                    "another unit",
+                    f"set unit = {unit} for time_s in MAP.toml",
+                )
+            ]  # fmt: skip
+    return []
+
+
+def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
+    """Findings on signals that hold the same values, and on angles that stand still.
+
+    Parameters
+    ----------
+    series : sequence of Series
+        Of one file.
+    dof : int
+        Joints.
+    """
+    return [*_doubled(series, dof), *_stuck(series, dof)]
+
+
+def _doubled(series: Sequence[Series], dof: int) -> list[ImportFinding]:
+    joints = range(1, dof + 1)
+    kinds = ("angle_{}_rad", "current_{}_a")
+    names = [kind.format(j) for kind in kinds for j in joints]
+    found = []
+    for s in series:
+        moving = {n: s.columns[n] for n in names if n in s.columns and np.nanstd(s.columns[n]) > 0}
+        for (one, x), (other, y) in combinations(moving.items(), 2):
+            if np.array_equal(x, y, equal_nan=True):
+                found.append(
+                    ImportFinding(
+                        "refused", "doubled", f"{one} and {other} hold the same values",
+                        "map each to its own column",
+                    )
+                )  # fmt: skip
+    return found
+
+
+def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
+    """Findings on goals and angles that the map takes from one column, without saying so.
+
+    Parameters
+    ----------
+    mapping : RecordingMap
+        With `[columns]` and `notes` in its `[trial]`.
+    """
+    if mapping.trial.get("notes"):
+        return []
+    for columns in (mapping.columns, mapping.servo_columns):
+        for j in (1, 2):
+            goal, angle = (columns.get(f"{kind}_{j}_rad") for kind in ("goal", "angle"))
+            if goal and angle and goal.source == angle.source:
+                return [
+                    ImportFinding(
+                        "warning", "goal",
+                        f"goal and angle of joint {j} are both taken from {goal.source!r}: the "
+                        "servo's own error is lost",
+                        "map the goals, or say in 'notes' under [trial] that they were not logged",
+                    )
+                ]  # fmt: skip
+    return []
+
+
+def _stuck(series: Sequence[Series], dof: int) -> list[ImportFinding]:
+    """Findings on angles that stand still while their goal, sampled with them, moves."""
+    found = []
+    for s in series:
+        for j in range(1, dof + 1):
+            angle, goal = (s.columns.get(f"{kind}_{j}_rad") for kind in ("angle", "goal"))
+            if angle is None or goal is None or np.nanmax(np.abs(goal)) > LARGEST_RAD:
+                continue
+            moved, first, last = _longest_hold(angle, goal)
+            level = level_of(moved, STUCK_RAD)
+            if level:
+                found.append(
+                    ImportFinding(
+                        level, "stuck",
+                        f"angle_{j}_rad does not change for "
+                        f"{DURATION.text(s.time_s[last] - s.time_s[first])} from "
+                        f"{s.time_s[first]:.2f} s on, while its goal moves by {ANGLE.text(moved)}",
+                        "cut the recording there, or record it again",
+                    )
+                )  # fmt: skip
+    return found
+
+
+def _longest_hold(angle: Array, goal: Array) -> tuple[float, int, int]:
+    """Largest change of the goal over rows of one and the same angle, with first and last row."""
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(angle) != 0]))
+    ends = np.append(starts[1:], len(angle)) - 1
+    low, high = np.minimum.reduceat(goal, starts), np.maximum.reduceat(goal, starts)
+    k = int(np.nanargmax(np.where(ends > starts, high - low, 0.0)))
+    return float(high[k] - low[k]) if ends[k] > starts[k] else 0.0, int(starts[k]), int(ends[k])
+
+
+def check_common_clock(series: list[Series], meta: TrialMeta, verdict: ImportVerdict) -> None:
+    """Add the clock, and a finding where the markers are late or early, to a verdict.
+
+    Parameters
+    ----------
+    series : list of Series
+        Of one file.
+    meta : TrialMeta
+        Joints, size and markers of the link.
+    verdict : ImportVerdict
+        Filled in.
+    """
+    angles = [s for s in series if "angle_1_rad" in s.columns]
+    if not angles or not any("m01_x_m" in s.columns for s in series):
+        return
+    if not np.nanstd(angles[0].columns["angle_1_rad"]) > LEAST_MOTION_RAD:
+        return
+    try:
+        clock = synchronise(angles, series, meta)
+    except InputError:
+        return  # the checks of the motion tell signs and joints apart
+    verdict.clock = clock
+    level = level_of(clock.offset_s, COMMON_CLOCK_S)
+    if level and abs(clock.offset_s) > clock.error_s:
+        late = "late" if clock.offset_s > 0 else "early"
+        verdict.findings.append(
+            ImportFinding(
+                level, "clock",
+                f"the markers are {abs(clock.offset_s):.3f} s {late} against the angles",
+                "give the angles as a second file with --servo",
+            )
+        )  # fmt: skip

@@ -1,0 +1,115 @@
+"""Wrong units, doubled and stuck signals, wrong conditions and payloads are told by their cause."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.trials.trial import Trial, TrialMeta, TrialSet
+from models.trials.verdict.trial_check import check_trial, check_trials
+
+STEP_S, REST = 0.017, 60
+KG_A = 2.0
+"""Current per sine of the angle and kilogram."""
+
+
+def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
+    """A trial without motion capture: rest, then two periods; friction, weight and noise."""
+    meta = TrialMeta(
+        dof=dof, payload_kg=payload_kg, pressure_pa=41300.0, trial=number, motion="sinusoid",
+        period_s=4.352, amplitude_rad=0.5, phase_2_rad=1.57 if dof == 2 else 0.0, source="measured",
+        base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=REST,
+    )  # fmt: skip
+    time_s = STEP_S * np.arange(REST + 512)
+    rng = np.random.default_rng(number)
+    columns = {"time_s": time_s}
+    for j in range(1, dof + 1):
+        phase = 2 * np.pi * np.maximum(time_s - STEP_S * REST, 0) / meta.period_s
+        goal = 0.5 * np.sin(phase) if j == 1 else 0.25 * (1 - np.cos(phase))
+        angle = np.interp(time_s - 0.03, time_s, goal) + 2e-5 * rng.standard_normal(len(time_s))
+        load = KG_A * (0.7 + (payload_kg if shown_kg is None else shown_kg))
+        friction = 0.5 * np.tanh(np.gradient(angle, STEP_S) / 0.05)
+        noise = 0.05 * rng.standard_normal(len(time_s))
+        signals = (goal, angle, friction - load * np.sin(angle) + noise)
+        columns |= dict(
+            zip((f"goal_{j}_rad", f"angle_{j}_rad", f"current_{j}_a"), signals, strict=True)
+        )
+    unseen = [f"{name}_{axis}_m" for name in ("tip", *meta.layout.names) for axis in "xyz"]
+    columns |= {name: np.full(len(time_s), np.nan) for name in unseen}
+    return Trial(f"load{payload_kg:g}_{number}", meta, columns)
+
+
+def causes(trial):
+    return [(f.level, f.cause) for f in check_trial(trial).findings]
+
+
+def changed(trial, **columns):
+    return replace(trial, columns=trial.columns | columns)
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_a_right_trial_has_no_findings(dof):
+    assert causes(swung(dof=dof)) == []
+
+
+def test_units_are_told_by_the_size_of_the_signals():
+    trial = swung()
+    goal, angle, current = (trial.columns[n] for n in ("goal_1_rad", "angle_1_rad", "current_1_a"))
+    degrees = changed(trial, goal_1_rad=np.degrees(goal), angle_1_rad=np.degrees(angle))
+    assert set(causes(degrees)) == {("refused", "unit")}
+    assert ("refused", "unit") in causes(changed(trial, current_1_a=1e3 * current))
+    assert causes(changed(trial, current_1_a=1e-3 * current)) == [("warning", "unit")]
+
+
+def test_conditions_are_compared_with_the_goals():
+    trial = swung()
+
+    def stated(**conditions):
+        return causes(replace(trial, meta=msgspec.structs.replace(trial.meta, **conditions)))
+
+    assert stated(pressure_pa=6.0) == [("refused", "pressure")]
+    assert stated(period_s=2.0) == [("warning", "period")]
+    assert stated(amplitude_rad=0.2) == [("warning", "amplitude")]
+
+
+def test_doubled_swapped_and_stuck_signals_are_told():
+    two = swung(dof=2)
+    doubled = changed(two, current_2_a=two.columns["current_1_a"])
+    assert ("refused", "doubled") in causes(doubled)
+    columns = two.columns
+    swapped = changed(two, current_1_a=columns["current_2_a"], current_2_a=columns["current_1_a"])
+    assert causes(swapped) == [("warning", "current")]
+    one = swung()
+    held = one.columns["angle_1_rad"].copy()
+    held[200:260] = held[200]
+    ((level, cause),) = causes(changed(one, angle_1_rad=held))
+    assert (level, cause) == ("refused", "stuck")
+
+
+@pytest.mark.parametrize(
+    ("shown_kg", "words"),
+    [
+        ({}, None),
+        ({(1.0, 2): 2.0}, "load1_1 and load1_2 are both of 1 kg"),
+        (
+            {(0.0, 1): 2.0, (0.0, 2): 2.0, (2.0, 1): 0.0, (2.0, 2): 0.0},
+            "less load in the trials of",
+        ),
+        ({(1.0, 1): 0.2, (1.0, 2): 0.2}, "shows 0.2 kg in the trials of 1 kg"),
+    ],
+)
+def test_payloads_that_do_not_fit_the_current_are_told(shown_kg, words):
+    """One take of another payload, two payloads exchanged, one payload stated wrongly."""
+    trials = [
+        swung(kg, n, shown_kg=shown_kg.get((kg, n))) for kg in (0.0, 1.0, 2.0) for n in (1, 2)
+    ]
+    found = [f for f in check_trials(TrialSet(tuple(trials))) if f.cause == "payload"]
+    assert [words in f.text for f in found] == ([True] if words else [])
+
+
+def test_a_recording_that_was_imported_twice_is_told():
+    once = swung(number=1)
+    again = replace(once, name="again", meta=msgspec.structs.replace(once.meta, trial=2))
+    found = check_trials(TrialSet((once, again)))
+    assert [(f.level, f.cause) for f in found] == [("refused", "doubled")]
