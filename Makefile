@@ -479,7 +479,7 @@ FORCE:
 # 4100 inputs for each reader, 10⁵ and more together.
 build/bench/fuzz.json: build/bundle_1dof/observer.fmu FORCE
 	@rm -f $@
-	$(BIN)/python -m tests.fuzz --inputs 4100 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
+	$(BIN)/python -m tests.fuzz --inputs 2300 --workers 2 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
 
 # Every reader on files of 100 MB.
 build/bench/campaigns.json: FORCE build/bundle_1dof/observer.fmu | $(READY)

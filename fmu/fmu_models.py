@@ -21,6 +21,7 @@ from typing import Final, Literal, NamedTuple
 import casadi as ca
 
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_json
 from firmware_py.signals import AGE, IN_RANGE, observer_signals, tick_signals, tip_names
 from models.learning.onnx_symbolic import predictor_function, predictor_inputs
 from models.plant.plant import Plant, read_plant
@@ -35,6 +36,10 @@ KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
 MODEL_CARD: Final = "MODEL_CARD.md"
 """Files in the resources of an FMU: the parts that it was built from, and its kind and dof."""
+_MOST_CARD_BYTES: Final = 1000
+"""Size of the largest file of kind and dof; ours has 30 bytes."""
+_MOST_DOF: Final = 2
+"""Joints of the largest model."""
 
 DESCRIPTIONS: Final[dict[Kind, str]] = {
     "twin": "Digital twin of the drop-stitch inflatable link with {dof} joint(s): servo and link "
@@ -196,11 +201,13 @@ def embedded_parts(resources: Path) -> FmuParts | None:
         If a part is damaged.
     """
     try:
-        card = json.loads((resources / CARD).read_bytes())
-        kind, dof = card["kind"], int(card["dof"])
-    except (OSError, ValueError, KeyError, TypeError):
+        card = read_json(resources / CARD, "build it again", _MOST_CARD_BYTES)
+    except InputError:  # none, or that of another tool
         return None
-    return read_parts(kind, dof, resources) if kind in KINDS else None
+    kind, dof = (card.get("kind"), card.get("dof")) if isinstance(card, dict) else (None, None)
+    if kind not in KINDS or type(dof) is not int or not 1 <= dof <= _MOST_DOF:
+        return None
+    return read_parts(kind, dof, resources)
 
 
 HALF_WIDTH_M: Final = 5e-3

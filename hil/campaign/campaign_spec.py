@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +21,8 @@ from firmware_py.files.input_files import convert, read_toml
 
 MOST_CASES: Final = 1_000_000
 """Cases of the largest campaign: their keys alone take 300 MB [assumed]."""
+MOST_WHOLE: Final = 2**63 - 1
+"""Largest whole number of an axis: what a seed and NumPy's draws can be."""
 DISTRIBUTIONS: Final = ("uniform", "log_uniform", "integers", "choice")
 _COUNT: Final = {"first", "count"}
 
@@ -98,18 +100,10 @@ def check_spec(spec: CampaignSpec, path: Path) -> CampaignSpec:
         grid, draw = grid_axes(spec.grid), draw_axes(spec.draw)
     except ValueError as error:
         raise InputError(path, str(error), "see docs/campaigns.md") from None
-    places = [("fixed", name) for name in flat(spec.fixed)]
+    places = [("fixed", name) for name in _fixed_names(spec.fixed)]
     places += [("grid", name) for name in grid] + [("draw", name) for name in draw]
-    for (table, name), (other_table, other) in itertools.combinations(places, 2):
-        if (
-            name == other
-            or f"{name}.".startswith(f"{other}.")
-            or f"{other}.".startswith(f"{name}.")
-        ):
-            raise InputError(
-                path, f"{name} of [{table}] and {other} of [{other_table}] set the same value",
-                "keep one of them",
-            )  # fmt: skip
+    if clash := _clash(places):
+        raise InputError(path, f"{clash} set the same value", "keep one of them")
     if draw and spec.draws is None:
         raise InputError(path, "has a table [draw] but no number of draws", "add draws = 100")
     if spec.draws is not None and (spec.draws < 1 or not draw):
@@ -117,14 +111,43 @@ def check_spec(spec: CampaignSpec, path: Path) -> CampaignSpec:
         raise InputError(path, f"has {wrong}", "give 1 or more, and what to draw")
     if spec.draw_seed < 0:
         raise InputError(path, f"has draw_seed = {spec.draw_seed}", "give 0 or more")
-    if (count := case_count(spec)) > MOST_CASES:
-        raise InputError(path, f"makes {count} cases", f"keep to {MOST_CASES} in one campaign")
+    if case_count(spec) > MOST_CASES:
+        raise InputError(path, f"makes more than {MOST_CASES} cases", "divide the campaign")
     return spec
 
 
+def _fixed_names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Dotted names of the fixed values; a list is one value, since an axis cannot be inside it."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from _fixed_names(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name
+
+
+def _clash(places: Sequence[tuple[str, str]]) -> str:
+    """Two places of which one is the other or inside it, in words; empty where there are none."""
+    tables: dict[str, str] = {}
+    for table, name in places:
+        if name in tables:
+            return f"{name} of [{tables[name]}] and {name} of [{table}]"
+        tables[name] = table
+    for name, table in tables.items():
+        parts = name.split(".")
+        for k in range(1, len(parts)):
+            if (outer := ".".join(parts[:k])) in tables:
+                return f"{outer} of [{tables[outer]}] and {name} of [{table}]"
+    return ""
+
+
 def case_count(spec: CampaignSpec) -> int:
-    """Number of cases, doubled ones counted twice."""
-    return math.prod(len(values) for values in grid_axes(spec.grid).values()) * (spec.draws or 1)
+    """Number of cases, doubled ones counted twice; counted no further than beyond `MOST_CASES`."""
+    count = spec.draws or 1
+    for values in grid_axes(spec.grid).values():
+        if count > MOST_CASES:
+            break
+        count *= len(values)
+    return count
 
 
 def configurations(spec: CampaignSpec) -> Iterator[dict[str, Any]]:
@@ -167,9 +190,12 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
     axes = {}
     for name, value in _leaves(table, lambda v: set(v) == _COUNT):
         if isinstance(value, dict):
-            if not all(type(v) is int for v in value.values()) or value["count"] < 1:
+            first, count = value.get("first"), value.get("count")
+            if type(first) is not int or type(count) is not int or count < 1:
                 raise ValueError(f"axis {name} of [grid] needs whole numbers first and count ≥ 1")
-            value = list(range(value["first"], value["first"] + value["count"]))
+            if count > MOST_CASES or abs(first) > MOST_WHOLE - count:
+                raise ValueError(f"axis {name} of [grid] has too large a first or count")
+            value = list(range(first, first + count))
         if not isinstance(value, list):
             raise ValueError(f"axis {name} of [grid] is no list; one value belongs into [fixed]")
         if not value:
@@ -204,9 +230,11 @@ def draw_axes(table: Mapping[str, Any]) -> dict[str, tuple[str, list[Any]]]:
             if len(limits) != 2 or not all(type(v) in kinds for v in limits):
                 raise ValueError(f"axis {name} of [draw] needs two {'whole ' * whole}numbers")
             low, high = limits
-            if not low < high or (form == "log_uniform" and low <= 0) or not math.isfinite(high):
+            if not low < high or (form == "log_uniform" and low <= 0):
                 positive = ", the lower one positive" if form == "log_uniform" else ""
                 raise ValueError(f"axis {name} of [draw] needs two rising limits{positive}")
+            if not _drawable(low, high, whole):
+                raise ValueError(f"axis {name} of [draw] has limits too far apart")
         axes[name] = (form, limits)
     return axes
 
@@ -243,6 +271,16 @@ def _leaves(table: Mapping[str, Any], is_axis: Any, prefix: str = "") -> Iterato
             yield from _leaves(value, is_axis, f"{prefix}{name}.")
         else:
             yield prefix + name, value
+
+
+def _drawable(low: float, high: float, whole: bool) -> bool:
+    """Whether NumPy can draw between two limits."""
+    if whole:
+        return -MOST_WHOLE <= low and high <= MOST_WHOLE
+    try:
+        return math.isfinite(float(high) - float(low))
+    except OverflowError:  # a whole number without a double
+        return False
 
 
 def _drawn(axis: tuple[str, list[Any]], rng: np.random.Generator) -> Any:

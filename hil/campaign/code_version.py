@@ -10,10 +10,14 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
+import os
 import platform
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_bytes
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 NOT_COMPUTING: Final = frozenset({"commands", "report", "__pycache__"})
@@ -25,6 +29,8 @@ LIBRARIES: Final = (
     "numpy", "scipy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "pyelastica", "fmpy",
     "msgspec", "ziglang",
 )  # fmt: skip
+MOST_FILES: Final = 10_000
+"""Files of the largest directory that a case names: 100 times a study's trials [assumed]."""
 
 
 @functools.cache
@@ -71,11 +77,31 @@ def content_sha256(path: Path) -> str:
     ----------
     path : Path
         File or directory; read once in a process.
+
+    Raises
+    ------
+    InputError
+        If it is neither, cannot be read, holds more than `MOST_FILES` files, or one that is too
+        large for a reader.
     """
-    if path.is_file():
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+    remedy = "name a file or a directory that can be read"
+    if not path.is_dir():
+        return hashlib.sha256(read_bytes(path, remedy)).hexdigest()
     digest = hashlib.sha256()
-    for file in sorted(p for p in path.rglob("*") if p.is_file()):
-        digest.update(str(file.relative_to(path)).encode() + b"\0")
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for file in _files_of(path, remedy):
+        digest.update(str(file.relative_to(path)).encode(errors="surrogateescape") + b"\0")
+        digest.update(hashlib.sha256(read_bytes(file, remedy)).digest())
     return digest.hexdigest()
+
+
+def _files_of(directory: Path, remedy: str) -> list[Path]:
+    """Regular files of a directory in order; links to directories are not followed."""
+    found: list[Path] = []
+    for folder, _, names in os.walk(directory):
+        try:
+            found += [file for name in names if (file := Path(folder, name)).is_file()]
+        except OSError as error:
+            raise InputError(directory, f"cannot be read ({error.strerror})", remedy) from None
+        if len(found) > MOST_FILES:
+            raise InputError(directory, f"holds more than {MOST_FILES} files", remedy)
+    return sorted(found)

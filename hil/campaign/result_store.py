@@ -16,8 +16,9 @@ import csv
 import fcntl
 import hashlib
 import json
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -242,11 +243,36 @@ class ResultStore:
             )  # fmt: skip
 
     def read_costs(self) -> list[dict[str, str]]:
-        """Rows of the table of costs; empty where there is none."""
+        """Rows of the table of costs; empty where there is none.
+
+        A row that is damaged, or was cut off with its run, does not count.
+
+        Raises
+        ------
+        InputError
+            If the table cannot be read.
+        """
         if not self.costs.exists():
             return []
-        with self.costs.open(newline="", encoding="utf-8") as file:
-            return [row for row in csv.DictReader(file) if row.get("parts_s") is not None]
+        try:
+            with self.costs.open(newline="", encoding="utf-8") as file:
+                return [row for row in csv.DictReader(file) if _is_whole(row)]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise InputError(self.costs, f"cannot be read ({error})", "remove it") from None
+
+
+def _is_whole(row: Mapping[str | None, Any]) -> bool:
+    """Whether a row of costs has every column, its numbers finite."""
+    if not all(isinstance(row.get(name), str) for name in COST_COLUMNS):
+        return False
+    try:
+        times_s = [float(row[name]) for name in ("wall_s", "cpu_s")]
+        sizes = [int(row[name]) for name in ("memory_bytes", "result_bytes")]
+        parts_s = json.loads(row["parts_s"])
+    except (ValueError, RecursionError):
+        return False
+    known = isinstance(parts_s, dict) and all(math.isfinite(v) for v in times_s)
+    return known and all(0 <= v < 2**63 for v in sizes)
 
 
 def _hash_of(record: CaseRecord) -> str:

@@ -117,6 +117,16 @@ def make_key(path: Path) -> Ed25519PrivateKey:
     return key
 
 
+def _passphrase(path: Path) -> str:
+    try:
+        return getpass.getpass(f"passphrase of {path}: ")
+    except EOFError:
+        raise InputError(
+            path, "is encrypted, and there is nobody to ask for its passphrase",
+            "run the command in a terminal",
+        ) from None  # fmt: skip
+
+
 def read_key(path: Path) -> Ed25519PrivateKey:
     """Read a private key; one that is encrypted asks for its passphrase.
 
@@ -144,7 +154,7 @@ def read_key(path: Path) -> Ed25519PrivateKey:
         try:
             key = load(data, None)
         except TypeError:  # it is encrypted
-            key = load(data, getpass.getpass(f"passphrase of {path}: ").encode())
+            key = load(data, _passphrase(path).encode())
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise InputError(path, f"is no private key that opens ({error})", remedy) from None
     if not isinstance(key, Ed25519PrivateKey):

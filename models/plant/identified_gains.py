@@ -46,7 +46,7 @@ def _found(path: Path) -> tuple[ServoGains, ...]:
     text = read_recording(path).metadata.get("servo_settings", "[]")
     try:
         servos = msgspec.json.decode(text, type=list[dict[str, int]])
-    except msgspec.DecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, f"holds damaged settings ({error})", "name another log") from None
     return tuple(
         ServoGains(**{name: found.get(register.value) for name, register in GAINS.items()})

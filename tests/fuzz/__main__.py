@@ -6,9 +6,11 @@ An input succeeds if the reader uses it or refuses it in one sentence. Exit 1 if
 import argparse
 import contextlib
 import json
+import multiprocessing
 import os
 import sys
 import tempfile
+from collections import deque
 from pathlib import Path
 
 from tests.fuzz.campaign_of_inputs import fuzz, keep, kept, verdicts_on
@@ -27,6 +29,7 @@ def main():
     parser.add_argument(
         "--keep", action="store_true", help="keep failing inputs in tests/fuzz/found"
     )
+    parser.add_argument("--workers", type=int, default=1, help="readers at one time (default: 1)")
     parser.add_argument("--out", type=Path, help="JSON file for the counts")
     args = parser.parse_args()
     readers = [r for r in every_reader(args.bundle) if not args.only or r.name in args.only]
@@ -45,9 +48,7 @@ def campaign(readers, scratch, args):
             failed += 1
             print(f"{reader.name}, kept {name}: {verdict.kind}\n{verdict.text}", flush=True)
     readers = [reader for reader in readers if reader.fed]
-    for reader in readers:
-        with silence():
-            tally = fuzz(reader, scratch, args.seconds / len(readers), args.inputs, args.seed)
+    for reader, tally in zip(readers, tallies(readers, scratch, args), strict=True):
         count, bad = tally.counts.total(), len(tally.failures)
         row = (count, *(tally.counts[c] for c in COLUMNS[1:-1]), bad)
         print(
@@ -69,6 +70,32 @@ def campaign(readers, scratch, args):
         result = {"inputs": total, "failed": failed, "peak_mb": peak_mb, "readers": rows}
         args.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
     return 1 if failed else 0
+
+
+def tallies(readers, scratch, args):
+    """Tally of each reader in order, each in a process of its own, which is their fork server."""
+    seconds = args.workers * args.seconds / len(readers)
+
+    def tally(number, sender):
+        own = scratch / str(number)
+        own.mkdir()
+        with silence():
+            sender.send(fuzz(readers[number], own, seconds, args.inputs, args.seed))
+
+    fork = multiprocessing.get_context("fork")
+    waiting = deque(enumerate(readers))
+    running = deque()
+    while waiting or running:
+        while waiting and len(running) < args.workers:
+            number, _ = waiting.popleft()
+            receiver, sender = fork.Pipe(duplex=False)
+            server = fork.Process(target=tally, args=(number, sender))
+            server.start()
+            sender.close()
+            running.append((receiver, server))
+        receiver, server = running.popleft()
+        yield receiver.recv()
+        server.join()
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_py.errors import InputError
-from tests.fuzz import valid_files
+from tests.fuzz import command_readers, valid_files
 from tests.fuzz.mutations_of_files import LONGEST, of_bytes, of_json, of_text, of_toml
 
 Files = dict[str, bytes]
@@ -161,7 +161,10 @@ def every_reader(bundle=None):
     bundle : Path, optional
         Bundle of one joint with its observer.
     """
-    return [*_recordings(), *_documents(), *_outside_goals_and_signatures(), *_bundle_files(bundle)]
+    return [
+        *_recordings(), *_documents(), *_outside_goals_and_signatures(), *_bundle_files(bundle),
+        *_commands(bundle),
+    ]  # fmt: skip
 
 
 def _recordings():
@@ -303,3 +306,46 @@ def _bundle_files(bundle):
     yield document("npz", "golden.npz", of_zip, lambda file: read_golden(file, 1))
     yield document("onnx", "predictor.onnx", of_bytes, lambda file: OnnxPredictor(file, 1))
     yield document("fmu", "observer.fmu", of_zip, open_fmu)
+
+
+def _commands(bundle):
+    from models.commands.sign import read_key
+
+    def document(name, file, content, mutation, read):
+        return FuzzReader(name, {file: content}, one(file, mutation), lambda f: read(f / file))
+
+    robot = (valid_files.ROOT / "robot.toml").read_bytes()
+    spec = command_readers.CAMPAIGN
+    yield document("campaign", "a.toml", spec, toml_file, command_readers.campaign)
+    results = command_readers.results_of_campaign()
+    yield FuzzReader("results", results, _one_of_files, command_readers.campaign_results)
+    for name, file, content, read in command_readers.documents():
+        yield document(name, file, content, of_json, read)
+    text = one_of(of_text, of_bytes)
+    for form in ("PKCS8", "OpenSSH"):
+        key = command_readers.key_file(form)
+        yield document(f"key {form}", "a.pem", key, text, read_key)
+    files = command_readers.plan_run()
+    yield FuzzReader("plan run", files, _one_of_files, command_readers.run_of_plan)
+    gains = robot.replace(b"# gains", b"gains")
+    yield document("limits", "robot.toml", gains, toml_file, command_readers.limits_of_robot)
+    yield document("service", "robot.toml", robot, toml_file, command_readers.install)
+    message = one_of(of_json, of_text, of_bytes)
+    status = valid_files.status_message()
+    yield document("status", "a", status, message, command_readers.status_message)
+    fmu = (bundle / "observer.fmu").read_bytes() if bundle else b""
+    yield document(
+        "fmu check", "a.fmu", fmu, command_readers.of_fmu_parts, command_readers.foreign_fmu
+    )
+    data, metadata, messages = valid_files.log()
+    yield FuzzReader(
+        "replay", {"a.mcap": data if bundle else b""},
+        one("a.mcap", lambda rng, own: of_log(rng, own, metadata, messages)),
+        command_readers.replayed(bundle),
+    )  # fmt: skip
+
+
+def _one_of_files(rng, files):
+    name = rng.choice(sorted(files))
+    mutation = {"json": of_json, "toml": toml_file}.get(name.rpartition(".")[2], of_text)
+    return {name: mutation(rng, files[name])}

@@ -216,6 +216,13 @@ def goal_message():
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
+def status_message():
+    """Message of the robot to such a program."""
+    from firmware_py.goals.outside.goal_message import StatusMessage
+
+    return example_of(StatusMessage)
+
+
 def signature():
     """Public key, manifest, and its signature."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -234,7 +241,7 @@ def example_of(kind):
     """Smallest document that fits the schema of a struct."""
     schema = msgspec.json.schema(kind)
     tree = _example(schema, schema.get("$defs", {}))
-    return json.dumps(tree | {"schema": kind.VERSION}).encode()
+    return json.dumps(tree | ({"schema": kind.VERSION} if "schema" in tree else {})).encode()
 
 
 def _example(schema, defs):
@@ -245,6 +252,8 @@ def _example(schema, defs):
             first = schema[key][0]
             return first if key == "enum" else _example(first, defs)
     kind = schema.get("type")
+    if kind in ("integer", "number") and "minimum" in schema:
+        return schema["minimum"]
     if kind == "object":
         known = schema.get("properties", {})
         tree = {name: _example(part, defs) for name, part in known.items()}

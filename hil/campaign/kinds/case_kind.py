@@ -161,11 +161,11 @@ def load_kind(module: str) -> CaseKind[Any]:
     """
     name = kind_module(module)
     remedy = f"choose {', '.join(KINDS)}, or a module with KIND"
-    if "." not in name:
+    if not all(part.isidentifier() for part in name.split(".")) or "." not in name:
         raise InputError(f"kind {name!r}", "is not known", remedy)
     try:
         kind = importlib.import_module(name).KIND
-    except (ModuleNotFoundError, AttributeError) as error:
+    except Exception as error:  # whatever a module raises while it is imported
         raise InputError(f"kind {name!r}", f"cannot be imported ({error})", remedy) from None
     if not isinstance(kind, CaseKind):
         raise InputError(f"kind {name!r}", "has a KIND that is no CaseKind", remedy)
