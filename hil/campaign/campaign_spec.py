@@ -276,7 +276,7 @@ def _leaves(table: Mapping[str, Any], is_axis: Any, prefix: str = "") -> Iterato
 def _drawable(low: float, high: float, whole: bool) -> bool:
     """Whether NumPy can draw between two limits."""
     if whole:
-        return -MOST_WHOLE <= low and high <= MOST_WHOLE
+        return low >= -MOST_WHOLE and high <= MOST_WHOLE
     try:
         return math.isfinite(float(high) - float(low))
     except OverflowError:  # a whole number without a double

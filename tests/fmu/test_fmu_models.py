@@ -109,6 +109,17 @@ def test_the_fmu_carries_what_it_was_built_from(built):
             assert inside.predictor.read_bytes() == parts.predictor.read_bytes()
 
 
+@pytest.mark.parametrize(
+    "card",
+    ["[" * 100_000, '{"kind": [], "dof": 1}', '{"kind": "twin", "dof": 1e999}', "[]",
+     '{"kind": "twin", "dof": 1000000000}'],
+    ids=["deep", "list", "infinite", "no object", "many joints"],
+)  # fmt: skip
+def test_the_card_of_a_foreign_fmu_makes_it_none_of_ours(tmp_path, card):
+    (tmp_path / "fmu.json").write_text(card)
+    assert embedded_parts(tmp_path) is None
+
+
 def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, fmu_of):
     """The twin's own outputs put into the ONNX file by onnxruntime, in and out of range."""
     dof = read_manifest(bundle).dof

@@ -1,4 +1,4 @@
-"""Readers of single commands that the fuzzer feeds: campaign, documents of a report, key, replay."""
+"""Readers of single commands for the fuzzer: campaign, documents of a report, key, replay."""
 
 import io
 import itertools

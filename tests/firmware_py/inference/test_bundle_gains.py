@@ -88,6 +88,14 @@ def test_the_gains_of_a_log_are_those_found_in_the_servos(tmp_path):
     assert read_servo_gains(path) == (ServoGains(position_p=640, velocity_i=14),)
 
 
+def test_damaged_settings_of_a_log_are_refused_in_one_sentence(tmp_path):
+    path = tmp_path / "run.mcap"
+    with recording(path, 1, 0, {"servo_settings": "[" * 100_000}) as telemetry:
+        telemetry.put(np.zeros(1, tick_dtype(1))[0])
+    with pytest.raises(InputError, match="holds damaged settings"):
+        read_servo_gains(path)
+
+
 def test_the_gains_of_a_robot_are_those_of_its_file(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text(f"{TEXT}gains = {{ position_p = 32 }}\n", encoding="utf-8")

@@ -198,9 +198,21 @@ def test_a_key_of_openssh_signs_too(bundle, tmp_path):
     assert models(["sign", str(bundle), "--key", str(path)]) == 0
 
 
-@pytest.mark.parametrize("kind", ["missing", "text", "ed448"])
-def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys):
+def _no_input(_):
+    raise EOFError
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "ed448", "encrypted, nobody to ask"])
+def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys, monkeypatch):
     path = tmp_path / "other"
+    if kind.startswith("encrypted"):
+        monkeypatch.setattr("getpass.getpass", _no_input)
+        form = serialization.BestAvailableEncryption(b"a")
+        path.write_bytes(
+            Ed25519PrivateKey.generate().private_bytes(
+                serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, form
+            )
+        )
     if kind == "text":
         path.write_text("no key", encoding="utf-8")
     if kind == "ed448":

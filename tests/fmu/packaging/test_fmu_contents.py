@@ -74,10 +74,16 @@ def test_fmpy_takes_the_inputs_as_its_input_file(carrying, run, toy):
         np.testing.assert_allclose(rows, run.y[:, k], atol=1e-9, rtol=0)
 
 
-def test_a_damaged_table_is_refused(carrying):
+@pytest.mark.parametrize(
+    "damaged",
+    [lambda text: text.replace("0.", "nan", 1), lambda text: "\n" + text, lambda _: "",
+     lambda text: text + "1" * 200_000, lambda text: text + "\n" * 1_000_000],
+    ids=["nan", "no header", "empty", "long field", "large"],
+)  # fmt: skip
+def test_a_damaged_table_is_refused(carrying, damaged):
     with FmuArchive(carrying) as archive:
         table = archive.directory / FOLDER / "example_ref.csv"
-        table.write_text(table.read_text().replace("0.", "nan", 1))
+        table.write_text(damaged(table.read_text()))
         with pytest.raises(InputError):
             read_reference_run(archive.directory)
 

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 import msgspec
+import pytest
 
+from firmware_py.errors import InputError
 from hil.campaign.case_task import canonical_json
 from hil.campaign.code_version import ROOT
 from hil.campaign.kinds.case_kind import KINDS, CaseContext, load_kind
@@ -52,3 +54,9 @@ def test_kinds_and_worker_are_light_to_import():
     modules = ", ".join([*KINDS.values(), "hil.campaign.case_worker"])
     code = f"import sys, {modules}; assert not {heavy} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize("module", [".", ".os", "os", "a.b\0c", "no_such.module", "json.decoder"])
+def test_what_is_no_kind_is_refused(module):
+    with pytest.raises(InputError, match=r"is not known|cannot be imported"):
+        load_kind(module)

@@ -1,6 +1,7 @@
 """Keys and store of a campaign: what makes a case another one, and what counts as a result."""
 
 import json
+import os
 
 import pytest
 
@@ -68,6 +69,29 @@ def test_a_file_that_exists_is_no_result_yet(stored, damage):
     first.write_text(changed)
     assert stored.store.read(stored.cases[0].key) is None
     assert missing_cases(stored.cases, stored.store) == ([stored.cases[0]], 1)
+
+
+def test_a_damaged_row_of_costs_does_not_count(stored):
+    whole = 'a,code,done,0.5,0.4,1,900,host-1,"{""run"": 0.3}"'
+    head = "key,code,state,wall_s,cpu_s,memory_bytes,result_bytes,worker,parts_s"
+    other = [whole.replace("0.4", "x"), whole.replace("0.4", "nan"), whole[:-3], whole[:20]]
+    stored.store.costs.write_text("\n".join([head, whole, *other]))
+    assert [row["cpu_s"] for row in stored.store.read_costs()] == ["0.4"]
+    stored.store.costs.write_bytes(b"\xff")
+    with pytest.raises(InputError, match="cannot be read"):
+        stored.store.read_costs()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "large"])
+def test_what_a_case_names_is_read_within_limits(toys, tmp_path, kind):
+    path = tmp_path / kind
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        with path.open("wb") as file:
+            file.truncate(200_000_000)
+    with pytest.raises(InputError, match=r"a device or a pipe|is larger than"):
+        toys("out", [{"value": 1.0, "file": str(path)}])
 
 
 def test_no_failure_is_ever_lost(stored):
