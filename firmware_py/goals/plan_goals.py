@@ -22,7 +22,7 @@ from firmware_py.safety.limits import Limits
 __all__ = ["PlanGoals", "check_plan_goals"]
 
 Array = NDArray[np.float64]
-_REMEDY = "make the path slower or smaller, or widen [limits]"
+_REMEDY = "make the path slower or smaller, or widen the limit"
 
 
 class PlanGoals(OwnGoals):
@@ -198,16 +198,18 @@ def _check_change_of_payload(plan: TipPlan, goals: Array, limits: Limits, where:
     both = np.maximum(np.abs(rate[1:]), np.abs(rate[:-1])) + own
     total = np.maximum(np.abs(acceleration[1:]), np.abs(acceleration[:-1]))
     total = total + own / step_s + 2.0 * change * mixed
-    for what, values, limit, unit in (
-        ("moves at", both, limits.rate_rad_s, "rad/s"),
-        ("accelerates at", total, limits.acceleration_rad_s2, "rad/s2"),
+    for what, values, key, unit in (
+        ("moves at", both, "rate_rad_s", "rad/s"),
+        ("accelerates at", total, "acceleration_rad_s2", "rad/s2"),
     ):
+        limit = getattr(limits, key)
         k, row, joint = np.unravel_index(int(np.argmax(values)), values.shape)
         most = float(values[k, row, joint])
         if most > limit:
             raise InputError(
                 where, f"row {row} ({row * step_s:.2f} s), {plan.grid_kg[k]:g} to "
                 f"{plan.grid_kg[k + 1]:g} kg: the goal of joint {joint + 1} {what} {most:.2f} "
-                f"{unit} while the estimate of the payload changes, the limit is {limit:g} {unit}",
+                f"{unit} while the estimate of the payload changes, the limit is {limit:g} {unit} "
+                f"(limits.{key})",
                 _REMEDY,
             )  # fmt: skip

@@ -83,6 +83,8 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Measured time by which the joints follow later than the twin's; 0 where it was not used.
     gain : float
         Fraction of the full correction that was applied.
+    stiffness, damping : float
+        Those of the link over those of the plant, as the recording tells.
     """
 
     sha256: str
@@ -92,6 +94,8 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     predicted_rms_m: float
     goal_delay_s: float
     gain: float
+    stiffness: float = 1.0
+    damping: float = 1.0
 
 
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -53,7 +53,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     Examples
     --------
     >>> Limits().goal_violation([0.7], before=[0.59], velocity=[0.0], period_s=0.017)
-    'the goal of joint 1 is 0.700 rad, outside -0.6 to 0.6 rad'
+    'the goal of joint 1 is 0.700 rad, outside -0.6 to 0.6 rad (limits.angle_rad)'
     >>> Limits().goal_violation([0.001], before=[0.0], velocity=[0.0], period_s=0.017)
     ''
     """
@@ -100,16 +100,18 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         margin = self.following_error_rad
         for joint, at in enumerate(angle):
             if not low - margin <= at <= high + margin:
-                return f"joint {joint + 1} is at {at:.3f} rad, outside its limits"
+                return (
+                    f"joint {joint + 1} is at {at:.3f} rad, outside its limits (limits.angle_rad)"
+                )
             if not abs(current[joint]) <= self.current_a:
                 return (
                     f"joint {joint + 1} draws {current[joint]:.2f} A, "
-                    f"the limit is {self.current_a:g} A"
+                    f"the limit is {self.current_a:g} A (limits.current_a)"
                 )
             if not abs(at - goal[joint]) <= margin:
                 return (
                     f"joint {joint + 1} is {at - goal[joint]:.3f} rad away from its goal, "
-                    f"the limit is {margin:g} rad"
+                    f"the limit is {margin:g} rad (limits.following_error_rad)"
                 )
             if not abs(at - angle_before[joint]) <= self.jump_rad:
                 return (
@@ -120,7 +122,10 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             return f"the Deformation Index is {di}"
         for k, axis in enumerate("xyz"):
             if not self.tip_min_m[k] <= tip[k] <= self.tip_max_m[k]:
-                return f"the predicted tip has {axis} = {tip[k]:.3f} m, outside its box"
+                return (
+                    f"the predicted tip has {axis} = {tip[k]:.3f} m, outside its box "
+                    "(limits.tip_min_m, limits.tip_max_m)"
+                )
         return ""
 
     def goal_violation(
@@ -146,14 +151,19 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         for joint, value in enumerate(goal):
             who = f"the goal of joint {joint + 1}"
             if not low <= value <= high:
-                return f"{who} is {value:.3f} rad, outside {low:g} to {high:g} rad"
+                return (
+                    f"{who} is {value:.3f} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
+                )
             rate = (value - before[joint]) / period_s
             if not abs(rate) <= self.rate_rad_s * _ROUNDING:
-                return f"{who} moves at {rate:.2f} rad/s, the limit is {self.rate_rad_s:g} rad/s"
+                return (
+                    f"{who} moves at {rate:.2f} rad/s, "
+                    f"the limit is {self.rate_rad_s:g} rad/s (limits.rate_rad_s)"
+                )
             acceleration = (rate - velocity[joint]) / period_s
             if not abs(acceleration) <= self.acceleration_rad_s2 * _ROUNDING:
                 return (
                     f"{who} accelerates at {acceleration:.1f} rad/s2, "
-                    f"the limit is {self.acceleration_rad_s2:g} rad/s2"
+                    f"the limit is {self.acceleration_rad_s2:g} rad/s2 (limits.acceleration_rad_s2)"
                 )
         return ""

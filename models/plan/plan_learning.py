@@ -4,8 +4,9 @@ With the goals u sent and the tip y measured, the next goals u + B c minimise::
 
     |desired - y - S c|^2 + (CHANGE * acceleration of B c)^2
 
-S are the exact derivatives of the twin's tip along the goals sent, B the splines of the plan. What
-the twin has wrong and repeats from run to run is in y and need not be known (Amann, Owens and
+S are the exact derivatives of the twin's tip along the goals sent, B the splines of the plan. The
+twin takes the stiffness and damping that the recording tells (`models.plan.recorded_twin`). What it
+still has wrong and repeats from run to run is in y and need not be known (Amann, Owens and
 Rogers, *IEE Proc. Control Theory Appl.* 143, 1996; Bristow, Tharayil and Alleyne, *IEEE Control
 Systems* 26, 2006). The step is taken as far as the twin itself, moved to the recorded run, says
 that it helps. The k-th run at a payload counts with 2 / (k + 1), because runs differ and learning
@@ -36,6 +37,7 @@ from firmware_py.safety.limits import Limits
 from models.plan.inversion import goal_splines
 from models.plan.plan_timeline import Timeline
 from models.plan.recorded_plan_run import RecordedRun, interpolated, payload_weights
+from models.plan.recorded_twin import recorded_twin
 from models.plan.twin_sensitivity import TipTwin
 from models.plant.plant import Plant
 
@@ -108,7 +110,7 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     start, gain, before = _start(plan, run, measured_m)
     went_back = start is not run
     twin = TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)
-    step = _Step(plan, start, twin)
+    step = _Step(plan, start, twin, plant)
     tried: InputError | None = None
     for part in (1.0, 0.5, 0.25, 0.1):
         improved, predicted_m = step.plan(gain * part)
@@ -122,6 +124,7 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     learned = LearnedRun(
         sha256=run.sha256, source=run.source, payload_kg=run.payload_kg, rms_m=measured_m,
         predicted_rms_m=predicted_m, goal_delay_s=step.delay_s, gain=gain * part,
+        stiffness=step.stiffness, damping=step.damping,
     )  # fmt: skip
     best = plan.best
     if before is None or measured_m < plan.learned[before.run].rms_m:
@@ -137,8 +140,8 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
 class _Step:
     """Change of the goals by one recorded run."""
 
-    def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin) -> None:
-        self._plan, self._run, self._twin = plan, run, twin
+    def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin, plant: Plant) -> None:
+        self._plan, self._run = plan, run
         rest = round(plan.rest_s / plan.period_s)
         desired = plan.desired_tip_m()
         line = Timeline(desired, rest, plan.start_row, plan.end_row, plan.drawn)
@@ -148,7 +151,10 @@ class _Step:
         outputs = twin.run(run.goals_rad, run.payload_kg)
         self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
         self._sent = self._late(run.goals_rad)
-        self._own_tip = twin.tip_m(twin.run(self._sent, run.payload_kg))
+        twin, self.stiffness, self.damping = recorded_twin(
+            twin, plant, self._sent, run.tip_m, run.payload_kg
+        )
+        self._twin, self._own_tip = twin, twin.tip_m(twin.run(self._sent, run.payload_kg))
 
     def plan(self, gain: float) -> tuple[TipPlan, float]:
         """Plan with a part of the change, and the RMS error that it predicts for the next run."""

@@ -39,7 +39,7 @@ MOVE_STEP: Final = 0.06
 FINE_M: Final = 2e-3
 """Largest RMS error of a shortest move on the twin [assumed]."""
 Method = Literal["inverse", "rigid", "zvd"]
-_REMEDY: Final = "make the path slower or smaller, or widen [limits]"
+_REMEDY: Final = "make the path slower or smaller, or widen the limit"
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,9 @@ def plan_path(
     twin = TipTwin(plant.step_model(request.dof), request.dof, request.period_s)
     middle = payloads[len(payloads) // 2]
     line = timeline(path, twin.resting_tip_m(np.zeros(request.dof), middle), request.period_s)
-    where = f"path {path.name}"
-    check_reach(twin, line.desired_m, payloads, request.limits, where)
+    begin_s = line.start_row * request.period_s
+    where = f"path {path.name} (it begins {begin_s:.2f} s into the plan)"
+    check_reach(twin, line, payloads, request.limits, where)
     report("path within reach")
     reach_m = plant.parameters["base_offset_m"].value + plant.parameters["link_length_m"].value
     inverter = Inverter(twin, line, reach_m, report)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.safety.limits import Limits
+from models.plan.plan_timeline import Timeline
 from models.plan.twin_sensitivity import TipTwin
 
 Array = NDArray[np.float64]
@@ -21,15 +22,18 @@ PROBE_RAD: Final = 1e-3
 
 
 def check_reach(
-    twin: TipTwin, desired_m: Array, payloads_kg: Sequence[float], limits: Limits, where: str
+    twin: TipTwin, line: Timeline, payloads_kg: Sequence[float], limits: Limits, where: str
 ) -> None:
     """Refuse a path whose farthest points the resting tip cannot reach within the angle limits.
+
+    The path is judged first, then the ways there and back: they swing out where it is fast at its
+    ends.
 
     Parameters
     ----------
     twin : TipTwin
         The twin.
-    desired_m : ndarray, shape (n, dof)
+    line : Timeline
         Desired tip.
     payloads_kg : sequence of float
         Of the plan.
@@ -44,16 +48,22 @@ def check_reach(
         If a point is out of reach; it names the first of the farthest, and the nearest that the
         tip can reach.
     """
-    for row in _farthest(desired_m):
-        for payload_kg in (payloads_kg[0], payloads_kg[-1]):
-            nearest = nearest_rest_m(twin, desired_m[row], payload_kg, limits)
-            if np.linalg.norm(nearest - desired_m[row]) > CLOSE_M:
-                raise InputError(
-                    where, f"row {row} ({row * twin.period_s:.2f} s) leads to "
-                    f"{_place(desired_m[row])}, which the tip cannot reach with {payload_kg:g} kg "
-                    f"and goals within limits.angle_rad; the nearest place is {_place(nearest)}",
-                    "make the path smaller, or move its centre",
-                )  # fmt: skip
+    path = slice(line.start_row, line.end_row)
+    for part, what, remedy in (
+        (path, "leads", "make the path smaller, or move its centre"),
+        (slice(0, None), "of the way there or back leads", "let the path begin and end slower"),
+    ):
+        desired_m, first = line.desired_m[part], part.start
+        for row in _farthest(desired_m):
+            for payload_kg in (payloads_kg[0], payloads_kg[-1]):
+                nearest = nearest_rest_m(twin, desired_m[row], payload_kg, limits)
+                if np.linalg.norm(nearest - desired_m[row]) > CLOSE_M:
+                    raise InputError(
+                        where, f"row {first + row} ({(first + row) * twin.period_s:.2f} s) {what} "
+                        f"to {_place(desired_m[row])}, which the tip cannot reach with "
+                        f"{payload_kg:g} kg and goals within limits.angle_rad; the nearest place "
+                        f"is {_place(nearest)}", remedy,
+                    )  # fmt: skip
 
 
 def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Limits) -> Array:
@@ -94,4 +104,5 @@ def _farthest(desired_m: Array) -> list[int]:
 
 
 def _place(tip_m: Array) -> str:
-    return "(" + ", ".join(f"{value:.3f}" for value in tip_m) + ") m"
+    text = ", ".join(f"{value + 0.0:.3f}" for value in np.round(tip_m, 3))
+    return f"({text}) m" if len(tip_m) > 1 else f"x = {text} m"

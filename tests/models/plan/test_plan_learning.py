@@ -64,6 +64,8 @@ def test_learning_removes_what_the_plant_has_wrong(plant, planned, other):
     for number in (1, 2):
         found = improve_plan(plan, recorded(other, plan, number), plant, LIMITS)
         assert found.run.predicted_rms_m <= found.run.rms_m
+        assert found.run.stiffness == pytest.approx(0.8, abs=0.04), "the other robot's"
+        assert found.run.damping > 1.1
         plan = found.plan
         errors.append(true_rms_m(other, plan))
     assert errors[0] > 2e-3
@@ -87,6 +89,7 @@ def test_a_perfect_run_is_left_as_it_is(plant, planned, twin):
     found = improve_plan(planned, run, plant, LIMITS)
     assert np.abs(found.plan.goals_rad() - planned.goals_rad()).max() < 1e-3
     assert found.run.predicted_rms_m <= found.run.rms_m
+    assert (found.run.stiffness, found.run.damping) == pytest.approx((1.0, 1.0), abs=1e-3)
 
 
 def learned_from(run):

@@ -75,8 +75,16 @@ def test_a_path_out_of_reach_names_the_nearest_place(plant, twin):
     path = built_in_path("hold", 1, PERIOD_S, PathOptions(size_m=0.8, seconds=1.0))
     nearest = nearest_rest_m(twin, np.array([0.8]), 0.0, LIMITS)
     assert nearest == pytest.approx(twin.resting_tip_m(np.array([0.6]), 0.0), abs=1e-6)
-    sentence = rf"row \d+ .*leads to \(0\.800\) m.*the nearest place is \({nearest[0]:.3f}\) m"
+    sentence = rf"row \d+ .*leads to x = 0\.800 m.*the nearest place is x = {nearest[0]:.3f} m"
     with pytest.raises(InputError, match=sentence):
+        plan_path(path, PlanRequest(plant, 1, PERIOD_S, LIMITS, (0.0,)))
+
+
+def test_a_path_whose_ways_are_out_of_reach_is_told_to_begin_slower(plant):
+    """The way to a path that begins at 5 m/s takes a run-up beyond the reach of the arm."""
+    tip = 0.4 * np.sin(12.0 * PERIOD_S * np.arange(60))[:, None]
+    path = DesiredPath("fast", tip, ((0, 60),))
+    with pytest.raises(InputError, match=r"of the way .* let the path begin and end slower"):
         plan_path(path, PlanRequest(plant, 1, PERIOD_S, LIMITS, (0.0,)))
 
 
@@ -85,7 +93,7 @@ def test_a_path_out_of_reach_names_the_nearest_place(plant, twin):
     [
         (
             {"rate_rad_s": 0.3},
-            r"path line: row \d+ \(.* s\), 1 kg: the goal of joint 1 moves",
+            r"path line \(it begins .*\): row \d+ .*, 1 kg: the goal .* \(limits.rate_rad_s\)",
         ),
         ({"acceleration_rad_s2": 0.5}, r"row \d+ .* accelerates at"),
         ({"current_a": 0.2}, r"row \d+ .* the twin predicts that joint 1 draws"),
