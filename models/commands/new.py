@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     scale = LinkScale(link)
     args.link.parent.mkdir(parents=True, exist_ok=True)
     args.link.write_text(link_toml(link, scale.mass_kg, scale.tip_mass_kg), encoding="utf-8")
-    used = scale.holding_nm / link.preset.torque_limit_nm
+    used = scale.holding_of_limit
     facts = {
         "link": str(args.link), "markers": link.layout.count, "mass_kg": scale.mass_kg,
         "payload_kg": link.payload_kg, "first_mode_hz": scale.first_mode_rad_s / (2 * math.pi),
@@ -139,9 +139,10 @@ def run(args: argparse.Namespace) -> int:
         f"{facts['first_mode_hz']:.1f} Hz, payload up to {link.payload_kg:g} kg"
     )
     if used > RECOMMENDED_TORQUE:
+        what = "a fifth is recommended" if used < 1 else "it cannot hold it: take a stronger one"
         text += (
-            f"\nwarning: held at 30° it needs {scale.holding_nm:.2f} N·m, {used:.0%} of what the "
-            f"servo has; a fifth is recommended"
+            f"\nwarning: held within 30° it needs {scale.holding_nm:.2f} N·m, {used:.0%} of what "
+            f"the servo has; {what}"
         )
     emit(args, facts, text)
     return DONE
@@ -230,7 +231,7 @@ def _corners_m(count: int, width_m: float) -> tuple[tuple[float, float], ...]:
 
 
 def _payload_kg(link: LinkDescription) -> float:
-    """Largest payload with which the servo holds the link at 30° by a fifth of its torque."""
+    """Largest payload with which the servo holds the link within 30° by a fifth of its torque."""
     empty = msgspec.structs.replace(link, payload_kg=0.0)
     one_kg = msgspec.structs.replace(link, payload_kg=1.0)
     own_nm = LinkScale(empty).holding_nm

@@ -11,7 +11,10 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import sys
 from pathlib import Path
+
+import msgspec
 
 from firmware_py.config import MotionConfig
 from firmware_py.console import DONE, Progress, emit
@@ -28,6 +31,7 @@ from models.rig.rig_parameters import RigParameters
 from models.rig.rig_structure import named_structures
 from models.rig.trial_case import TrialCase
 from models.shared.catalogue import CATALOGUE, parse_strengths
+from models.shared.link_scale import LinkScale
 
 EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 
@@ -39,7 +43,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="directory of the trials")
-    add("--dof", type=int, nargs="+", choices=(1, 2), default=[1], help="driven joints (1)")
+    add(
+        "--dof", type=int, nargs="+", choices=(1, 2),
+        help="driven joints (1, or those of a link's file)",
+    )  # fmt: skip
     add(
         "--payloads", type=float, nargs="+", metavar="KG",
         help="payloads in kg (0 0.5 1 1.5 2, or five up to the payload_kg of a link's file)",
@@ -55,7 +62,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--period", type=float, default=STUDY_PERIOD_S, metavar="S",
         help="cycle of the sinusoid; other motions scale with it (4.352)",
     )  # fmt: skip
-    add("--phase-deg", type=float, default=0.0, metavar="DEG", help="lead of joint 2 (0)")
+    add(
+        "--phase-deg", type=float, metavar="DEG",
+        help="lead of joint 2 (0, or 90 of a link's file with two joints)",
+    )  # fmt: skip
     add(
         "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
         help="add an effect to the rig's defaults; repeatable; " + _effects_help(),
@@ -81,7 +91,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, write and draw the trials."""
     parameters = rig_named(args.rig)
-    _complete_from_link(args, parameters.link or STUDY_LINK)
+    _complete_from_link(args, parameters.link)
+    if parameters.link is not None:
+        _warn_of_weight(parameters.link, args)
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
@@ -110,14 +122,33 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _complete_from_link(args: argparse.Namespace, link: LinkDescription) -> None:
-    """Set the options that the link gives where the user does not."""
+def _complete_from_link(args: argparse.Namespace, described: LinkDescription | None) -> None:
+    """Set the options that the link gives where the user does not.
+
+    Joints that move together cannot be told apart; only the study's protocol has them so.
+    """
+    link = described or STUDY_LINK
+    if args.dof is None:
+        args.dof = [described.joints if described else 1]
+    if args.phase_deg is None:
+        args.phase_deg = 90.0 if described and args.dof == [2] else 0.0
     if args.payloads is None:
         args.payloads = sorted({round(link.payload_kg * k / 4, 4) for k in range(5)})
     if args.pressure_pa is None:
         args.pressure_pa = link.pressure_pa
     if args.gravity is None:
         args.gravity = list(link.gravity.unit)
+
+
+def _warn_of_weight(link: LinkDescription, args: argparse.Namespace) -> None:
+    """Warn where the servo cannot hold the link: its trials would show a servo that gives way."""
+    loaded = LinkScale(msgspec.structs.replace(link, payload_kg=max(args.payloads)))
+    if loaded.holding_of_limit > 1:
+        print(
+            f"warning: the weight takes {loaded.holding_of_limit:.0%} of the torque of "
+            f"{link.servo.model}, which cannot hold it; lower the payload or take a stronger servo",
+            file=sys.stderr,
+        )
 
 
 def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:

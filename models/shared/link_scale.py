@@ -27,6 +27,8 @@ TIP_MASS_KG_M2: Final = 0.25 / 0.15**2
 """Mass of the hardware at the tip per area of the section."""
 PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
 """Length of link that bends like the root patch, over the width: 350 N·m/rad at 135 N·m²."""
+HELD_RAD: Final = math.radians(30.0)
+"""Largest angle of the study's motions."""
 REFERENCE_PRESSURE_PA: Final = 41_300.0
 MODAL_MASS_FRACTION: Final = 0.236
 """Part of a cantilever's mass that swings with its tip: 33/140 (Rayleigh, static deflection)."""
@@ -131,10 +133,25 @@ class LinkScale:
 
     @property
     def holding_nm(self) -> float:
-        """Torque that the weight of link and largest payload needs at 30°."""
+        """Largest torque of a joint against the weight of link and payload, up to 30° from zero.
+
+        The weight's lever at angle q is g_x cos q - g_z sin q of the distance from the axis: half
+        of it at 30° where the link stands or hangs, all of it at zero where it lies.
+        """
         link, reach = self.link, self.link.base_offset_m + self.link.length_m
         own = self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
-        return 0.5 * link.gravity.size_m_s2 * (own + link.payload_kg * reach)
+        x, y, z = link.gravity.unit
+        levers = [
+            abs(across * math.cos(q) - z * math.sin(q))
+            for across in (x, y)[: link.joints]
+            for q in (-HELD_RAD, 0.0, HELD_RAD)
+        ]
+        return max(levers) * link.gravity.size_m_s2 * (own + link.payload_kg * reach)
+
+    @property
+    def holding_of_limit(self) -> float:
+        """`holding_nm` over the torque at the servo's current limit."""
+        return self.holding_nm / self.link.preset.torque_limit_nm
 
     def over_study(self, name: str) -> float:
         """A property over the same one of the study's link.

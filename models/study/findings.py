@@ -125,9 +125,16 @@ def _negative_angles(training: TrialSet, repeated: TrialSet) -> StudyFinding:
     for trial in (*training, *repeated):
         di, angle_rad = deformation_index(trial), trial.angle_rad[:, 0]
         deep = 0.5 * np.abs(angle_rad).max()  # near zero the bend is small
+        if not (angle_rad.min() < -deep and angle_rad.max() > deep):
+            continue  # the joint moves to one side only
         ratio = np.nanmean(di[angle_rad < -deep]) / np.nanmean(di[angle_rad > deep])
         ratios.setdefault(payload_key(trial.meta.payload_kg), []).append(float(ratio))
     every = [r for of_payload in ratios.values() for r in of_payload]
+    if not every:
+        return _finding(
+            "Negative angles deform more", None, "no trial moves to both sides",
+            "the motion of joint 1",
+        )  # fmt: skip
     listed = ", ".join(f"{np.mean(r):.2f} at {k} kg" for k, r in ratios.items())
     return _finding(
         "Negative angles deform more", min(every) > 1.0,

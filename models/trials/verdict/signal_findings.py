@@ -119,7 +119,7 @@ def _stuck(series: Sequence[Series], dof: int) -> list[ImportFinding]:
                         f"angle_{j}_rad does not change for "
                         f"{DURATION.text(s.time_s[last] - s.time_s[first])} from "
                         f"{s.time_s[first]:.2f} s on, while its goal moves by {ANGLE.text(moved)}",
-                        "cut the recording there, or record it again",
+                        "check torque and current limit of the servo, or cut the recording there",
                     )
                 )  # fmt: skip
     return found
