@@ -544,7 +544,7 @@ experiment-demo: build/plant.json
 	$(call run,python -m models experiment --gap build/experiment/gap/gap.json --limits robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
-	for extras in "--extra record --extra trust:robot" "--extra test:workshop"; do \
+	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test:workshop"; do \
 	  uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes \
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" \
 	    $${extras%%:*} --output-file requirements/$${extras##*:}.txt; done
