@@ -89,7 +89,7 @@ def test_the_bill_of_materials_lists_every_locked_library(wheel: Path) -> None:
 
 
 def test_the_lock_of_the_robot_holds_one_version_for_every_python() -> None:
-    """`pip download --python-version` reads markers of Python's version by the one that it runs on."""
+    """`pip download --python-version` takes markers of the Python that it runs on."""
     lock = (ROOT / "requirements" / "robot.txt").read_text(encoding="utf-8")
     names = re.findall(r"^([a-z0-9-]+)==", lock, re.MULTILINE)
     assert len(set(names)) == len(names) and "python_full_version" not in lock
