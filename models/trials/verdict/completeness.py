@@ -107,7 +107,7 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
         return []
     found = []
     for name, source in mapping.markers.items():
-        if name not in given:
+        if f"{name}_x_m" not in columns:
             found.append(
                 ImportFinding(
                     "refused", "absent",

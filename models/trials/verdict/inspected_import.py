@@ -29,8 +29,8 @@ from models.trials.verdict.completeness import (
 )
 from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.motion_findings import judge_motion
-from models.trials.verdict.pose_findings import judge_pose
-from models.trials.verdict.rest_pose import rest_pose
+from models.trials.verdict.pose_findings import judge_base, judge_pose
+from models.trials.verdict.rest_pose import RestPose, rest_pose
 from models.trials.verdict.signal_findings import (
     check_common_clock,
     judge_goal_sources,
@@ -96,9 +96,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         for side in filter(None, (servo, series)):
             verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
         rest_rad = _first_angles([*servo, *series], mapping.dof)
-        _judge_rest_pose(series, mapping, verdict, rest_rad, _UP.get(source.kind, "z"))
-        verdict.refuse(source.file)
-        series = align_markers(series, mapping, rest_rad)
+        series = _aligned(series, mapping, verdict, rest_rad, source)
     if servo:
         apart_s = epoch_s - servo_epoch_s
         try:
@@ -195,13 +193,29 @@ def _first_angles(series: list[Series], dof: int) -> Array | None:
     return None
 
 
-def _judge_rest_pose(
+def _aligned(
     series: list[Series],
     mapping: RecordingMap,
     verdict: ImportVerdict,
     rest_rad: Array | None,
-    default_up: str,
-) -> None:
+    source: Source,
+) -> list[Series]:
+    """Series with markers in the world frame; the pose is judged before and after."""
+    verdict.pose = _rest_pose_of(series, mapping, rest_rad)
+    if verdict.pose is not None:
+        verdict.findings += judge_pose(verdict.pose, mapping, _UP.get(source.kind, "z"))
+    verdict.refuse(source.file)
+    series = align_markers(series, mapping, rest_rad)
+    if mapping.frame.align == "base" and verdict.pose is not None:
+        verdict.pose = _rest_pose_of(series, mapping, rest_rad) or verdict.pose
+        verdict.findings += judge_base(verdict.pose)
+        verdict.refuse(source.file)
+    return series
+
+
+def _rest_pose_of(
+    series: list[Series], mapping: RecordingMap, rest_rad: Array | None
+) -> RestPose | None:
     means: dict[str, Array] = {}
     for s in series:
         names = [n for n in mapping.layout.names if _has(s, n)]
@@ -212,11 +226,7 @@ def _judge_rest_pose(
             rows = s.position_m(name)[:rest]
             seen = np.isfinite(rows).all(axis=1)
             means[name] = rows[seen].mean(axis=0) if seen.any() else np.full(3, np.nan)
-    if not means:
-        return
-    verdict.pose = rest_pose(means, mapping.meta(0), rest_rad)
-    if verdict.pose is not None:
-        verdict.findings += judge_pose(verdict.pose, mapping, default_up)
+    return rest_pose(means, mapping.meta(0), rest_rad)
 
 
 def _clock(

@@ -45,6 +45,15 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
                 "correct link_length_m and link_width_m, or the unit of length",
             )
         )  # fmt: skip
+    if mapping.frame.align == "rest" and pose.sag_m > OFFSET_M[0]:
+        found.append(
+            ImportFinding(
+                "warning", "sag",
+                f'align = "rest" takes the link for straight, but at rest it sags by about '
+                f"{LENGTH.text(pose.sag_m, 0)}",
+                'align by the base\'s markers, or give the frame with align = "none"',
+            )
+        )  # fmt: skip
     aligned = mapping.frame.align != "none"
     if not aligned and level != "refused":
         found += _frame(pose, mapping, default_up)
@@ -60,6 +69,32 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
             )
         )  # fmt: skip
     return found
+
+
+def judge_base(pose: RestPose) -> list[ImportFinding]:
+    """Findings on a pose after the alignment by the base's markers.
+
+    Parameters
+    ----------
+    pose : RestPose
+        Of the link's markers, which then stand on the base plate.
+    """
+    wrong = []
+    if pose.tilt_rad > TILT_RAD[1]:
+        wrong.append(f"leans by {ANGLE.text(pose.tilt_rad)}")
+    if pose.tilt_rad < _LYING_RAD and abs(pose.yaw_rad) > YAW_RAD[1]:
+        wrong.append(f"is turned by {ANGLE.text(pose.yaw_rad)}")
+    if np.linalg.norm(pose.offset_m) > OFFSET_M[1]:
+        wrong.append(f"is {np.linalg.norm(pose.offset_m):.3f} m off")
+    if not wrong:
+        return []
+    return [
+        ImportFinding(
+            "refused", "base", f"by the base's markers the link {' and '.join(wrong)}",
+            "correct b01 … b04 under [markers]: the corners (+x, +y), (-x, +y), (+x, -y), (-x, -y) "
+            "of the base plate",
+        )
+    ]  # fmt: skip
 
 
 def _names(pose: RestPose) -> list[ImportFinding]:

@@ -19,6 +19,7 @@ from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.trial import Array, TrialMeta
+from models.trials.verdict.sag import nominal_sag_m
 
 Order = NDArray[np.intp]
 
@@ -26,6 +27,10 @@ MOST_PERMUTED: Final = 5
 """Rows or corners of which every order is tried: 120 orders."""
 LEAST_MARKERS: Final = 4
 """Markers from which a pose can be told."""
+MOST_SAG: Final = 3.0
+"""How many times the nominal link's sag a link may have: half its stiffness and creep [assumed]."""
+LEAST_SAG_M: Final = 0.005
+"""Sag below which a link counts as straight: what is warned of in an upright link is as large."""
 _BETTER: Final = 0.35
 """Fraction to which another order of the names must bring the misfit to be believed [assumed]."""
 _PER_RAD_M: Final = 0.001
@@ -43,7 +48,7 @@ class RestPose:
     names : tuple of str
         Markers that were seen at rest, in the order of the contract.
     measured_m, nominal_m : ndarray, shape (k, 3)
-        Means at rest, and nominal places at the angle of the rest.
+        Means at rest, and nominal places at the angle of the rest, with the sag of a lying link.
     offset_m : ndarray, shape (3,)
         Crossing of the joint axes, as the markers show it.
     tilt_rad, yaw_rad : float
@@ -58,6 +63,8 @@ class RestPose:
         Distance of each marker from its nominal place after the best rigid motion.
     row_heights_m : ndarray, shape (rows,)
         Mean height of each row; NaN where it was not seen.
+    sag_m : float
+        Sag of the tip of a nominal link under its weight.
     order : str
         Order of the names that fits, in words; "" if the names fit as they are.
     """
@@ -73,6 +80,7 @@ class RestPose:
     scale: float
     misfit_m: Array
     row_heights_m: Array
+    sag_m: float
     order: str
 
 
@@ -103,8 +111,10 @@ def rest_pose(
     places = [layout.names.index(n) for n in names]
     upright = nominal_markers_m(meta)[places]
     turn = np.eye(3) if rest_rad is None else base_rotation(np.atleast_2d(rest_rad))[0]
-    nominal = upright @ turn.T
-    order, wording = _order(names, measured, nominal, layout)
+    sag = nominal_sag_m(meta, turn)[places]
+    order, wording = _order(names, measured, upright @ turn.T + sag, layout)
+    ratio = _stiffness_ratio(upright @ turn.T, sag, order, measured)
+    nominal = upright @ turn.T + ratio * sag
     placed = nominal[order]
     rotation, shift = fit_rigid_motion(placed, measured)  # measured = rotation nominal + shift
     axis = rotation @ turn[:, 2]
@@ -125,8 +135,18 @@ def rest_pose(
         _scale(measured, placed),
         np.linalg.norm(placed @ rotation.T + shift - measured, axis=1),
         np.array(heights),
+        float(np.linalg.norm(sag, axis=1).max()),
         wording,
     )
+
+
+def _stiffness_ratio(straight: Array, sag: Array, order: Order, measured: Array) -> float:
+    """Multiple of the nominal sag, up to `MOST_SAG`, with which the link leans least beside it."""
+    if np.abs(sag).max() < LEAST_SAG_M:
+        return 0.0
+    ratios = np.linspace(0.0, MOST_SAG, 13)
+    tilts = [_tilt_rad(fit_rigid_motion((straight + r * sag)[order], measured)[0]) for r in ratios]
+    return float(ratios[int(np.argmin(tilts))])
 
 
 def _tilt_rad(rotation: Array) -> float:

@@ -119,9 +119,9 @@ def _doubled(trials: TrialSet) -> list[ImportFinding]:
         if samples in first and trial.angle_rad.std() > 0:
             found.append(
                 ImportFinding(
-                    "refused", "doubled",
+                    "warning", "doubled",
                     f"{first[samples]} and {trial.name} hold the same angles",
-                    "import each recording once",
+                    "import each recording once; a copy is no test",
                 )
             )  # fmt: skip
         first.setdefault(samples, trial.name)

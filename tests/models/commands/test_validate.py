@@ -19,7 +19,8 @@ def swinging():
 
 
 def write(make_trial, directory, trial=1, **changes):
-    made = make_trial(swinging(), rest_samples=30, amplitude_rad=0.5, trial=trial)
+    angle_rad = (1 + 1e-4 * trial) * swinging()  # no two recordings are alike
+    made = make_trial(angle_rad, rest_samples=30, amplitude_rad=0.5, trial=trial)
     made.columns.update(changes)
     object.__setattr__(made, "name", f"take{trial}")
     write_trial(made, directory)

@@ -1,13 +1,19 @@
 """The pose at rest tells what is wrong with names, frame and size, and passes what is right."""
 
+from pathlib import Path
+
+import msgspec
 import numpy as np
 import pytest
 
 from models.trials.importers.mapping import MocapFrame, RecordingMap
 from models.trials.importers.mocap_frame import nominal_markers_m
+from models.trials.importers.series import Series, marker_columns
 from models.trials.trial import TrialMeta
-from models.trials.verdict.pose_findings import judge_pose
+from models.trials.verdict.completeness import judge_markers
+from models.trials.verdict.pose_findings import judge_base, judge_pose
 from models.trials.verdict.rest_pose import rest_pose
+from models.trials.verdict.sag import nominal_sag_m
 
 META = TrialMeta(
     dof=1, payload_kg=1.0, trial=1, motion="step", source="measured", period_s=1.0,
@@ -108,3 +114,47 @@ def test_a_link_that_rests_at_an_angle_is_no_tilt():
     named = dict(zip(MARKERS, PLACES_M @ turn.T, strict=True))
     assert judge_pose(rest_pose(named, META, angle), RecordingMap(), "z") == []
     assert judge_pose(rest_pose(named, META), RecordingMap(), "z")[0].cause == "tilt"
+
+
+def test_reversed_rows_and_the_corners_of_one_row_are_named():
+    reverse = [4 * (3 - k // 4) + k % 4 for k in range(16)]
+    ((_, cause, text),) = judged(PLACES_M[reverse])
+    assert (cause, text) == ("swapped", "rows are named in the order 4, 3, 2, 1")
+    turned = list(range(16))
+    turned[8:12] = [9, 11, 8, 10]
+    ((_, cause, text),) = judged(PLACES_M[turned])
+    assert cause == "swapped" and text.startswith("corners of row 3 are named in the order")
+
+
+@pytest.mark.parametrize("softer", [0.5, 2.0])
+def test_the_sag_of_a_lying_link_is_no_tilt(softer):
+    """Cantilever under its payload: it leans by 2 to 8° and is not refused."""
+    lying = msgspec.structs.replace(META, payload_kg=0.5, gravity_m_s2=(-9.81, 0.0, 0.0))
+    sunk_m = PLACES_M + softer * nominal_sag_m(lying, np.eye(3))
+
+    def found(meta, align):
+        pose = rest_pose(dict(zip(MARKERS, sunk_m, strict=True)), meta)
+        mapping = RecordingMap(frame=MocapFrame(align=align))
+        return [f.cause for f in judge_pose(pose, mapping, "z")]
+
+    assert found(lying, "none") == []
+    if softer > 1:  # an upright link does not lie like that
+        assert found(META, "none")[0] == "tilt"
+    assert found(lying, "rest") == ["sag"]  # which that alignment would erase
+
+
+def test_base_markers_in_another_order_are_told_by_the_link_that_they_turn_over():
+    def base(places_m):
+        pose = rest_pose(dict(zip(MARKERS, places_m, strict=True)), META)
+        return [f.cause for f in judge_base(pose)]
+
+    assert base(noisy(PLACES_M)) == []
+    assert base(PLACES_M * [1.0, -1.0, -1.0]) == base(PLACES_M @ about_z(90).T) == ["base"]
+
+
+def test_mapped_markers_of_the_base_are_not_missed():
+    names = (*MARKERS, "b01", "b02", "b03", "b04")
+    columns = marker_columns({name: np.zeros((3, 3)) for name in names})
+    series = Series(np.arange(3.0), columns, Path("take.csv"))
+    mapping = RecordingMap(markers={name: name for name in names})
+    assert judge_markers([series], mapping) == []

@@ -112,4 +112,4 @@ def test_a_recording_that_was_imported_twice_is_told():
     once = swung(number=1)
     again = replace(once, name="again", meta=msgspec.structs.replace(once.meta, trial=2))
     found = check_trials(TrialSet((once, again)))
-    assert [(f.level, f.cause) for f in found] == [("refused", "doubled")]
+    assert [(f.level, f.cause) for f in found] == [("warning", "doubled")]
