@@ -71,6 +71,8 @@ DEFORMATION: Final = DisplayUnit("%", 1e2, 2)
 """Of the Deformation Index."""
 CURRENT: Final = DisplayUnit("A", 1.0, 2)
 PAYLOAD: Final = DisplayUnit("kg", 1.0, 1)
+PRESSURE: Final = DisplayUnit("kPa", 1e-3, 1)
+"""Of the link's gauge pressure."""
 TIME: Final = DisplayUnit("s", 1.0, 1)
 DURATION: Final = DisplayUnit("ms", 1e3, 1)
 """Of durations in seconds: a period, a timeout."""

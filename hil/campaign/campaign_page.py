@@ -10,11 +10,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import DATA_SIZE, DisplayUnit, error_unit, signal_unit, signal_words
+from firmware_py.display_units import (
+    DATA_SIZE,
+    PRESSURE,
+    DisplayUnit,
+    error_unit,
+    signal_unit,
+    signal_words,
+)
 from firmware_py.signals import unit_of
 from hil.campaign.campaign_cases import CampaignCase
 from hil.campaign.campaign_document import CampaignDocument
-from hil.campaign.campaign_spec import CampaignSpec, axis_names, draw_axes
+from hil.campaign.campaign_spec import CampaignSpec, axis_names, draw_axes, flat, grid_axes
 from hil.campaign.campaign_summary import SummaryRow, summary_rows
 from hil.campaign.kinds.case_kind import CaseKind
 from hil.campaign.result_store import ResultStore
@@ -24,6 +31,7 @@ from models.shared.page_parts import (
     Cell,
     Facts,
     Figure,
+    Notice,
     Panel,
     Paragraph,
     Part,
@@ -38,10 +46,18 @@ MOST_POINTS: Final = 3000
 """Points of a drawing; more make the page slow, the rest is left out evenly [assumed]."""
 MOST_LEVELS: Final = 12
 """Values of an axis that get a row of their own; the others are shown as points."""
+NO_BREAK: Final = "\u00a0"
 SOURCES: Final = {
     "sil": "simulated runs of the robot's loop", "fmu": "simulated runs of an FMU",
     "gap": "diagnoses of simulated trials", "rig": "simulated trials of the rig",
 }  # fmt: skip
+SIMULATED: Final = Notice(
+    "simulated", "Simulated", "Every case is a computation. No robot was run."
+)
+UNKNOWN: Final = Notice(
+    "unknown", "Origin not stated",
+    "A kind of cases of one's own: do not take its figures for measurements.",
+)  # fmt: skip
 
 
 def write_campaign_page(
@@ -74,18 +90,16 @@ def write_campaign_page(
     source = SOURCES.get(kind.name, f"cases of the kind {kind.name}")
     done = document.states.get("done", 0)
     lead: list[Part] = [
-        Paragraph(
-            f"{done} of {document.cases} {source} have a result. Nothing here was measured on "
-            "hardware." if kind.name in SOURCES else
-            f"{done} of {document.cases} {source} have a result.", "lead",
-        ),
-    ]  # fmt: skip
+        SIMULATED if kind.name in SOURCES else UNKNOWN,
+        Paragraph(f"{done} of {document.cases} {source} have a result.", "lead"),
+    ]
     figures = {
         n: w for n, w in kind.figures.items() if any(_number(r, n) is not None for r in rows)
     }
     sections = [
         Section("figures", "Figures of all cases", [_overall(figures, rows)]),
-        *(_axis_section(spec, name, figures, rows) for name in axis_names(spec)),
+        *(_axis_section(spec, name, figures, rows) for name in _varied(spec)),
+        Section("conditions", "Conditions", [_conditions(spec, kind)]),
         Section("failures", "Cases without a result", [_failures(document)]),
         Section("costs", "Costs", [_costs(store, document.code)]),
     ]
@@ -118,6 +132,8 @@ def _unit(name: str) -> DisplayUnit:
         return signal_unit(last)
     if last.endswith(("_fraction", "coverage", "right")):
         return error_unit("1")
+    if last.endswith("ticks"):
+        return DisplayUnit("", 1.0, 0)
     if (unit := unit_of(last)) in ("m", "rad"):
         return error_unit(unit)
     return DisplayUnit(signal_unit(last).name, signal_unit(last).factor, 2)
@@ -139,23 +155,67 @@ def _quantiles(values: Sequence[float], name: str) -> list[Cell]:
     return [_unit(name).number(v) for v in np.quantile(values, [0.0, 0.5, 0.9, 1.0])]
 
 
+def _varied(spec: CampaignSpec) -> list[str]:
+    """Axes with more than one value; the others are conditions that all cases share."""
+    alone = {name for name, values in grid_axes(spec.grid).items() if len(values) == 1}
+    return [name for name in axis_names(spec) if name not in alone]
+
+
+def _conditions(spec: CampaignSpec, kind: CaseKind[Any]) -> Part:
+    """What the file says: values that all cases share, axes of the grid, and draws."""
+    rows = [("kind", kind.name)]
+    rows += [(name, _in_words(name, value)) for name, value in flat(spec.fixed).items()]
+    for name, values in grid_axes(spec.grid).items():
+        shown = [_in_words(name, v) for v in values[:MOST_LEVELS]]
+        more = [f"{len(values)} in all"] if len(values) > MOST_LEVELS else []
+        rows.append((name, ", ".join(shown + more)))
+    for name, (form, limits) in draw_axes(spec.draw).items():
+        joined = (", " if form == "choice" else " to ").join(_in_words(name, v) for v in limits)
+        rows.append((name, f"{joined}, {form.replace('_', '-')}"))
+    if spec.draws is not None:
+        rows.append(("draws", f"{spec.draws} with seed {spec.draw_seed}"))
+    return Facts(rows)
+
+
+def _in_words(name: str, value: Any) -> str:
+    """A value of the file in its display unit; a table as its names and values."""
+    if isinstance(value, dict):
+        return ", ".join(f"{n} {_in_words('', v)}" for n, v in flat(value).items()) or "none"
+    if isinstance(value, list):
+        return ", ".join(_in_words(name, v) for v in value)
+    unit = _axis_unit(name)
+    return f"{_level_text(value, unit)}{NO_BREAK}{unit.name}".removesuffix(NO_BREAK)
+
+
+def _axis_unit(axis: str) -> DisplayUnit:
+    last = axis.rpartition(".")[2]
+    if unit_of(last) == "Pa":
+        return PRESSURE
+    return signal_unit(last) if unit_of(last) else DisplayUnit("", 1.0, 2)
+
+
+def _axis_words(axis: str) -> str:
+    """Words for an axis: "payload" for "payload_kg", "faults: lost" for "faults.lost"."""
+    return ": ".join(signal_words(part) for part in axis.split("."))
+
+
 def _axis_section(
     spec: CampaignSpec, axis: str, figures: Mapping[str, str], rows: Sequence[SummaryRow]
 ) -> Section:
-    values = [_value_of(row, axis) for row in rows]
+    values, words = [_value_of(row, axis) for row in rows], _axis_words(axis)
     levels = list(dict.fromkeys(values))
-    words = signal_words(axis.rpartition(".")[2]) if "." not in axis else axis
+    form = draw_axes(spec.draw).get(axis, ("", []))[0]
+    numbers = all(isinstance(v, int | float) for v in values)
     parts: list[Part] = []
     if not figures:
         parts = [Paragraph("No case has a result yet.", "missing")]
-    elif len(levels) <= MOST_LEVELS:
+    elif len(levels) <= MOST_LEVELS and not form.endswith("uniform"):
         parts = [_level_table(axis, words, levels, values, figures, rows)]
-    elif all(isinstance(v, int | float) for v in values) and not words.endswith("seed"):
-        log = draw_axes(spec.draw).get(axis, ("", []))[0] == "log_uniform"
+    elif numbers and not words.endswith("seed"):
         panels = [
             panel
             for name, figure in figures.items()
-            if (panel := _points(axis, words, (name, figure), values, rows, log=log))
+            if (panel := _points(axis, words, (name, figure), values, rows, form))
         ]
         parts = [Figure("", "One point a case.", panels)]
     else:
@@ -176,7 +236,7 @@ def _level_table(
     axis: str, words: str, levels: Sequence[Any], values: Sequence[Any],
     figures: Mapping[str, str], rows: Sequence[SummaryRow],
 ) -> Part:  # fmt: skip
-    unit = signal_unit(axis.rpartition(".")[2]) if unit_of(axis) else DisplayUnit("", 1.0, 2)
+    unit = _axis_unit(axis)
     table: list[list[Cell]] = []
     for level in levels:
         own = [row for row, value in zip(rows, values, strict=True) if value == level]
@@ -195,14 +255,16 @@ def _level_table(
 
 
 def _level_text(level: Any, unit: DisplayUnit) -> str:
-    if isinstance(level, bool) or not isinstance(level, int | float):
+    if isinstance(level, bool):
+        return "yes" if level else "no"
+    if not isinstance(level, int | float):
         return str(level) if level not in ("", None) else "none"
     return f"{unit.factor * level:.4g}"
 
 
 def _points(
     axis: str, words: str, shown: tuple[str, str], values: Sequence[Any],
-    rows: Sequence[SummaryRow], *, log: bool,
+    rows: Sequence[SummaryRow], form: str,
 ) -> Panel | None:  # fmt: skip
     name, figure = shown
     pairs = [
@@ -212,10 +274,10 @@ def _points(
         return None
     step = max(len(pairs) // MOST_POINTS, 1)
     x, y = np.array(pairs[::step], dtype=float).T
-    unit = signal_unit(axis.rpartition(".")[2]) if unit_of(axis) else DisplayUnit("", 1.0, 2)
+    unit = _axis_unit(axis)
     with Drawing() as (drawing, ax):
         ax.plot(unit.shown(x), _unit(name).shown(y), ".", color=BLUE, ms=3, alpha=0.6)
-        if log:
+        if form == "log_uniform":
             ax.set_xscale("log")
         ax.set(xlabel=unit.label(words), ylabel=_unit(name).label(figure))
     middle, most = _unit(name).text(np.median(y)), _unit(name).text(y.max())
