@@ -3,14 +3,15 @@
     python -m bench.plans speeds --build build --out build/bench_plans
 
 `speeds`: circle and figure eight of 0.5 m, the study's 30°, in 8 and 4 s, with feedback: rigid
-kinematics, payload known, and payload estimated in the second run. `robust`: rigs with a fifth
-more stiffness or damping than the plant believes, payload known, open loop and in the second run
-with feedback. `learning`: five runs with motion capture on these rigs, 1.8 kg, open loop; then
-three runs on draws of the rig that learning did not see. `moves`: 25° with 2 kg, from rest to rest:
-as fast as the limits permit with a rigid link, ZVD shaping, the shortest inverted move. `text`:
-HELLO in 40 s with 1 kg and feedback; draws it to OUT/text.svg. `other_rig`: `--rig NAME` behind
-plans from `--plant FILE`, identified on trials of it, open loop, payload known: at once, and after
-one run, from which shape and timing of the goals were learned.
+kinematics, payload known, and payload estimated in the second run. `robust`: rigs with a fifth more
+stiffness or damping than the plant believes, payload known and estimated, open loop and with
+feedback, in the second run where the robot learns within it. `learning`: five runs with motion
+capture on these rigs, 1.8 kg, open loop; then three runs on draws of the rig that learning did not
+see. `moves`: 25° with 2 kg, from rest to rest: as fast as the limits permit with a rigid link, ZVD
+shaping, the shortest inverted move. `text`: HELLO in 40 s with 1 kg and feedback; draws it to
+OUT/text.svg. `other_rig`: `--rig NAME` behind plans from `--plant FILE`, identified on trials of
+it, open loop, payload known: at once, and after one run, from which shape and timing of the goals
+were learned.
 """
 
 from __future__ import annotations
@@ -217,12 +218,18 @@ def robust(build: Path) -> dict[str, Any]:
                         "rigid": run_on_rig(rigid, bundle, kg, rig=rig).rms_m,
                         "open": run_on_rig(inverse, bundle, kg, rig=rig, open_loop=True).rms_m,
                         "feedback": run_on_rig(inverse, bundle, kg, rig=rig, runs=2).rms_m,
+                        "open_unknown": run_on_rig(
+                            inverse, bundle, kg, rig=rig, runs=2, known=False, open_loop=True
+                        ).rms_m,
+                        "feedback_unknown": run_on_rig(
+                            inverse, bundle, kg, rig=rig, runs=2, known=False
+                        ).rms_m,
                     }
                     cases.append({"dof": dof, "more": what, "payload_kg": kg, **own})
             progress.step(f"{dof}DOF, {what}")
     times = {
         f"{kind}_times_{n}dof": min(c["rigid"] / c[kind] for c in cases if c["dof"] == n)
-        for kind in ("open", "feedback")
+        for kind in ("open", "feedback", "open_unknown", "feedback_unknown")
         for n in PATHS
     }
     return {"cases": cases} | times

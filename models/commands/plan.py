@@ -132,6 +132,10 @@ def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
         text += "this run was worse than the best one, from which half a step was taken\n"
     if own.goal_delay_s:
         text += f"the joints follow {TIME.number(own.goal_delay_s, 4)} s later than the twin's\n"
+    text += (
+        f"the recording tells a link {own.stiffness:.2f} times as stiff and "
+        f"{own.damping:.2f} times as damped as the plant's\n"
+    )
     result = _result(found.plan, args.out) | {
         "learned": [msgspec.to_builtins(r) for r in found.plan.learned],
         "went_back": found.went_back,

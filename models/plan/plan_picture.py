@@ -54,7 +54,11 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
         axes["error"].set(xlabel=TIME.label("time"), ylabel=LENGTH.label("predicted tip error"))
         axes["goals"].set(xlabel=TIME.label("time"), ylabel=ANGLE.label("goal"))
         axes["current"].set(xlabel=TIME.label("time"), ylabel=CURRENT.label("current"))
-        axes["path"].legend(fontsize="x-small", frameon=False)
+        handles, labels = axes["path"].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=len(labels), fontsize="small",
+            frameon=False,
+        )  # fmt: skip
         most = max(own.residual_rms_m for own in plan.payloads)
         rigid = [own.rigid_rms_m for own in plan.payloads]
         figure.suptitle(

@@ -208,11 +208,11 @@ class OutsideGoals:
         for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):
             rate = (value - before) / self._period_s
             if not low <= value <= high:
-                what = f"at {value:.3f} rad, outside {low:g} to {high:g} rad"
+                what = f"at {value:.3f} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
                 self._refuse(f"wants joint {joint + 1} {what}")
                 return
             if not abs(rate) <= most * _ROUNDING:
-                what = f"at {rate:.2f} rad/s, the limit is {most:g} rad/s"
+                what = f"at {rate:.2f} rad/s, the limit is {most:g} rad/s (limits.rate_rad_s)"
                 self._refuse(f"moves joint {joint + 1} {what}")
                 return
             rates.append(rate)

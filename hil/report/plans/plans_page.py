@@ -39,6 +39,7 @@ WORDS: Final[dict[Knowledge, str]] = {
     "unknown": "plan, payload estimated, second run",
     "misled": "plan, payload told too small",
 }
+TOLD: Final = {"known": "known", "unknown": "estimated"}
 
 
 def write_plans_page(runs: Sequence[PlannedRun], path: Path, plant: Plant | None = None) -> None:
@@ -80,9 +81,10 @@ def _table(runs: list[PlannedRun]) -> Table:
         rows.append(row)
     return Table(
         "Distance of the tip from its path, RMS in mm, rest and ways included",
-        ["", *(WORDS[k] for k in KNOWLEDGE), *(f"rigid over {k}" for k in PATH_RMS_TO_RIGID)], rows,
+        ["", *(WORDS[k] for k in KNOWLEDGE), *(f"rigid over {TOLD[k]}" for k in PATH_RMS_TO_RIGID)],
+        rows,
         "Targets: rigid kinematics over the plan at least "
-        + ", ".join(f"{1 / v:.0f} ({k})" for k, v in PATH_RMS_TO_RIGID.items()) + ".",
+        + ", ".join(f"{1 / v:.0f} ({TOLD[k]})" for k, v in PATH_RMS_TO_RIGID.items()) + ".",
     )  # fmt: skip
 
 
@@ -137,7 +139,7 @@ def _error(dof: int, payload_kg: float, runs: Sequence[PlannedRun]) -> Panel:
     with Drawing() as (drawing, ax):
         for run in runs:
             time_s = run.plan.period_s * np.arange(run.plan.rows)
-            away = LENGTH.shown(np.maximum(run.away_m, 1e-5))
+            away = LENGTH.shown(np.maximum(run.away_m, 1e-4))
             ax.plot(time_s, away, color=COLOURS[run.knowledge], lw=1.0)
         ax.set(yscale="log", xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"))
     words = ", ".join(f"{WORDS[r.knowledge]} {LENGTH.text(r.max_m)}" for r in runs)

@@ -43,7 +43,9 @@ def trust_section(runs: Sequence[PlannedRun]) -> Section | None:
     ]
     panels = [p for r in guided if r.knowledge == "misled" for p in (_error(r), _correction(r))]
     if panels:
+        joints = max(r.dof for r in guided if r.knowledge == "misled")
         legend = [LegendEntry(SPAN, "not trusted")]
+        legend += [LegendEntry(SERIES[j], f"correction of joint {j + 1}") for j in range(joints)]
         parts.append(Figure("A robot that was told too small a payload", "", panels, legend=legend))
     return Section("trust", "When the estimate is not trusted", parts)
 
