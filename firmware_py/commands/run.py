@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import math
 import os
 import sys
@@ -201,6 +202,16 @@ def _check_free(log: Path) -> None:
             raise InputError("--log", f"{path} exists", "name a new file, or move that one away")
 
 
+def _free_log(directory: Path, name: str) -> Path:
+    """First log of a name that overwrites nothing: robots may share a directory."""
+    names = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
+    logs = (directory / f"{own}.mcap" for own in names)
+    return next(
+        log for log in logs
+        if not any(os.path.lexists(path) for path in (log, log.with_suffix(".timing.json")))
+    )  # fmt: skip
+
+
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:
     """Yield a sentence for every servo whose gains the configuration does not give."""
     for servo, found in zip(config.servos, settings, strict=True):
@@ -228,8 +239,9 @@ def _telemetry(
     motion = config.motion.motion(config.dof).name if plan is None else plan.name
     if args.goals is not None:
         motion = OUTSIDE
-    name = f"{started:%Y%m%dT%H%M%SZ}_{motion}.mcap"
-    log = (args.log or args.config.parent / config.logs / name) if config.record else None
+    name = f"{started:%Y%m%dT%H%M%SZ}_{motion}"
+    own = args.log or _free_log(args.config.parent / config.logs, name)
+    log = own if config.record else None
     live = config.live
     address = (live.host, live.port) if args.live else None
     metadata = log_metadata(config, bundle, started, settings)

@@ -70,10 +70,11 @@ class LiveGate:
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        self._loop.run_until_complete(
+        serving = self._loop.create_task(
             asyncio.start_server(self._admit, sock=self._listener, limit=_HEAD_BYTES)
         )
-        self._loop.run_forever()
+        self._loop.run_forever()  # `close` may come before the server listens
+        serving.cancel()
         tasks = asyncio.all_tasks(self._loop)
         for task in tasks:
             task.cancel()
@@ -114,7 +115,7 @@ class LiveGate:
 
     def _is_admitted(self, head: bytes) -> bool:
         """Whether a request names no origin or a known one."""
-        lines = head.decode("latin-1").split("\r\n")[1:]
+        lines = head.decode("latin-1").replace("\r", "\n").split("\n")[1:]  # servers take both
         headers = [line.partition(":")[::2] for line in lines]
         found = [value.strip() for name, value in headers if name.strip().lower() == "origin"]
         return not found or (len(found) == 1 and found[0] in self._origins)

@@ -79,7 +79,7 @@ class McapSink:
     Parameters
     ----------
     path : str
-        File to write.
+        File to make; one that exists, or a link, is never written to.
     dof : int
         Number of joints.
     metadata : dict of str to str
@@ -88,14 +88,14 @@ class McapSink:
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file exists or cannot be written.
     """
 
     def __init__(self, path: str, dof: int, metadata: dict[str, str]) -> None:
         from mcap.writer import CompressionType, Writer
 
         try:
-            self._stream = open(path, "wb")  # noqa: SIM115 (open until finish)
+            self._stream = open(path, "xb")  # noqa: SIM115 (open until finish)
         except OSError as error:
             raise InputError(
                 path, f"cannot be written ({error.strerror})", "name another file for the log"

@@ -128,6 +128,7 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     if options.goals is not None:
         metadata |= outside_facts()
     path = options.out / LOG_NAME
+    path.unlink(missing_ok=True)  # that of the run before, as its other results
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry
 

@@ -19,6 +19,7 @@ from websockets.sync.client import connect
 
 from firmware_py.errors import InputError
 from firmware_py.log.live_config import ORIGINS, LiveConfig
+from firmware_py.log.live_gate import LiveGate
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
 from firmware_py.summary import Ended
@@ -193,6 +194,19 @@ def test_a_page_of_another_site_is_refused(capfd, origin):
         with pytest.raises(InvalidStatus) as refused, connect(url_of(capfd), origin=origin):
             pytest.fail("it must not be admitted")
         assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])
+def test_no_end_of_a_line_hides_an_origin(end):
+    gate = LiveGate(("127.0.0.1", 0), ("127.0.0.1", 1))
+    try:
+        known, foreign = (
+            f"GET / HTTP/1.1\r\nA: b{end}origin : {origin}\r\n\r\n".encode()
+            for origin in (ORIGINS[0], "https://evil.example")
+        )
+        assert gate._is_admitted(known) and not gate._is_admitted(foreign)
+    finally:
+        gate.close()
 
 
 @pytest.mark.parametrize("origin", [*ORIGINS, None])

@@ -161,6 +161,15 @@ def test_a_log_cut_off_at_any_byte_is_read_up_to_its_last_whole_chunk(tmp_path, 
     assert_cut_is_read(tmp_path, whole, cut, tail)
 
 
+def test_a_log_writes_neither_over_a_file_nor_through_a_link(tmp_path):
+    (tmp_path / "kept").write_text("kept")
+    (tmp_path / "link").symlink_to(tmp_path / "kept")
+    for name in ("kept", "link"):
+        with pytest.raises(InputError, match="cannot be written"):
+            McapSink(str(tmp_path / name), 1, {"dof": "1"})
+    assert (tmp_path / "kept").read_text() == "kept"
+
+
 def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
     path, encode = tmp_path / "run.mcap", TickEncoder(2, 10**18)
     sink = McapSink(str(path), 2, {"dof": "2"})
@@ -218,7 +227,7 @@ def test_a_recorder_that_stands_still_or_dies_costs_drops_and_nothing_else():
 def test_a_log_that_cannot_be_written_is_refused_before_the_start(tmp_path, capfd):
     (tmp_path / "run.mcap").mkdir()
     with (
-        pytest.raises(InputError, match=r"run\.mcap: cannot be written \(Is a directory\)"),
+        pytest.raises(InputError, match=r"run\.mcap: cannot be written \(File exists\)"),
         recording(tmp_path / "run.mcap", 1, 0, {}),
     ):
         pytest.fail("the loop must not start")
