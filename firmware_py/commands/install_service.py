@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import getpass
 import os
 import pwd
@@ -201,10 +202,12 @@ def service_file(
 
 def _quoted(path: Path | str) -> str:
     """Return a path as one word of a systemd command line (systemd.service(5))."""
-    if any(unicodedata.category(character) in ("Cc", "Zl", "Zp") for character in str(path)):
+    wrong = ("Cc", "Zl", "Zp", "Cs")  # the last stands for a byte that is not UTF-8
+    if any(unicodedata.category(character) in wrong for character in str(path)):
         raise InputError(
-            repr(str(path)), "has a line break or another control character", "rename it"
-        )
+            repr(str(path)), "has a line break or another control character, or is not UTF-8",
+            "rename it",
+        )  # fmt: skip
     text = str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{text}"' if set(text) & set(" \t'\"") else text
 
@@ -240,10 +243,13 @@ def _write(path: Path, content: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         new.unlink(missing_ok=True)
-        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644), "w") as file:
+        handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(content)
         new.replace(path)  # a link that has been made in the meantime is replaced, not followed
     except OSError as error:
+        with contextlib.suppress(OSError):
+            new.unlink(missing_ok=True)
         raise InputError(
             path, f"cannot be written ({error.strerror})", "run it with sudo, or --dry-run"
         ) from None

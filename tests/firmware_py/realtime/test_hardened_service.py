@@ -61,7 +61,7 @@ def test_a_user_who_does_not_exist_is_refused_before_anything_is_written(
     assert "does not exist" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("mark", ["\n", "\r", "\x1b", "\u2028"])
+@pytest.mark.parametrize("mark", ["\n", "\r", "\x1b", "\u2028", "\udcff"])
 def test_a_path_with_a_line_break_is_refused(tmp_path, config, mark, capsys):
     directory = tmp_path / f"a{mark}ExecStartPre=b"
     directory.mkdir()
