@@ -17,9 +17,12 @@ import importlib
 import io
 import json
 import os
+import signal
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from types import FrameType
 from typing import Any, Final, NamedTuple
 
 from firmware_py import __version__
@@ -76,9 +79,10 @@ def dispatch(
         if isinstance(stream, io.TextIOWrapper):  # a sign that a terminal lacks must not end a run
             stream.reconfigure(errors="backslashreplace")
     try:
-        module = _declared(subparsers, commands, chosen)
-        args = parser.parse_args(arguments)
-        code = int(module.run(args)) if module else BAD_INPUT
+        with _interrupts_kept():
+            module = _declared(subparsers, commands, chosen)
+            args = parser.parse_args(arguments)
+            code = int(module.run(args)) if module else BAD_INPUT
         sys.stdout.flush()
         return code
     except SystemExit as exit_:  # argparse: 0 after --help, 2 after a usage error
@@ -108,6 +112,30 @@ def dispatch(
             f"{prog}: {arguments[0]}: needs more memory than there is; give less.", file=sys.stderr
         )
         return BAD_INPUT
+
+
+@contextlib.contextmanager
+def _interrupts_kept() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` for Ctrl-C, also where a library in C makes another error of it."""
+    before, interrupts = signal.getsignal(signal.SIGINT), list[int]()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        interrupts.append(number)
+        signal.default_int_handler(number, frame)
+
+    own = before is signal.default_int_handler
+    own = own and threading.current_thread() is threading.main_thread()
+    if own:
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except Exception:
+        if interrupts:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        if own:
+            signal.signal(signal.SIGINT, before)
 
 
 def _refused_by_system(error: OSError) -> InputError:

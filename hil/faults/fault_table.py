@@ -273,10 +273,16 @@ TOGETHER: Final = (
 )  # fmt: skip
 
 
-def _while_stopping(fault: str, how: str, reason: str, injection: Injection) -> FaultRow:
-    """Fault that begins five ticks after the request of a controlled stop."""
+def _while_stopping(
+    fault: str, how: str, reason: str, injection: Injection, joints: int = 1
+) -> FaultRow:
+    """Fault that begins five ticks after the request of a controlled stop.
+
+    The emulated line is sound where no servo is driven: with one servo it confirms the second try.
+    """
     request, later = Injection("request"), injection._replace(after=5)
-    return FaultRow(fault, how, _tripped(f"a request; then {reason}", 1), (request, later))
+    must = _tripped(f"a request; then {reason}", 1)
+    return FaultRow(fault, how, must, (request, later), joints=joints)
 
 
 STOPPING: Final = (
@@ -287,7 +293,7 @@ STOPPING: Final = (
     _while_stopping("current of 12 A while stopping", "for good", "joint 1 draws",
         Injection("current", FOREVER, 12.0)),
     _while_stopping("lost replies while stopping", "for good",
-        f"{_STALE} (TIMEOUT); then {UNRELEASED}", Injection("lost", FOREVER)),
+        f"{_STALE} (TIMEOUT); then {UNRELEASED}", Injection("lost", FOREVER), joints=2),
     _while_stopping("unplug while stopping", "for good",
         f"{_STALE} (PORT_GONE); then {UNRELEASED}", Injection("port", FOREVER, math.inf)),
 )  # fmt: skip

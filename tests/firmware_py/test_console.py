@@ -2,6 +2,7 @@
 
 import io
 import re
+import signal
 import tomllib
 from pathlib import Path
 
@@ -65,14 +66,22 @@ def test_errors_become_exit_codes_and_one_sentence(error, code, message, capsys,
     assert capsys.readouterr().err == message
 
 
-def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypatch):
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypatch, turned):
     def interrupt(name):
-        raise KeyboardInterrupt
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            if turned:  # as libraries in C do
+                raise ImportError("initialization failed") from None
+            raise
 
+    before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr("firmware_py.console.importlib.import_module", interrupt)
     commands = (console.Command("go", "firmware_py.commands.release", "a command"),)
     assert console.dispatch("tool", "", commands, ["go"]) == 130
     assert capsys.readouterr().err == "tool: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_unknown_command_is_bad_input(capsys):

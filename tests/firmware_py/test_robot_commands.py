@@ -16,7 +16,6 @@ from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.commands import run
 from firmware_py.log.recording import read_recording
 from firmware_py.summary import read_run_summary
 
@@ -272,18 +271,6 @@ def test_a_log_or_a_summary_that_exists_is_not_overwritten(config, tmp_path, cap
     code, output = call(capsys, "run", "--config", config, "--log", tmp_path / "run.mcap")
     assert (code, f"{name} exists" in output.err) == (2, True)
     assert (tmp_path / name).read_text() == "kept"
-
-
-def test_two_robots_that_share_a_directory_overwrite_no_log(tmp_path):
-    names = []
-    for _ in range(3):
-        names.append(run._free_log(tmp_path, "20261122T090000Z_sinusoid").name)
-        (tmp_path / names[-1]).symlink_to(tmp_path / "elsewhere")
-    (tmp_path / "20261122T090000Z_sinusoid_4.timing.json").write_text("kept")
-    names.append(run._free_log(tmp_path, "20261122T090000Z_sinusoid").name)
-    assert [name.partition("_sinusoid")[2] for name in names] == [
-        ".mcap", "_2.mcap", "_3.mcap", "_5.mcap",
-    ]  # fmt: skip
 
 
 def test_a_directory_for_logs_that_cannot_be_is_refused(servos, config, capsys):

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from firmware_py.commands.run import _free_log
 from firmware_py.errors import InputError
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import read_recording, tick_schema
@@ -168,6 +169,18 @@ def test_a_log_writes_neither_over_a_file_nor_through_a_link(tmp_path):
         with pytest.raises(InputError, match="cannot be written"):
             McapSink(str(tmp_path / name), 1, {"dof": "1"})
     assert (tmp_path / "kept").read_text() == "kept"
+
+
+def test_two_robots_that_share_a_directory_overwrite_no_log(tmp_path):
+    names = []
+    for _ in range(3):
+        names.append(_free_log(tmp_path, "20261122T090000Z_sinusoid").name)
+        (tmp_path / names[-1]).symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "20261122T090000Z_sinusoid_4.timing.json").write_text("kept")
+    names.append(_free_log(tmp_path, "20261122T090000Z_sinusoid").name)
+    assert [name.partition("_sinusoid")[2] for name in names] == [
+        ".mcap", "_2.mcap", "_3.mcap", "_5.mcap",
+    ]  # fmt: skip
 
 
 def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
