@@ -71,7 +71,8 @@ def predict_rows(
     Raises
     ------
     InputError
-        If an array has another shape, or the predictor wants signals of the observer.
+        If an array has another shape or values that are not finite, or the predictor wants
+        signals of the observer.
     """
     if predictor.wanted:
         raise InputError(
@@ -79,7 +80,7 @@ def predict_rows(
             "leave it out: the bundle's estimator then follows the samples",
         )  # fmt: skip
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
-    given = np.asarray(di, dtype=np.float64)
+    given = _numbers("di", di)
     if given.shape not in ((), (len(angle_rad),)):
         raise InputError(
             "di", f"has the shape {given.shape}", f"give ({len(angle_rad)},) or one number"
@@ -118,7 +119,7 @@ def predict_run(
     Raises
     ------
     InputError
-        If an array has another shape, or the step is no time.
+        If an array has another shape or values that are not finite, or the step is no time.
     """
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
     if not 0.0 < step_s < math.inf:
@@ -137,7 +138,7 @@ def _samples(angle_rad: ArrayLike, current_a: ArrayLike, dof: int) -> tuple[Arra
     """Both as (n, dof)."""
     found = []
     for name, given in (("angle_rad", angle_rad), ("current_a", current_a)):
-        array = np.asarray(given, dtype=np.float64)
+        array = _numbers(name, given)
         found.append(array[:, None] if array.ndim == 1 and dof == 1 else array)
         if found[-1].ndim != 2 or found[-1].shape[1] != dof:
             raise InputError(
@@ -165,3 +166,14 @@ def _store(
     answer = predictor.predict(angle_rad, current_a, float(found.di[k]), signals)
     found.tip_m[k], found.half_width_m[k] = answer.tip_m, answer.half_width_m
     found.in_range[k] = answer.in_range
+
+
+def _numbers(name: str, given: ArrayLike) -> NDArray[np.float64]:
+    """Finite numbers: one that is not would stay in the estimator's state for all later rows."""
+    try:
+        array = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(name, "is no array of numbers", "give one row per sample") from None
+    if not np.isfinite(array).all():
+        raise InputError(name, "holds values that are not finite", "leave these rows out")
+    return array

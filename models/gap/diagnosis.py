@@ -192,8 +192,11 @@ def diagnose(
     Raises
     ------
     InputError
-        If the trials are of one and of two joints, or an effect to leave out is unknown.
+        If there are no trials or they are of one and of two joints, or an effect to leave out is
+        unknown.
     """
+    if not len(trials):
+        raise InputError("trials", "are none", "give at least one")
     catalogue = _catalogue(plant, leave_out)
     recorded, trials = trials, in_time_blocks(plant, trials, settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)

@@ -94,8 +94,11 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     Raises
     ------
     InputError
-        If the link folds, or the integration step is no whole fraction of the control period.
+        If the payload cannot be, the link folds, or the integration step is no whole fraction of
+        the control period.
     """
+    if not 0.0 <= case.payload_kg < math.inf:
+        raise InputError("payload_kg", f"is {case.payload_kg:g}", "give 0 or more")
     rng = case.rng()
     variation = draw_variation(parameters, case, rng)
     p = variation.parameters

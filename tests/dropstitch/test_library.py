@@ -1,6 +1,7 @@
 """Library: its names, the page that lists them, and what it says without the workshop."""
 
 import importlib
+import math
 import re
 
 import pytest
@@ -40,3 +41,14 @@ def test_without_the_workshop_a_name_says_what_to_do(monkeypatch):
     monkeypatch.setattr(importlib, "import_module", without)
     with pytest.raises(ImportError, match=r"^dropstitch\.diagnose belongs .* casadi .*setup'\.$"):
         _ = dropstitch.diagnose
+
+
+def test_what_cannot_be_is_refused_in_one_sentence():
+    nothing = dropstitch.TrialSet(())
+    for use in (dropstitch.diagnose, dropstitch.identify):
+        with pytest.raises(dropstitch.InputError, match=r"^trials: are none; give"):
+            use(None, nothing)
+    rig = dropstitch.rig_named("default")
+    for payload_kg in (-1.0, math.nan):
+        with pytest.raises(dropstitch.InputError, match="^payload_kg: is"):
+            dropstitch.run_case(rig, dropstitch.TrialCase(dropstitch.Motion(), payload_kg, 1))

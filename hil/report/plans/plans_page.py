@@ -121,9 +121,9 @@ def _path(dof: int, payload_kg: float, runs: Sequence[PlannedRun]) -> Panel:
     plan, inside = runs[0].plan, slice(runs[0].plan.start_row, runs[0].plan.end_row)
     time_s, desired = plan.period_s * np.arange(plan.rows), plan.desired_tip_m()
     with Drawing(3.6 if dof == 2 else 2.9) as (drawing, ax):
-        for run in runs:
+        for k, run in enumerate(runs):  # each thinner than the one below it: they coincide
             xy = run.tip_m[inside].T if dof == 2 else (time_s, run.tip_m[:, 0])
-            ax.plot(*xy, color=COLOURS[run.knowledge], lw=1.2)
+            ax.plot(*xy, color=COLOURS[run.knowledge], lw=1.2 + 1.1 * (len(runs) - 1 - k))
         wanted = desired[inside].T if dof == 2 else (time_s, desired[:, 0])
         ax.plot(*wanted, color=INK, lw=0.9, dashes=(4, 3))
         if dof == 2:

@@ -97,8 +97,10 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     Raises
     ------
     InputError
-        If the trials have more joints than the plant, or lack one of its inputs.
+        If there are no trials, or they have more joints than the plant or lack one of its inputs.
     """
+    if not len(trials):
+        raise InputError("trials", "are none", "give at least one")
     fit, held_out = trials.split()
     planes = max(t.meta.dof for t in fit)
     if planes > LOADS[plant.load].max_dof:

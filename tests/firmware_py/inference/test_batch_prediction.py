@@ -75,10 +75,12 @@ def test_the_columns_have_the_names_of_the_log(bundle, run):
         ((np.zeros(5), np.zeros(4)), "current_a"),
         ((np.zeros(5), np.zeros(5), np.zeros(4)), "di"),
         ((0.1, 0.2), "angle_rad"),
+        ((np.full(5, np.nan), np.zeros(5)), "angle_rad"),
+        ((np.zeros(5), "strong"), "current_a"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(bundle, arguments, where):
-    with pytest.raises(InputError, match=f"^{where}: has"):
+    with pytest.raises(InputError, match=f"^{where}: (has|holds|is no)"):
         bundle.predict_many(*arguments)
 
 
