@@ -50,5 +50,5 @@ def test_what_cannot_be_is_refused_in_one_sentence():
             use(None, nothing)
     rig = dropstitch.rig_named("default")
     for payload_kg in (-1.0, math.nan):
-        with pytest.raises(dropstitch.InputError, match="^payload_kg: is"):
+        with pytest.raises(dropstitch.InputError, match=r"^payload_kg: is"):
             dropstitch.run_case(rig, dropstitch.TrialCase(dropstitch.Motion(), payload_kg, 1))
