@@ -54,6 +54,8 @@ STEP_TOLERANCE: Final = 1e-3
 LONGEST_NAME_BYTES: Final = 200
 """Longest name of a trial; file systems take 255 bytes with the suffix."""
 
+_ALWAYS: Final = ("dof", "payload_kg", "trial", "motion", "period_s")
+"""Conditions of every trial."""
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
@@ -276,7 +278,8 @@ def check_meta(
     """
     needed = () if signals else LINK_CONDITIONS
     conditions: Any = document.get("conditions", {})
-    for key in needed:
+    misspelt = document.keys() - {field.name for field in msgspec.structs.fields(TrialMeta)}
+    for key in (*needed, *(() if misspelt else _ALWAYS)):
         if key not in document:
             raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
     for name, signal in (signals or {}).items():

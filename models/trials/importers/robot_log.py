@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from firmware_py.errors import InputError
 from firmware_py.log.logged_run import LoggedMotion, logged_run
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.motion import Motion
@@ -67,12 +68,25 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
         What it gives takes precedence.
     log : Recording
         Of `dropstitch run`.
+
+    Raises
+    ------
+    InputError
+        If neither the log nor the map gives the payload.
     """
     facts = logged_run(log)
     motion = _motion_conditions(facts.motion)
     known: dict[str, Scalar | None] = {"dof": log.dof, **motion}
     known["source"] = log.metadata.get("source", "recording")  # a run in software says "sil"
     known["payload_kg"] = facts.payload_kg
+    if facts.payload_kg is None and "payload_kg" not in mapping.trial:
+        estimated_kg = log.columns[PAYLOAD.name]
+        seen = np.isfinite(estimated_kg)
+        guess = f", the loop estimated {np.median(estimated_kg[seen]):.2g} kg" if seen.any() else ""
+        raise InputError(
+            mapping.path, f"payload_kg is missing, and robot.toml did not give it{guess}",
+            "add it under [trial] of MAP.toml",
+        )  # fmt: skip
     trial = {key: value for key, value in known.items() if value is not None}
     step_s = facts.period_s or float(np.median(np.diff(log.columns["time_s"])))
     return msgspec.structs.replace(
