@@ -21,6 +21,10 @@ _POINTS: Final = 600
 """Most points of a curve: more than there are pixels."""
 
 
+_ROW_M: Final = 0.05
+"""Heights that share one line of names: the letters are about as high [assumed]."""
+
+
 class Curve(NamedTuple):
     """Points joined by a line, or dots where `dots` is true."""
 
@@ -86,12 +90,18 @@ def side_view(measured_m: Array, nominal_m: Array, axis: int, labels: Sequence[s
         Names of those that are far from their place; "" for the others.
     """
     far = np.array([bool(label) for label in labels])
+    rows: dict[int, list[int]] = {}  # names of one height would cover each other
+    for k in np.flatnonzero(far & np.isfinite(measured_m[:, 2])).tolist():
+        rows.setdefault(round(float(measured_m[k, 2]) / _ROW_M), []).append(k)
+    words = dict.fromkeys(range(len(labels)), "")
+    for row in rows.values():
+        words[max(row, key=lambda k: measured_m[k, axis])] = ", ".join(labels[k] for k in row)
     curves = [
         Curve(np.zeros(1), np.zeros(1), MUTED, True, "origin"),
         Curve(nominal_m[:, axis], nominal_m[:, 2], SIMULATED, True),
         Curve(measured_m[~far, axis], measured_m[~far, 2], MEASURED, True),
         *(
-            Curve(measured_m[[k], axis], measured_m[[k], 2], ALARM, True, labels[k])
+            Curve(measured_m[[k], axis], measured_m[[k], 2], ALARM, True, words[k])
             for k in np.flatnonzero(far).tolist()
         ),
     ]
@@ -115,7 +125,7 @@ def _ticks(low: float, high: float) -> list[float]:
             step *= factor
             break
     first, last = np.ceil(low / step), np.floor(high / step)
-    return [float(round(k * step, 12)) for k in np.arange(first, last + 1)]
+    return [float(round(k * step, 12)) + 0.0 for k in np.arange(first, last + 1)]
 
 
 def _drawn(curve: Curve, x: Array, y: Array) -> str:
