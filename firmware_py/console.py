@@ -108,9 +108,8 @@ def dispatch(
         print(f"{prog}: {_refused_by_system(error)}", file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
-        print(
-            f"{prog}: {arguments[0]}: needs more memory than there is; give less.", file=sys.stderr
-        )
+        wrong = f"{arguments[0]}: needs more memory than there is; give less."
+        print(f"{prog}: {wrong}", file=sys.stderr)
         return BAD_INPUT
 
 

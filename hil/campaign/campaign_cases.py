@@ -114,7 +114,5 @@ class CaseMaker:
 
     def _hash(self, path: str) -> str:
         if path not in self._hashes:
-            if not Path(path).exists():
-                raise InputError(path, "is missing", "name an existing file or directory")
             self._hashes[path] = content_sha256(Path(path))
         return self._hashes[path]

@@ -30,6 +30,8 @@ apart differ by 0.1."""
 VALLEY: Final = 0.02
 """Squared difference over the squared goals, above the smallest, that still belongs to a run of the
 plan: what a shift by some rows makes [assumed]."""
+MOST: Final = 1e6
+"""Largest goal, angle or place, in radians and metres: far beyond any of a robot [assumed]."""
 LEAST_FRESH: Final = 0.9
 """Least fraction of rows with a measurement; between them it is interpolated [assumed]."""
 
@@ -75,6 +77,7 @@ def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
     InputError
         If the file cannot be read or holds no whole run of this plan.
     """
+    _check_size(f"plan {plan.path}", plan.goals_rad())
     if path.suffix == ".csv":
         table, source = _of_trial(path, plan), "mocap"
     else:
@@ -163,7 +166,9 @@ def _of_log(path: Path, plan: TipPlan) -> Array:
         )  # fmt: skip
     names = _joint_names(plan.dof) + [f"predicted_{n}" for n in tip_names()[: plan.dof]]
     grid = np.arange(start, start + plan.rows)
-    return np.column_stack([np.interp(grid, tick[inside], columns[n][inside]) for n in names])
+    table = np.column_stack([np.interp(grid, tick[inside], columns[n][inside]) for n in names])
+    _check_size(path, table)
+    return table
 
 
 def _of_trial(path: Path, plan: TipPlan) -> Array:
@@ -172,6 +177,7 @@ def _of_trial(path: Path, plan: TipPlan) -> Array:
     table = trial.stack(*_joint_names(plan.dof), *tip_names()[: plan.dof])
     if not np.isfinite(table).all():
         table = _filled(table, path)
+    _check_size(path, table)
     grid = np.arange(0.0, trial.time_s[-1] - trial.time_s[0] + 1e-9, plan.period_s)
     since = trial.time_s - trial.time_s[0]
     table = np.column_stack([np.interp(grid, since, column) for column in table.T])
@@ -179,6 +185,16 @@ def _of_trial(path: Path, plan: TipPlan) -> Array:
         raise InputError(path, f"is shorter than the {plan.rows} rows of the plan", "run it whole")
     start = _start_row(table[:, : plan.dof], plan)
     return table[start : start + plan.rows]
+
+
+def _check_size(path: Path | str, table: Array) -> None:
+    """Refuse values whose squares have no sum."""
+    if not np.all(np.abs(table) < MOST):
+        raise InputError(
+            path,
+            f"has goals, angles or places that are not finite or beyond {MOST:g}",
+            "record it again",
+        )
 
 
 def _filled(table: Array, path: Path) -> Array:
