@@ -9,8 +9,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-import distributed
-
+from bench.campaigns.local_cluster import WORKERS, local_cluster
 from hil.campaign.campaign_cases import CampaignCase, CaseMaker
 from hil.campaign.campaign_run import run_campaign_cases
 from hil.campaign.campaign_spec import configurations, read_spec
@@ -21,7 +20,6 @@ from hil.campaign.engines.process_engine import ProcessEngine
 from hil.campaign.kinds.case_kind import load_kind
 from hil.campaign.result_store import ResultStore
 
-WORKERS: Final = 2
 KILLS: Final = 3
 
 
@@ -41,9 +39,7 @@ def engines_side_by_side(spec_path: Path, directory: Path) -> dict[str, Any]:
     cases = maker.cases(configurations(spec), str(spec_path))
     engine: Engine = ProcessEngine(WORKERS, directory / "logs")
     found = {"processes": _timed(cases, maker, directory / "processes", engine)}
-    with distributed.LocalCluster(
-        n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
+    with local_cluster() as cluster:
         killer = WorkerKiller(cluster, directory / "dask" / "costs.csv", len(cases))
         killer.start()
         engine = DaskEngine(cluster.scheduler_address)

@@ -14,9 +14,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-import distributed
-
 from bench.campaigns.busy_kind import KIND, rounds_for
+from bench.campaigns.local_cluster import WORKERS, local_cluster
 from hil.campaign.campaign_cases import CaseMaker
 from hil.campaign.campaign_run import LazyTasks
 from hil.campaign.engines.dask_engine import DaskEngine
@@ -25,7 +24,6 @@ from hil.campaign.engines.process_engine import ProcessEngine
 from hil.campaign.result_store import ResultStore
 
 CASE_S: Final = 0.5
-WORKERS: Final = 2
 
 
 def overhead_by_engine(cases: int, directory: Path) -> dict[str, Any]:
@@ -44,9 +42,7 @@ def overhead_by_engine(cases: int, directory: Path) -> dict[str, Any]:
     found["processes"] = _overhead(
         ProcessEngine(WORKERS, directory / "logs"), rounds, cases, directory / "processes"
     )
-    with distributed.LocalCluster(
-        n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
+    with local_cluster() as cluster:
         found["dask"] = _overhead(
             DaskEngine(cluster.scheduler_address), rounds, cases, directory / "dask"
         )
