@@ -70,6 +70,7 @@ FRACTION: Final = DisplayUnit("%", 1e2, 0)
 DEFORMATION: Final = DisplayUnit("%", 1e2, 2)
 """Of the Deformation Index."""
 CURRENT: Final = DisplayUnit("A", 1.0, 2)
+SMALL_CURRENT: Final = DisplayUnit("mA", 1e3, 1)
 PAYLOAD: Final = DisplayUnit("kg", 1.0, 1)
 PRESSURE: Final = DisplayUnit("kPa", 1e-3, 1)
 """Of the link's gauge pressure."""

@@ -16,7 +16,7 @@ from tests.fuzz.mutations_of_files import of_bytes, of_json, of_text
 CAMPAIGN = b"""kind = "sil"
 draws = 3
 [fixed]
-bundle = "."
+bundle = "%s"
 seconds = 10.0
 [grid]
 payload_known = [false, true]
@@ -25,7 +25,7 @@ seed = {first = 0, count = 2}
 payload_kg = {uniform = [0.0, 2.0]}
 [draw.faults]
 lost = {log_uniform = [0.001, 0.05]}
-"""
+""" % Path(__file__).as_posix().encode()
 COSTS = """key,code,state,wall_s,cpu_s,memory_bytes,result_bytes,worker,parts_s
 a,c,done,0.5,0.4,100000000,900,host-1,"{""run"": 0.3}"
 b,c,done,0.3,0.2,100000000,900,host-1,"{""run"": 0.2}"

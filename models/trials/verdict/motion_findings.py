@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE
+from firmware_py.display_units import ANGLE, SMALL_CURRENT
 from models.shared.kinematics import base_rotation, pointing_angles_rad
 from models.trials.importers.series import row_centre_m
 from models.trials.trial import Array, Trial
@@ -94,8 +94,8 @@ def _unit_findings(trial: Trial) -> list[ImportFinding]:
             found.append(
                 ImportFinding(
                     "warning", "unit",
-                    f"current {j} reaches {1e3 * np.nanmax(current):.2g} mA only, less than "
-                    "friction takes: its unit is wrong",
+                    f"current {j} reaches {SMALL_CURRENT.significant(np.nanmax(current), 2)} only, "
+                    "less than friction takes: its unit is wrong",
                     f"correct unit or scale of current_{j}_a",
                 )
             )  # fmt: skip
