@@ -114,7 +114,14 @@ def next_step_in_words(document: GapDocument) -> str:
             "one file (models/plant/effects)."
         )
     if not any(row.kept for row in document.named):
-        return "Nothing: the plant explains these trials."
+        likely = [e for e, p in document.effect_probabilities.items() if p >= DECIDED]
+        if not likely:
+            return "Nothing: the plant explains these trials."
+        names = " and ".join(e.replace("_", " ") for e in likely)
+        return (
+            f"Record another motion or payload: {names} would explain these trials better, but a "
+            "test refuses it (see the effects not named)."
+        )
     undecided = [
         effect.replace("_", " ")
         for effect, probability in document.effect_probabilities.items()

@@ -23,13 +23,13 @@ from models.trials.verdict.finding import (
 LEAST_MOTION_RAD: Final = 0.03
 """Standard deviation of an angle from which a motion can be judged."""
 LARGEST_RAD: Final = 6.3
-"""Angle beyond which it is none in rad."""
+"""Angle beyond which its unit is not rad."""
 LARGEST: Final = (
     ("goal", "rad", LARGEST_RAD, "deg"),
     ("angle", "rad", LARGEST_RAD, "deg"),
     ("current", "a", 100.0, "mA"),
 )
-"""Signals of a joint, with the value beyond which they have another unit than SI."""
+"""Signals of a joint: name, SI unit, the value beyond which the unit is another one, and which."""
 LEAST_CURRENT_A: Final = 0.01
 """Largest current of a motion below which it is not in A: the smallest servo's friction takes 0.02
 to 0.04 A (docs/sources.md, "The servo")."""

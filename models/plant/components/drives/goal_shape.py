@@ -64,7 +64,7 @@ def declare_step_length(scope: Scope) -> Expr:
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
-    """Add a goal as an input and its shape within the step; set `start` and all of `goal*`.
+    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`.
 
     Parameters
     ----------

@@ -23,7 +23,8 @@ def document(verdict, *named, **probabilities):
         (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: python -m"),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
         (document("no gap"), "Nothing"),
-        (document("no gap", hysteresis=0.95), "Nothing"),
+        (document("no gap", hysteresis=0.6), "Nothing"),
+        (document("no gap", hysteresis=0.95), "motion or payload: hysteresis would explain"),
     ],
 )
 def test_the_next_step_follows_from_what_is_undecided(found, words):
