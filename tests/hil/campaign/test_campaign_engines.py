@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -95,9 +96,10 @@ class KillingEngine:
             nanny = self.random.choice(list(self.cluster.workers.values()))
             pid = nanny.pid
             if nanny.status.name == "running" and pid:  # one that dies while it starts stays dead
-                os.kill(pid, signal.SIGKILL)
-                self.kills += 1
-                return
+                with contextlib.suppress(ProcessLookupError):  # gone, and its nanny not aware of it
+                    os.kill(pid, signal.SIGKILL)
+                    self.kills += 1
+                    return
             time.sleep(0.02)
 
 
