@@ -76,18 +76,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Plan, write, report."""
+    if args.out.suffix == ".svg":
+        raise InputError(
+            args.out, "is the name of the picture", "end the name of the plan in .json"
+        )
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     if args.improve is not None:
         return _improve(args, files.manifest_sha256)
     path = _path(args, manifest.dof, manifest.period_s, args.move)
+    method = _method(args, path)
     plant = read_plant(args.plant)
     limits = _limits(args.limits, plant)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path, shortest_move_s
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
-    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
     feedback = not (args.open_loop or path.moves)
     steps = 1 + feedback + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
@@ -96,8 +100,6 @@ def run(args: argparse.Namespace) -> int:
         files.manifest_sha256, method, feedback,
     )  # fmt: skip
     if args.fastest:
-        if method != "inverse" or not path.moves:
-            raise InputError("--fastest", "is for the inverse of point_to_point", "leave it out")
         seconds = shortest_move_s(
             lambda s: _path(args, manifest.dof, manifest.period_s, s), request
         )
@@ -159,13 +161,32 @@ def _write(plan: TipPlan, out: Path) -> Path:
 
 
 def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) -> DesiredPath:
-    if args.path.endswith(".csv"):
-        return read_path(Path(args.path), dof, period_s)
     options = PathOptions(
         args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg),
         move_s,
     )  # fmt: skip
+    if args.path.lower().endswith(".csv"):
+        if options != PathOptions():
+            raise InputError(
+                args.path, "has its own size, place and time",
+                "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
+            )  # fmt: skip
+        return read_path(Path(args.path), dof, period_s)
     return built_in_path(args.path, dof, period_s, options)
+
+
+def _method(args: argparse.Namespace, path: DesiredPath) -> Method:
+    """Method that the options name; those that contradict each other are refused."""
+    if args.rigid and args.zvd:
+        raise InputError("--zvd", "is given beside --rigid", "leave one out")
+    if args.zvd and not path.moves:
+        raise InputError("--zvd", "is for point_to_point", "leave it out")
+    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
+    if args.fastest and (method != "inverse" or not path.moves or args.move):
+        raise InputError(
+            "--fastest", "is for the inverse of point_to_point without --move", "leave it out"
+        )
+    return method
 
 
 def _limits(path: Path | None, plant: Plant) -> Limits:

@@ -11,6 +11,8 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_text
 from models.plan.path_shapes import DesiredPath
 
+FARTHEST_M: Final = 2.0
+"""Largest coordinate: that of built-in paths."""
 LONGEST_S: Final = 600.0
 """Longest path [assumed]."""
 MOST_PATH_BYTES: Final = 10_000_000
@@ -54,6 +56,11 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
             )
         if rows and row[0] <= rows[-1][0]:
             raise InputError(path, f"row {number}: time_s does not rise", "sort the rows by time")
+        if max(map(abs, row[1:])) > FARTHEST_M:
+            raise InputError(
+                path, f"row {number} leads {max(map(abs, row[1:])):g} m away",
+                f"give places in m, {FARTHEST_M:g} at most",
+            )  # fmt: skip
         rows.append(row)
     if len(rows) < 2:
         raise InputError(path, f"has {len(rows)} rows", "give 2 or more")

@@ -7,9 +7,11 @@ speed. `size_m` is half of the largest extent.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -115,6 +117,9 @@ def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) ->
         If the name is unknown, the path needs another joint, or an option is out of range.
     """
     _check_options(options, dof)
+    file = Path(name)
+    if name not in SHAPES and file.is_file():
+        raise InputError(name, f"ends in {file.suffix!r}", "name a CSV file, which ends in .csv")
     if name not in SHAPES and not name.startswith("text:"):
         raise InputError(
             f"path {name}", "is no built-in path and no file",
@@ -125,6 +130,7 @@ def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) ->
             f"path {name}", "lies in the plane, the arm has one joint",
             f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints",
         )  # fmt: skip
+    _check_use(options, name, dof)
     centre = np.zeros(2)
     centre[: len(options.centre_m)] = options.centre_m
     way = np.array([np.cos(options.angle_rad), np.sin(options.angle_rad)])
@@ -155,14 +161,27 @@ def _check_options(options: PathOptions, dof: int) -> None:
         ("--size", options.size_m, 1e-3, 2.0),
         ("--seconds", options.seconds, 0.5, 600.0),
         ("--turns", options.turns, 1, 100),
-        ("--centre", max(map(abs, centre), default=0.0), 0.0, 2.0),
-        ("--angle-deg", options.angle_rad, -10.0, 10.0),
+        *(("--centre", value, -2.0, 2.0) for value in centre),
+        ("--angle-deg", math.degrees(options.angle_rad), -360.0, 360.0),
         ("--move", options.move_s, 0.0, 0.45 * options.seconds),
     ):
         if not low <= value <= high:
             raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
     if len(centre) > dof:
         raise InputError("--centre", f"has {len(centre)} coordinates", f"give {dof}")
+
+
+def _check_use(options: PathOptions, name: str, dof: int) -> None:
+    """Refuse options that would change nothing."""
+    text = name.startswith("text:")
+    for option, given, used, what in (
+        ("--turns", options.turns != 1, not text, "a text is written once"),
+        ("--move", options.move_s != 0.0, name == "point_to_point", "is for point_to_point"),
+        ("--angle-deg", options.angle_rad != 0.0, name in FOR_ONE_JOINT and dof == 2,
+         f"is for {', '.join(FOR_ONE_JOINT)} of an arm with two joints"),
+    ):  # fmt: skip
+        if given and not used:
+            raise InputError(option, what, "leave it out")
 
 
 def _eased(fraction: Array, ease: float) -> Array:

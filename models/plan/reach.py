@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from firmware_py.errors import InputError
 from firmware_py.safety.limits import Limits
@@ -19,6 +20,8 @@ CLOSE_M: Final = 2e-3
 STEPS: Final = 6
 """Steps of the search: the tip is nearly linear in the goals."""
 PROBE_RAD: Final = 1e-3
+TINY: Final = 1e-9
+"""Room that the search asks for between its bounds, rad."""
 
 
 def check_reach(
@@ -90,7 +93,9 @@ def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Li
                 for unit in np.eye(twin.dof)
             ]
         )
-        goal = np.clip(goal + np.linalg.solve(slope, wanted_m - tip), low, high)
+        # Within the limits: a joint at its limit leaves the other one to come as near as it can.
+        step = lsq_linear(slope, wanted_m - tip, (low - goal - TINY, high - goal + TINY)).x
+        goal = np.clip(goal + step, low, high)
         tip = twin.resting_tip_m(goal, payload_kg)
     return tip
 

@@ -27,7 +27,7 @@ from models.shared.page_parts import (
 from models.shared.palette import ALARM, INK, MUTED, ordered_colours
 from models.shared.svg_drawing import Drawing
 
-NYQUIST_HALF_WIDTH: Final = 2.0
+NYQUIST_HALF_WIDTH: Final = 1.3
 """Half of the side of the square of the complex plane that the Nyquist diagram shows."""
 
 

@@ -90,7 +90,7 @@ def frequencies(period_s: float) -> Array:
         Control period.
     """
     end = np.pi / period_s
-    return np.concatenate([np.geomspace(0.05, 3.0, 50), np.arange(3.05, 30.0, 0.15),
+    return np.concatenate([np.geomspace(0.05, 2.0, 50), np.arange(2.05, 30.0, 0.05),
                            np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
 
 

@@ -25,8 +25,10 @@ def gain_margin(loop: Response) -> float:
     loop : ndarray of complex, shape (n,)
         Response at rising frequencies.
     """
-    crossing = _crosses_negative_axis(loop)
-    largest = float(np.max(np.abs(loop[:-1][crossing]), initial=0.0))
+    imag = loop.imag
+    at = np.flatnonzero(imag[:-1] * imag[1:] <= 0.0)
+    place = _between(loop, at, imag[:-1], imag[1:]).real
+    largest = float(np.max(-place, initial=0.0))
     return np.inf if largest == 0.0 else 1.0 / largest
 
 
@@ -40,8 +42,8 @@ def phase_margin_rad(loop: Response) -> float:
     """
     size = np.abs(loop)
     at = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) <= 0.0)
-    distance = np.minimum(np.abs(np.angle(-loop[at])), np.abs(np.angle(-loop[at + 1])))
-    return float(np.min(distance, initial=np.inf))
+    place = _between(loop, at, size[:-1] - 1.0, size[1:] - 1.0)
+    return float(np.min(np.abs(np.angle(-place)), initial=np.inf))
 
 
 def crossover_rad_s(loop: Response, rates_rad_s: Array) -> float:
@@ -54,7 +56,12 @@ def crossover_rad_s(loop: Response, rates_rad_s: Array) -> float:
     rates_rad_s : ndarray, shape (n,)
         Its frequencies, rising.
     """
-    return float(rates_rad_s[int(np.argmax(np.abs(loop) < 1.0))])
+    size = np.abs(loop)
+    after = int(np.argmax(size < 1.0))
+    if after == 0:
+        return float(rates_rad_s[0])
+    own = slice(after - 1, after + 1)
+    return float(np.interp(-1.0, -size[own], rates_rad_s[own]))
 
 
 def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> float:
@@ -74,6 +81,8 @@ def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> flo
     return 0.0
 
 
-def _crosses_negative_axis(loop: Response) -> NDArray[np.bool_]:
-    imag = loop.imag
-    return np.asarray((imag[:-1] * imag[1:] <= 0.0) & (loop.real[:-1] < 0.0))
+def _between(loop: Response, at: NDArray[np.intp], before: Array, after: Array) -> Response:
+    """Response where a quantity that is known at both ends of intervals is zero, by a straight line."""
+    change = before[at] - after[at]
+    part = np.divide(before[at], change, out=np.zeros(len(at)), where=change != 0.0)
+    return np.asarray(loop[at] + part * (loop[at + 1] - loop[at]))

@@ -82,6 +82,15 @@ def test_margins_of_a_known_loop():
     assert loop_margins.gain_margin(third) == pytest.approx(2.0, rel=1e-3)
 
 
+def test_margins_lie_between_the_frequencies_of_a_coarse_grid():
+    """1/(s (s + 1)²) with a tenth between frequencies: 1/2 at −180°, 0.682 rad/s, 21.4°."""
+    w = np.geomspace(0.01, 100.0, 97)
+    loop = 1.0 / (1j * w * (1j * w + 1.0) ** 2)
+    assert loop_margins.gain_margin(loop) == pytest.approx(2.0, rel=0.01)
+    assert np.degrees(loop_margins.phase_margin_rad(loop)) == pytest.approx(21.4, abs=0.2)
+    assert loop_margins.crossover_rad_s(loop, w) == pytest.approx(0.682, rel=0.01)
+
+
 def test_a_linear_twin_moves_like_the_twin(twins):
     """A small step of the goal: the same tip after half a second, at rest, to 1 %."""
     model = read_plant().step_model(1)

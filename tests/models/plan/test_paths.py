@@ -76,11 +76,24 @@ def test_a_text_lifts_between_strokes_that_do_not_touch():
         ("circle", 2, {"size_m": -1.0}, r"--size: is -1"),
         ("circle", 2, {"seconds": float("nan")}, r"--seconds: is nan"),
         ("line", 1, {"centre_m": (0.0, 0.1)}, r"--centre: has 2 coordinates"),
+        ("circle", 2, {"centre_m": (0.0, -3.0)}, r"--centre: is -3; choose -2 to 2"),
+        ("line", 2, {"angle_rad": float("inf")}, r"--angle-deg: is inf; choose -360 to 360"),
+        ("line", 1, {"angle_rad": 0.5}, r"--angle-deg: is for line, .* with two joints; leave"),
+        ("circle", 2, {"angle_rad": 0.5}, r"--angle-deg: is for line"),
+        ("circle", 2, {"move_s": 1.0}, r"--move: is for point_to_point; leave it out"),
+        ("text:HI", 2, {"turns": 2}, r"--turns: a text is written once"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(name, dof, options, sentence):
     with pytest.raises(InputError, match=sentence):
         built_in_path(name, dof, PERIOD_S, PathOptions(**options))
+
+
+def test_a_file_that_does_not_end_in_csv_is_told_so(tmp_path):
+    file = tmp_path / "path.txt"
+    file.write_text("time_s,x_m\n0,0\n1,1\n")
+    with pytest.raises(InputError, match=r"ends in '\.txt'; name a CSV file"):
+        built_in_path(str(file), 1, PERIOD_S, PathOptions())
 
 
 def test_a_file_is_read_with_the_control_period(tmp_path):
@@ -104,6 +117,7 @@ def test_a_file_is_read_with_the_control_period(tmp_path):
         ("time_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 4: time_s does not rise"),
         ("time_s,x_m,y_m\n0,0,0\n", "has 1 rows"),
         ("time_s,x_m,y_m\n0,0,0\n0.01,0,0\n", r"lasts 0\.01 s"),
+        ("time_s,x_m,y_m\n0,0,0\n1,0,-200\n", r"row 3 leads 200 m away; give places in m"),
     ],
 )
 def test_a_file_that_is_no_path_is_refused_with_its_row(tmp_path, text, sentence):
