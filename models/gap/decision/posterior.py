@@ -94,8 +94,12 @@ def posterior_of(search: EffectSearch, result: SearchResult) -> tuple[Hypothesis
     cost = np.array([point.cost for point in fits.values()])
     nothing = fits[frozenset()].cost if frozenset() in fits else float(cost.max())
     gain = 2 * (nothing - cost)
-    null = search.null_distribution
-    least = np.array([null.least(effects) ** 2 if effects else 0.0 for effects in sets])
+    least = np.array(
+        [
+            search.least(effects, point) ** 2 if effects else 0.0
+            for effects, point in zip(sets, fits.values(), strict=True)
+        ]
+    )
     size = np.array([len(effects) for effects in sets])
     probability = set_probabilities(size, gain, least, len(search.of))
     return tuple(

@@ -27,6 +27,8 @@ class Candidate:
         Fall of the cost.
     least : float
         Least d′ that the effects must reach.
+    least_on_same_link : float
+        The same on a link that did not change since the plant was identified.
     predicted : float
         Fall of the cost that derivatives predict.
     held_out_gain, held_out_error : float
@@ -40,6 +42,7 @@ class Candidate:
     point: FitPoint
     gain: float
     least: float
+    least_on_same_link: float
     predicted: float = 0.0
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
@@ -52,8 +55,12 @@ class Candidate:
 
     @property
     def hope(self) -> float:
-        """Score that a screened candidate may reach, halfway to the prediction of derivatives."""
-        return self.score + max(self.predicted - self.gain, 0.0)
+        """Score that a screened candidate may reach, halfway to the prediction of derivatives.
+
+        Its refit may leave the link as it was.
+        """
+        score = 2 * self.gain - self.least_on_same_link**2
+        return score + max(self.predicted - self.gain, 0.0)
 
     @property
     def separation(self) -> float:
@@ -112,3 +119,37 @@ class SearchResult:
         key = frozenset(effects)
         if key not in self.explored or point.cost < self.explored[key].cost:
             self.explored[key] = point
+
+
+def beyond_limits(
+    candidate: Candidate, found: SearchResult, left: float, settings: GapSettings
+) -> tuple[float, float, float]:
+    """What a candidate has beyond its limits, in squared d′; it passes those that it exceeds.
+
+    The limit grows with what is left beside a candidate, as in an F-test, and with the error of the
+    equations that were included before: at most 10 to 20 % of their d′ for a candidate whose
+    strength is the same everywhere, 35 % for any other.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        As refitted.
+    found : SearchResult
+        What was included before.
+    left : float
+        Mean squared residual with the candidate, in noise floors.
+    settings : GapSettings
+        Tuned numbers.
+
+    Returns
+    -------
+    tuple of float
+        Beyond its least d′; beside an error of the equations before; the same if its strength is
+        not consistent.
+    """
+    beyond = 2 * candidate.gain - max(left, 1.0) * candidate.least**2
+    missed = sum((c.missed_fraction(settings) * c.separation) ** 2 for c in found.chosen)
+    linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
+    doubt = settings.inconsistent_further_effect_fraction
+    doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
+    return beyond, beyond - missed, beyond - doubted

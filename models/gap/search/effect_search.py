@@ -7,15 +7,14 @@ One round of the search, repeated after each inclusion with everything tried aga
    tried at several strengths (`models.gap.search.dead_zone_effects`).
 2. Refit the best from several starts; the cost never rises above that without the candidate.
 3. Include the best where its gain exceeds what it shows without a gap
-   (`models.gap.search.null_distribution`) and, over payloads left out in turn, its held-out gain
-   exceeds its standard error. A further effect must also stand out beside the error of the
-   equations before it. Where none does, pairs are tried.
+   (`models.gap.search.null_distribution`), on a link that changed as much as the fit with it says,
+   and its gain on payloads left out in turn exceeds twice the losses. A further effect must also
+   stand out beside the error of the equations before it. Where none does, pairs are tried.
 4. Delete effects included before that are no longer needed.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -23,14 +22,15 @@ from functools import cached_property
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.estimation.link_change import link_change
+from models.gap.estimation.link_change import LEAST, link_change
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import bounded_candidate
-from models.gap.search.candidate import Candidate, SearchResult
+from models.gap.search.candidate import Candidate, SearchResult, beyond_limits
 from models.gap.search.cross_validation import held_out_gain
 from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcited_effects
+from models.gap.search.effect_pairs import promising_pairs
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import null_distribution_of
 from models.gap.search.several_starts import (
@@ -171,8 +171,18 @@ class EffectSearch:
     def _candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
-        gain = here.cost - point.cost
-        return Candidate(effects, point, gain, self.null_distribution.least(effects), predicted)
+        gain, same = here.cost - point.cost, self.unchanged_null.for_link_change(LEAST)
+        least = self.least(effects, point), same.least(effects)
+        return Candidate(effects, point, gain, *least, predicted)
+
+    def least(self, effects: Sequence[str], point: FitPoint) -> float:
+        """Least d′ that effects must reach together in a fit that holds them.
+
+        A hidden effect may look like a change of the link, which the fit with the effect does not
+        need: the plant's own error is that of a link that changed as that fit says.
+        """
+        change = min(link_change(self.fit_parameters, point.values), self.first.floor.link_change)
+        return self.unchanged_null.for_link_change(change).least(effects)
 
     def free(self, effects: Sequence[str]) -> Array:
         """Fit parameters that are fitted when these effects are named, ndarray of bool."""
@@ -206,17 +216,16 @@ class EffectSearch:
 
     def _refit(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""
-        own = self.free(candidate.effects) & ~self.base
-        free = self.free([*found.named, *candidate.effects])
-        point = refitted_from_both_signs(self.estimator, candidate.point, here, free, own)
+        named, own = [*found.named, *candidate.effects], self.free(candidate.effects) & ~self.base
+        fit = self.estimator, candidate.point, here, self.free(named), own
+        found.explore(named, point := refitted_from_both_signs(*fit))
         self.report(" + ".join(candidate.effects))
-        found.explore([*found.named, *candidate.effects], point)
         return self._candidate(candidate.effects, point, here)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
         strengths = [int(np.flatnonzero(self.of[e])[0]) for e in choice.effects]
-        fit = self.estimator, choice.point, here, free
-        return refitted_from_far_strengths(*fit, strengths, self._is_open)
+        fit = self.estimator, choice.point, here, free, strengths
+        return refitted_from_far_strengths(*fit, self._is_open)
 
     def _accept(
         self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
@@ -256,22 +265,17 @@ class EffectSearch:
         return free
 
     def _stands_out(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> bool:
-        """Whether a candidate passes its threshold, also beside the error of earlier equations.
+        """Whether a candidate passes its limits, also beside the error of earlier equations.
 
-        The threshold grows with what is left beside a candidate, as in an F-test. An error of the
-        equations before does not shift every trial in the same way: a candidate that removes a
-        nuisance bias need not stand out beside it.
+        That does not shift every trial in the same way: a candidate that removes a nuisance bias
+        need not stand out beside it.
         """
-        missed = sum((c.missed_fraction(self.settings) * c.separation) ** 2 for c in found.chosen)
-        linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
-        doubt = self.settings.inconsistent_further_effect_fraction
-        doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
-        left = max(self.mean_residual(candidate.point), 1.0)
-        beyond = 2 * candidate.gain - left * candidate.least**2
+        left = self.mean_residual(candidate.point)
+        alone, beside, doubted = beyond_limits(candidate, found, left, self.settings)
         if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
-            return beyond > 0
+            return alone > 0
         free = self._free_of(candidate, found)
-        return beyond > missed and (beyond > doubted or self._consistent(candidate, free))
+        return beside > 0 and (doubted > 0 or self._consistent(candidate, free))
 
     def _consistent(self, candidate: Candidate, free: Array) -> bool:
         """Whether each strength of a candidate is the same everywhere."""
@@ -304,15 +308,9 @@ class EffectSearch:
         """Best pair of effects, by the prediction of derivatives, then refitted."""
         if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
-        predicted = []
-        for pair in itertools.combinations(self._choices(found), 2):
-            step, gain = self.estimator.step(here, self.free([*found.named, *pair]))
-            predicted.append((gain, pair, step))
-        predicted.sort(key=lambda row: -row[0])
-        refitted = []
-        for _, pair, step in predicted[: self.settings.refitted_pairs]:
-            candidate = self._candidate(pair, self.estimator.search(here, step) or here, here)
-            refitted.append(self._refit(candidate, here, found))
+        own = found.named, self._choices(found), self.free
+        tried = promising_pairs(self.estimator, here, *own)
+        refitted = [self._refit(self._candidate(*row, here), here, found) for row in tried]
         refitted.sort(key=lambda c: c.score, reverse=True)
         return self._accept(refitted, here, found)
 
@@ -346,5 +344,5 @@ class EffectSearch:
                 self.estimator.at(values), self.free(rest), self.settings.deletion_steps
             )
             rise = 2 * (without.cost - found.after.cost)
-            if rise < self.null_distribution.least([effect]) ** 2:
+            if rise < self.least([effect], found.after) ** 2:
                 found.named, found.after = rest, without

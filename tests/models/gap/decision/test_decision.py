@@ -34,7 +34,9 @@ class Search:
     def search(self, excluded=()):
         chosen = next(e for e in ORDER if e not in excluded)
         self.tried.append(chosen)
-        return SearchResult(POINT, POINT, [chosen], chosen=[Candidate((chosen,), POINT, 1.0, 1.0)])
+        return SearchResult(
+            POINT, POINT, [chosen], chosen=[Candidate((chosen,), POINT, 1.0, 1.0, 1.0)]
+        )
 
     def search_without(self, earlier, effects):
         return replace(self.search(effects), before=earlier.before)

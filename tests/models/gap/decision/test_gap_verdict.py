@@ -46,7 +46,7 @@ LEAST = 10.0
 
 
 def result(before, after, *named, refused=(), separation=LEAST):
-    chosen = [Candidate((e,), point(after), separation**2 / 2, LEAST) for e in named]
+    chosen = [Candidate((e,), point(after), separation**2 / 2, LEAST, LEAST) for e in named]
     return SearchResult(
         point(before), point(after), named=list(named), refused=list(refused), chosen=chosen
     )

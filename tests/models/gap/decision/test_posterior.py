@@ -21,6 +21,9 @@ class Search:
         default_factory=lambda: NullDistribution(threshold=4.5, explained=2.0)
     )
 
+    def least(self, effects, point):
+        return self.null_distribution.least(effects)
+
     def free(self, effects):
         return np.zeros(3, dtype=bool)
 

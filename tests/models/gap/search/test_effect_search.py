@@ -49,6 +49,15 @@ def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, di
     assert q.value - before == pytest.approx(4.0, rel=0.2)
 
 
+def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(plant, hidden, diagnosed):
+    """Creep looks like a softer link; the fit that holds the creep leaves the link as it was."""
+    found = diagnosed(plant, hidden(creep_share_1=0.4))
+    assert found.named == ("creep",)
+    assert found.link_change == 1.0
+    alone = found.null_distribution.for_link_change(0.0).least(["creep"])
+    assert alone < found.inclusions[0].least < found.null_distribution.least(["creep"]) / 2
+
+
 def test_nuisance_alone_is_refitted_and_never_called_missing(plant, hidden, diagnosed):
     found = diagnosed(
         plant,
