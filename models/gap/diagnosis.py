@@ -205,7 +205,7 @@ def diagnose(
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     hypotheses = posterior_of(search, result)
-    decision = decide(search, result)
+    decision = decide(search, result, hypotheses)
     result, accepted = decision.result, decision.accepted
     report("tested on what was left out")
     located, remaining = (

@@ -237,6 +237,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
     # Verdict
+    nothing_limit_probability: float = 0.5
+    """Probability that nothing is missing from which no effect is named: it is then likelier than
+    all effects together."""
     noise_residual: float = 1.25
     """Mean square up to which what is left resembles noise: 6 % of 190 data sets without an effect
     were above it."""

@@ -119,13 +119,30 @@ class Acceptance:
         if not self.search.learned or (outside and "motions" in self.held_out.folds):
             return accepted
         reason = STAND_IN_FOR_ANOTHER if outside else STAND_IN_FOR_OWN_ERROR
+        return self._without_named("stand-in", reason)
+
+    def without_improbable(self, nothing: float) -> AcceptedFit:
+        """Plant as given in place of a fit whose effects are less likely than none.
+
+        Parameters
+        ----------
+        nothing : float
+            Probability that nothing is missing.
+        """
+        reason = f"with a probability of {nothing:.0%} nothing is missing"
+        limit = self.settings.nothing_limit_probability
+        return self._without_named("improbable", reason, nothing, limit)
+
+    def _without_named(
+        self, kind: RefusalKind, reason: str, value: float = 0.0, limit: float = 0.0
+    ) -> AcceptedFit:
+        """Plant as given, every named effect refused for one reason."""
         self.result.refused += [
             RefusedEffect(
-                effect=effect, kind="stand-in", name="", value=0.0, limit=0.0, unit="1",
-                reason=reason,
+                effect=effect, kind=kind, name="", value=value, limit=limit, unit="1", reason=reason
             )
             for effect in self.result.named
-        ]  # fmt: skip
+        ]
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()
 

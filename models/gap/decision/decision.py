@@ -3,17 +3,19 @@
 Several effects often explain a gap almost equally well. Where the best one is refused, because its
 value ends at a bound, because it does not lower the held-out error, or because its strength is not
 the same everywhere, another may pass every test: the search goes on from its first round without
-what was refused. Where none passes, the decision on the first one stands.
+what was refused. Where none passes, the decision on the first one stands. Nothing is named where
+the posterior says that more probably nothing is missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from models.gap.decision.acceptance import Acceptance, AcceptedFit
 from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.decision.posterior import Hypothesis
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.refused_effect import RefusalKind
@@ -50,7 +52,9 @@ class Decision:
     gap_left_fraction: float
 
 
-def decide(search: EffectSearch, result: SearchResult) -> Decision:
+def decide(
+    search: EffectSearch, result: SearchResult, hypotheses: Sequence[Hypothesis]
+) -> Decision:
     """Decision on a search and, where its first choice was refused, on its alternatives.
 
     Parameters
@@ -59,14 +63,17 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
         After its run.
     result : SearchResult
         Of that run.
+    hypotheses : sequence of Hypothesis
+        Of that run: no effect is named where "nothing is missing" is likelier than all others.
     """
-    first = decision = _decision(search, result)
+    nothing = sum(h.probability for h in hypotheses if not h.effects)
+    first = decision = _decision(search, result, nothing)
     excluded: set[str] = set()
     for _ in range(search.settings.most_alternatives):
         if not search.learned or not _first_choice_refused(decision):
             break
         excluded |= set(decision.result.chosen[0].effects)
-        decision = _decision(search, search.search_without(result, excluded))
+        decision = _decision(search, search.search_without(result, excluded), nothing)
         refused = [*first.result.refused, *decision.result.refused]
         if decision.result.named:
             decision.result.refused = refused
@@ -75,7 +82,7 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
     return first
 
 
-def _decision(search: EffectSearch, result: SearchResult) -> Decision:
+def _decision(search: EffectSearch, result: SearchResult, nothing: float) -> Decision:
     acceptance = Acceptance(search, result)
     accepted = acceptance.accepted()
     consistencies = consistencies_of_named(search, result)
@@ -83,6 +90,9 @@ def _decision(search: EffectSearch, result: SearchResult) -> Decision:
     if verdict in ("not in the catalogue", "no gap"):
         accepted = acceptance.without_stand_ins(accepted, verdict)
         left = left if result.named else float(verdict != "no gap")
+    if result.named and nothing > search.settings.nothing_limit_probability:
+        accepted = acceptance.without_improbable(nothing)
+        verdict, left = gap_verdict(search, result, {})
     return Decision(result, accepted, consistencies, verdict, left)
 
 

@@ -50,7 +50,8 @@ def gap_verdict(
     band to the next, where most of the gap is left, or where the gap went into the variation
     between trials. A stand-in in a residual that the plant's own error reaches says nothing: the
     verdict is "no gap". In such a residual most may well be the plant's own error: what is left
-    does not count there if every named effect stands out clearly. Nor does it count where a named
+    does not count there if every named effect stands out clearly, nor in any residual if the
+    strengths of all of them also agree by χ²: no stand-in's did. Nor does it count where a named
     effect takes out of that variation what had gone into it. Without a learned noise floor nobody
     knows what noise is: then neither "no gap" nor "closed" nor "reduced" can be said, and the
     verdict is "no floor".
@@ -79,6 +80,7 @@ def gap_verdict(
     fractions = settings.gap_left_limit_fraction, settings.gap_left_limit_fraction_of_several
     unclosed = left > fractions[several] and not relieved
     unclosed = unclosed and search.mean_residual(result.after) > settings.noise_residual
+    unclosed = unclosed and not _is_certain(search, result, consistencies)
     differing = not all(c.holds for c in consistencies.values())
     gap = search.has_gap(result.before)
     if biased or (unclosed and gap) or (differing and (gap or not search.learned)):
@@ -104,6 +106,16 @@ def stands_out_clearly(search: EffectSearch, result: SearchResult) -> bool:
     least = search.settings.clear_separation_fraction * size
     kept = [c for c in result.chosen if set(c.effects) & set(result.named)]
     return all(c.separation >= least * c.least for c in kept)
+
+
+def _is_certain(
+    search: EffectSearch, result: SearchResult, consistencies: Mapping[str, StrengthConsistency]
+) -> bool:
+    """Whether every named effect stands out clearly, with strengths that no χ² tells apart."""
+    least = search.settings.inconsistency_probability
+    known = [consistencies[e].probability for e in result.named if e in consistencies]
+    agree = len(known) == len(result.named) and min(known, default=0.0) >= least
+    return agree and stands_out_clearly(search, result)
 
 
 def _power_beyond_noise(search: EffectSearch, rows: Sequence[Array]) -> float:

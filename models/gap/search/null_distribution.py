@@ -14,8 +14,10 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from scipy.optimize import minimize
 from scipy.stats import norm
 
+from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 
@@ -110,7 +112,7 @@ def calibrated_null_distribution(
 
     d′ counts in roots of the residual, as in the search. The largest of each effect is left out:
     one rig that no plant describes would set the size for all effects. The residual is log-normal,
-    its mean logarithm linear in the change of the link.
+    mean and standard deviation of its logarithm linear in the change of the link.
 
     Parameters
     ----------
@@ -132,14 +134,31 @@ def calibrated_null_distribution(
         kept = np.argsort(own / np.hypot(1.0, change))[:-1] if len(own) > 1 else slice(None)
         beyond = max(float(np.mean(own[kept] ** 2 - 1)), 0.0)
         deviation[effect] = float(np.sqrt(1 + beyond / np.mean(change[kept] ** 2)))
-    logarithm, at = np.log(left), np.column_stack([np.ones_like(change), change])
-    line, *_ = np.linalg.lstsq(at, logarithm, rcond=None)
-    scatter = float(np.std(logarithm - at @ line, ddof=min(2, len(left) - 1)))
-    quantile = float(norm.ppf(settings.null_quantile))
+    explained, growth = _largest_residuals(np.log(left), change, settings.null_quantile)
     return NullDistribution(
         sets=len(separations),
         threshold=settings.least_threshold,
-        explained=round(float(np.exp(line.sum() + quantile * scatter)), 3),
-        explained_growth=round(float(line[1]), 3),
+        explained=round(explained, 3),
+        explained_growth=round(growth, 3),
         standard_deviation={e: round(s, 3) for e, s in deviation.items()},
     )
+
+
+def _largest_residuals(logarithm: Array, change: Array, quantile: float) -> tuple[float, float]:
+    """Quantile of the residual on a link that changed by one, and the growth of its logarithm.
+
+    By the largest likelihood; the standard deviation grows with the change, or stays.
+    """
+
+    def cost(p: Array) -> float:
+        deviation = p[2] + p[3] * change
+        z = (logarithm - p[0] - p[1] * change) / deviation
+        return float(np.sum(np.log(deviation) + z**2 / 2))
+
+    scatter = max(float(np.std(logarithm)), 1e-3)
+    start = np.array([float(np.mean(logarithm)), 0.0, scatter, 0.0])
+    bounds = [(None, None), (None, None), (1e-3, None), (0.0, None)]
+    mean, growth, fixed, growing = minimize(cost, start, method="L-BFGS-B", bounds=bounds).x
+    beyond = float(norm.ppf(quantile))
+    grown = growth + beyond * growing
+    return float(np.exp(mean + beyond * fixed + grown)), float(grown)

@@ -135,11 +135,13 @@ def impossible_values(
 
 
 RefusalKind = Literal[
-    "at a bound", "impossible", "inconsistent", "held-out error", "rise of a signal", "stand-in"
-]
+    "at a bound", "impossible", "inconsistent", "held-out error", "rise of a signal", "stand-in",
+    "improbable",
+]  # fmt: skip
 """A value ended at a bound; a sum that no real body has; the effect does not lower the held-out
 error; some signal's held-out error would rise by more than `GapSettings.harm_fraction`; the effect
-stands in for one that the catalogue lacks, and was tested on one motion alone."""
+stands in for one that the catalogue lacks, and was tested on one motion alone; it is more probable
+that nothing is missing."""
 
 
 class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

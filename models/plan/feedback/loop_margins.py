@@ -82,7 +82,7 @@ def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> flo
 
 
 def _between(loop: Response, at: NDArray[np.intp], before: Array, after: Array) -> Response:
-    """Response where a quantity that is known at both ends of intervals is zero, by a straight line."""
+    """Response where a quantity known at both ends of intervals is zero, by a straight line."""
     change = before[at] - after[at]
     part = np.divide(before[at], change, out=np.zeros(len(at)), where=change != 0.0)
     return np.asarray(loop[at] + part * (loop[at + 1] - loop[at]))

@@ -7,6 +7,7 @@ import pytest
 
 from models.gap.decision import decision
 from models.gap.decision.decision import Decision, decide
+from models.gap.decision.posterior import Hypothesis
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.refused_effect import RefusedEffect
@@ -47,7 +48,7 @@ def decided(monkeypatch):
     """Function (refused effects with their kind) -> decision, effects that were tried."""
 
     def run(refused, learned=True, inconsistent=()):
-        def tested(search, result):
+        def tested(search, result, nothing):
             effect = result.named[0]
             differs = {effect: StrengthConsistency(0.5, 0.0, 0.25, effect not in inconsistent)}
             if effect in refused or effect in inconsistent:
@@ -57,7 +58,7 @@ def decided(monkeypatch):
 
         monkeypatch.setattr(decision, "_decision", tested)
         search = Search(learned)
-        return decide(search, search.search()), search.tried
+        return decide(search, search.search(), []), search.tried
 
     return run
 
@@ -98,3 +99,28 @@ def test_the_first_decision_stands_where_no_alternative_passes(decided):
 def test_without_a_learned_floor_nothing_is_tried_again(decided):
     _, tried = decided({"prebend": "held-out error"}, learned=False)
     assert tried == ORDER[:1]
+
+
+@pytest.mark.parametrize(("nothing", "named"), [(0.4, ["prebend"]), (0.6, [])])
+def test_nothing_is_named_where_it_is_likelier_that_nothing_is_missing(monkeypatch, nothing, named):
+    class Untested(decision.Acceptance):
+        def __init__(self, search, result):
+            self.search, self.result, self.settings = search, result, search.settings
+
+        def accepted(self):
+            return None
+
+        def _as_given(self):
+            return None
+
+    monkeypatch.setattr(decision, "Acceptance", Untested)
+    monkeypatch.setattr(decision, "consistencies_of_named", lambda *_: {})
+    monkeypatch.setattr(
+        decision, "gap_verdict", lambda search, of, _: ("closed" if of.named else "no gap", 0.0)
+    )
+    search = Search()
+    none = Hypothesis((), nothing, 0.0, 0.0, np.zeros(1), np.zeros(1, dtype=bool))
+    found = decide(search, search.search(), [none, replace(none, effects=("prebend",))])
+    assert found.result.named == named
+    assert found.verdict == ("closed" if named else "no gap")
+    assert [r.kind for r in found.result.refused] == ["improbable"] * (1 - len(named))

@@ -79,11 +79,29 @@ def test_an_effect_that_stands_out_clearly_is_named_in_a_usual_residual():
     assert gap_verdict(Search(), found, {})[0] == "closed"
     found = result(1.9, 1.85, "stiction", separation=clear)
     assert gap_verdict(Search(), found, {})[0] == "no gap", "the residual's size counts"
-    differing = {"stiction": SimpleNamespace(holds=False)}
+    differing = {"stiction": SimpleNamespace(holds=False, probability=0.0)}
     found = result(1.9, 1.85, "stiction", separation=10 * clear)
     assert gap_verdict(Search(), found, differing)[0] == "no gap"
     found = result(4.0, 3.9, "stiction", separation=10 * clear)
     assert gap_verdict(Search(), found, {})[0] == "not in the catalogue"
+
+
+@pytest.mark.parametrize(
+    ("probability", "factor", "verdict"),
+    [
+        (0.5, 1.01, "reduced"),
+        (1e-6, 1.01, "not in the catalogue"),
+        (0.5, 0.9, "not in the catalogue"),
+    ],
+)
+def test_a_clear_effect_of_one_strength_explains_a_gap_that_is_mostly_left(
+    probability, factor, verdict
+):
+    """The plant's own error grows with a payload that moves the link out of its known range."""
+    clear = DEFAULT_SETTINGS.clear_separation_fraction * LEAST * np.sqrt(3.9)
+    found = result(4.0, 3.9, "stiction", separation=factor * clear)
+    alike = {"stiction": SimpleNamespace(holds=True, probability=probability)}
+    assert gap_verdict(Search(), found, alike)[0] == verdict
 
 
 def test_a_bias_that_is_still_there_is_no_explanation():
