@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -13,6 +13,9 @@ from firmware_py.display_units import ANGLE, CURRENT, LENGTH, POSITION, TIME
 from firmware_py.goals.tip_plan import TipPlan
 from models.shared.palette import INK, MUTED, SERIES
 from models.shared.svg_drawing import FILE_STYLE
+
+FLATTEST: Final = 0.3
+"""Least height of the picture of a path over its width: a line along an axis has none."""
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
@@ -30,21 +33,10 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
         figure = Figure(figsize=(8.5, 6.5), layout="constrained")
         axes: dict[str, Any] = figure.subplot_mosaic([["path", "error"], ["goals", "current"]])
-        if plan.dof == 2:
-            axes["path"].plot(*desired.T, color=MUTED, lw=0.7, ls=":", label="way")
-            for k, (start, end) in enumerate(plan.drawn):
-                label = "desired" if k == 0 else None
-                axes["path"].plot(*desired[start:end].T, color=INK, lw=1.6, label=label)
-            axes["path"].set(xlabel=POSITION.label("tip x"), ylabel=POSITION.label("tip y"))
-            axes["path"].set_aspect("equal")
-        else:
-            axes["path"].plot(time_s, desired[:, 0], color=INK, lw=1.6, label="desired")
-            axes["path"].set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
+        _draw_path(axes["path"], plan, ramp)
         for colour, own in zip(ramp, plan.payloads, strict=True):
             tip, label = np.transpose(own.tip_m), f"{own.payload_kg:g} kg"
             away = LENGTH.shown(np.linalg.norm(tip - desired, axis=1))
-            lines = tip.T if plan.dof == 2 else (time_s, tip[:, 0])
-            axes["path"].plot(*lines, color=colour, lw=0.8, label=label)
             axes["error"].plot(time_s, away, color=colour, lw=0.8, label=label)
             for j in range(plan.dof):
                 style = ("-", "--")[j]
@@ -70,3 +62,29 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
             axes["goals"].plot([], [], ("-", "--")[joint], color=SERIES[0], label=name)
             axes["goals"].legend(fontsize="x-small", frameon=False)
         figure.savefig(path, metadata={"Date": None})
+
+
+def _draw_path(ax: Any, plan: TipPlan, colours: Any) -> None:
+    """Path and predicted tips: in the plane, of two joints, without the ways of the tips."""
+    desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
+    both = plan.dof == 2
+    drawn = plan.drawn if both else ((0, plan.rows),)
+    if both:
+        ax.plot(*desired.T, color=MUTED, lw=0.7, ls=":", label="way")
+    own = [
+        (c, p.tip_m, f"{p.payload_kg:g} kg") for c, p in zip(colours, plan.payloads, strict=True)
+    ]
+    for colour, columns, label in [(INK, plan.desired_m, "desired"), *own]:
+        tip, width = np.transpose(columns), 1.6 if label == "desired" else 0.8
+        for start, end in drawn:
+            line = tip[start:end].T if both else (time_s, tip[:, 0])
+            ax.plot(*line, color=colour, lw=width, label=label if start == drawn[0][0] else None)
+    if both:
+        ax.set(xlabel=POSITION.label("tip x"), ylabel=POSITION.label("tip y"), aspect="equal")
+        least = FLATTEST * float(np.max(np.ptp(desired, axis=0)))
+        for values, put in zip(desired.T, (ax.set_xlim, ax.set_ylim), strict=True):
+            if np.ptp(values) < least:
+                middle = 0.5 * float(values.min() + values.max())
+                put(middle - 0.5 * least, middle + 0.5 * least)
+    else:
+        ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
