@@ -212,6 +212,11 @@ class Plant:
             link=self.link,
         )
 
+    def for_robot(self) -> Plant:
+        """Plant as a bundle holds it: without the noise floor of the gap workflow."""
+        provenance = msgspec.structs.replace(self.provenance, noise_floor={})
+        return replace(self, provenance=provenance)
+
     def sha256(self) -> str:
         """Hash of the document, for provenance."""
         plain = plain_plant(self.document())

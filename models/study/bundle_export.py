@@ -122,7 +122,7 @@ def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) 
     lagged = to_onnx(study.lagged.graph(), study.lagged.inputs, "lagged", lag_facts)
     onnx.save(lagged, lagged_path)
 
-    plant.write(directory / "plant.json")
+    plant.for_robot().write(directory / "plant.json")
     write_study(directory / "study.json", document)
     heaviest = max(study.training.trials, key=lambda t: t.meta.payload_kg)
     ticks = slice(0, heaviest.meta.rest_samples + GOLDEN_TICKS)
@@ -235,7 +235,7 @@ def _manifest(study: Study, plant: Plant) -> Manifest:
         outputs=_quantities(tip_names(), tips_m.min(axis=0), tips_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
         training_data_sha256=document.training.sha256,
-        plant_sha256=plant.sha256(),
+        plant_sha256=plant.for_robot().sha256(),
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=_metrics(document),
         coefficients=_coefficients(Polynomial.of(predictor.pipeline), names),

@@ -37,7 +37,7 @@ def with_noise_floor(
     """Plant whose provenance also holds the noise floor of trials without any hidden effect.
 
     Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
-    of two joints get none yet: their sensitivities take minutes.
+    of one and of two joints have a floor each.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def with_noise_floor(
         Tuned numbers.
     """
     floors: dict[str, FloorRecord] = {}
-    for dof in sorted({t.meta.dof for t in trials} & {1}):
+    for dof in sorted({t.meta.dof for t in trials}):
         own = [t for t in trials if t.meta.dof == dof]
         conditions = {(trial_group_key(t), t.meta.payload_kg) for t in own}
         if len(conditions) < len(own):

@@ -25,26 +25,29 @@ CONSIDERED = (
 VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 
 
-def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2):
+def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
     """Trials of a plant, each with its own pressure, friction, clock and frame."""
     rng = np.random.default_rng(seed)
     rich = plant.with_effects("sync_offset")
-    compiled = CompiledModel(rich.step_model(1, "twin"))
+    compiled = CompiledModel(rich.step_model(dof, "twin"))
     known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
-    motion = Motion(period_s=2.6)  # shorter than the study's, for the tests' time
-    goal = motion.table_rad(rest_samples=REST_ROWS)[:, 0]
+    motion = Motion(
+        period_s=2.6, phase_2_rad=np.pi / 2, dof=dof
+    )  # shorter than the study's, for the tests' time
+    goal = motion.table_rad(rest_samples=REST_ROWS)
     trials = []
     for payload_kg in payloads:
         for number in range(1, repeats + 1):
             meta = TrialMeta(
-                dof=1, payload_kg=payload_kg, pressure_pa=41300.0, trial=number,
+                dof=dof, payload_kg=payload_kg, pressure_pa=41300.0, trial=number,
                 motion="sinusoid", source="test", period_s=motion.period_s,
                 amplitude_rad=motion.amplitude_rad, base_offset_m=0.06, link_length_m=0.95,
                 link_width_m=0.15, rest_samples=REST_ROWS,
             )  # fmt: skip
             trial = Trial(
                 f"payload{payload_kg:g}_{number}", meta,
-                {"time_s": PERIOD_S * np.arange(len(goal)), "goal_1_rad": goal},
+                {"time_s": PERIOD_S * np.arange(len(goal))}
+                | {f"goal_{j + 1}_rad": row for j, row in enumerate(goal.T)},
             )  # fmt: skip
             p = compiled.model.parameter_values()
             stiff, rough = 1 + np.array(

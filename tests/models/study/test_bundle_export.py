@@ -38,7 +38,9 @@ def test_bundle_holds_what_the_contract_lists(toy_bundle, toy_study):
     assert [(q.name, q.unit) for q in manifest.outputs] == [
         ("tip_x_m", "m"), ("tip_y_m", "m"), ("tip_z_m", "m"),
     ]  # fmt: skip
-    assert manifest.plant_sha256 == read_plant(toy_bundle / "plant.json").sha256()
+    plant = read_plant(toy_bundle / "plant.json")
+    assert manifest.plant_sha256 == plant.sha256()
+    assert not plant.provenance.noise_floor, "the robot needs none"
     study = read_study(toy_bundle / "study.json")
     assert study == toy_study.document
     assert manifest.degree == study.chosen_degree

@@ -1,0 +1,40 @@
+"""Two joints: a noise floor of their own, and verdicts that need one."""
+
+import pytest
+
+from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.plant.plant import read_plant
+
+FRICTION_NM_S_RAD = 4.0
+
+
+@pytest.fixture(scope="module")
+def two_joints(trials_of):
+    """Plant with the floor of its own trials of one and of two joints."""
+    nominal = read_plant()
+    one, two = (trials_of(nominal, 1, dof=dof).trials for dof in (1, 2))
+    return with_noise_floor(nominal, [*one, *two])
+
+
+def test_each_number_of_joints_has_a_floor(two_joints):
+    floors = two_joints.provenance.noise_floor
+    assert set(floors) == {"1", "2"}
+    assert "angle_2_rad" in floors["2"].noise
+    assert "angle_2_rad" not in floors["1"].noise
+    assert not two_joints.for_robot().provenance.noise_floor
+
+
+@pytest.mark.parametrize(
+    ("hidden", "named", "verdict"),
+    [(0.0, (), "no gap"), (FRICTION_NM_S_RAD, ("viscous_friction",), "closed")],
+)
+def test_two_joints_are_diagnosed_against_it(
+    two_joints, trials_of, diagnosed, hidden, named, verdict
+):
+    q = two_joints.parameters["viscous_friction_1_nm_s_rad"]
+    values = {f"viscous_friction_{j}_nm_s_rad": q.value + hidden for j in (1, 2)}
+    found = diagnosed(two_joints, trials_of(two_joints.with_values(values), 7, dof=2))
+    assert (found.verdict, found.named) == (verdict, named)
+    if named:
+        after = found.improved.parameters["viscous_friction_2_nm_s_rad"]
+        assert after.value - q.value == pytest.approx(hidden, rel=0.1)
