@@ -51,7 +51,7 @@ USUAL: Final = 0.75
 LARGEST: Final = 0.95
 """Quantile of the mean square innovation up to which the excess counts; assumed."""
 WRONG_LEVEL: Final = 0.93
-"""Quantile of the errors with each kind of wrong plant; coverage of 0.9 is required of every motion.
+"""Quantile of the errors with each kind of wrong plant; 0.9 has to be covered on every motion.
 Measured on seven rigs for tuning: the quantile of 0.9 leaves 0.893, this one 0.911 or more; 0.94
 calls most rows out of range on one of them (docs/predictor/choice.md)."""
 HIGHEST_LEVEL: Final = 0.98
