@@ -53,7 +53,7 @@ LARGEST: Final = 0.95
 WRONG_LEVEL: Final = 0.93
 """Quantile of the errors with each kind of wrong plant; 0.9 has to be covered on every motion.
 Measured on seven rigs for tuning: the quantile of 0.9 leaves 0.893, this one 0.911 or more; 0.94
-calls most rows out of range on one of them (docs/predictor/choice.md)."""
+leaves a third of the steps on one of them in range (docs/predictor/choice.md)."""
 HIGHEST_LEVEL: Final = 0.98
 """Highest level of the quantile, which rises with few trials."""
 NORMAL: Final = 1.96
