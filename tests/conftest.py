@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from firmware_py.inference.manifest import Manifest, write_manifest
 from models.plant.step_model import StepModel, Variable
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
@@ -177,4 +178,17 @@ def toy_bundle(toy_study, tmp_path_factory):
 
     directory = tmp_path_factory.mktemp("toy") / "bundle"
     write_bundle(directory, toy_study, read_plant())
+    return directory
+
+
+@pytest.fixture(scope="session")
+def bare_bundle(tmp_path_factory):
+    """Directory of a bundle of one joint that holds its manifest alone."""
+    directory = tmp_path_factory.mktemp("bare_bundle")
+    manifest = Manifest(
+        dof=1, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
+        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
+        coefficients={}, files={},
+    )  # fmt: skip
+    write_manifest(directory, manifest)
     return directory

@@ -12,7 +12,7 @@ from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import read_tip_plan
-from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
@@ -56,16 +56,10 @@ class Unsurprised(NoEstimator):
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("bundle")
-    manifest = Manifest(
-        dof=1, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
-        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
-    )  # fmt: skip
-    write_manifest(directory, manifest)
-    sha256 = hashlib.sha256((directory / MANIFEST).read_bytes()).hexdigest()
-    return ModelBundle(directory, manifest, Unsurprised(), UnbentPredictor(), sha256)
+def bundle(bare_bundle):
+    manifest = read_manifest(bare_bundle)
+    sha256 = hashlib.sha256((bare_bundle / MANIFEST).read_bytes()).hexdigest()
+    return ModelBundle(bare_bundle, manifest, Unsurprised(), UnbentPredictor(), sha256)
 
 
 @pytest.fixture(scope="module")

@@ -2,22 +2,8 @@
 
 import pytest
 
-from firmware_py.inference.manifest import Manifest, write_manifest
-from firmware_py.signals import PERIOD_S
 from models.__main__ import main
 from models.plant.plant import NOMINAL
-
-
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("bundle")
-    manifest = Manifest(
-        dof=1, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
-        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
-    )  # fmt: skip
-    write_manifest(directory, manifest)
-    return directory
 
 
 @pytest.mark.parametrize(
@@ -31,9 +17,9 @@ def bundle(tmp_path_factory):
         ("own.CSV", ["--out", "own.svg"], "is the name of the picture"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(bundle, tmp_path, capsys, path, options, sentence):
+def test_unfit_options_are_refused(bare_bundle, tmp_path, capsys, path, options, sentence):
     out = tmp_path / "plan.json"
-    words = ["plan", path, "--plant", NOMINAL, "--bundle", bundle, "--out", out, *options]
+    words = ["plan", path, "--plant", NOMINAL, "--bundle", bare_bundle, "--out", out, *options]
     assert main([str(word) for word in words]) == 2
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -31,9 +31,8 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
     rich = plant.with_effects("sync_offset")
     compiled = CompiledModel(rich.step_model(dof, "twin"))
     known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
-    motion = Motion(
-        period_s=2.6, phase_2_rad=np.pi / 2, dof=dof
-    )  # shorter than the study's, for the tests' time
+    # Shorter than the study's, for the tests' time.
+    motion = Motion(period_s=2.6, phase_2_rad=np.pi / 2, dof=dof)
     goal = motion.table_rad(rest_samples=REST_ROWS)
     trials = []
     for payload_kg in payloads:

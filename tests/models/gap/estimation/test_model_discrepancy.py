@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import (
@@ -129,6 +130,17 @@ def test_the_least_separation_shrinks_on_a_link_that_did_not_change():
     for change in (0.0, 0.5, 2.0):
         least = null.for_link_change(change).least(["loud"])
         assert least == pytest.approx(null.threshold * np.hypot(5 * change, 1.0), rel=0.1)
+
+
+def test_the_residual_without_an_effect_scatters_more_on_links_that_changed_more():
+    rng = np.random.default_rng(5)
+    changes = rng.uniform(0.3, 1.0, 4000)
+    left = np.exp(-0.2 + 0.3 * changes + (0.1 + 0.3 * changes) * rng.standard_normal(4000))
+    null = calibrated_null_distribution([{}] * 4000, left.tolist(), changes.tolist())
+    for change in (0.3, 1.0):
+        beyond = norm.ppf(DEFAULT_SETTINGS.null_quantile)
+        largest = np.exp(-0.2 + 0.3 * change + beyond * (0.1 + 0.3 * change))
+        assert null.for_link_change(change).explained == pytest.approx(largest, rel=0.05)
 
 
 def test_patterns_grow_with_the_change_of_the_link(trials, group):
