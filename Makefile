@@ -475,6 +475,18 @@ build/rig_%/bench/tip_1dof.json: build/rig_%/plant.json
 	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
 	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2
 
+# The same with two joints, in phase and a quarter period apart.
+build/rig_%_2dof/plant.json: | $(READY)
+	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 1 2 --payloads 0 1 2 --seed $(SEED))
+	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 2 --phase-deg 90 --payloads 0 1 2 --seed $(SEED))
+	$(call run,python -m models identify $(@D)/trials --plant models/plant/nominal.toml --out $@)
+
+build/rig_%_2dof/bench/tip_2dof.json: build/rig_%_2dof/plant.json
+	$(call run,python -m models simulate --out build/rig_$*_2dof/multisine --rig $* --dof 2 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
+	$(call run,python -m models train build/rig_$*_2dof/trials --dof 2 --plant $< --motions build/rig_$*_2dof/multisine --out build/rig_$*_2dof/bundle)
+	$(call run,python -m fmu build build/rig_$*_2dof/bundle --plant $< --unit observer)
+	$(BIN)/python -m bench.tip build/rig_$*_2dof/bundle --rig $* --out $(@D) >&2
+
 # What is measured anew whenever it is asked for.
 FORCE:
 

@@ -19,7 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.tip.tip_answers import CONTENDERS, Answer, Contenders
+from bench.tip.tip_answers import CONTENDERS, Contenders
+from bench.tip.tip_figures import claimed_figures, figures
 from bench.tip.tip_runs import (
     SECONDS,
     STOPPED_S,
@@ -30,6 +31,7 @@ from bench.tip.tip_runs import (
 from firmware_py.console import DONE, Progress
 from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.inference.bundle import ModelBundle
+from models.learning.axis_coverage import coverage_text
 
 HIDDEN: Final = {
     "stiffness_softening": 0.15, "hysteresis": 0.3, "creep": 0.3, "backlash": 0.006,
@@ -38,7 +40,6 @@ HIDDEN: Final = {
 """Effects hidden in the rig, in turn, one run of the multisine each."""
 WRONG: Final = (("stiffness", 0.8), ("stiffness", 1.2), ("damping", 0.8), ("damping", 1.2))
 """Plants of the observer that are wrong, and by what factor."""
-PARTS: Final = ("rest", "motion", "glide", "stop", "free decay")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -96,66 +97,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     return DONE
 
 
-def figures(run: TipRun, answers: Mapping[str, Answer]) -> dict[str, dict[str, dict[str, float]]]:
-    """Figures by contender and part of the run; "all" for all parts.
-
-    Parameters
-    ----------
-    run : TipRun
-        With the true tip.
-    answers : mapping of str to Answer
-        By contender.
-    """
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    known = np.isfinite(run.tip_m).all(axis=1)
-    for name in CONTENDERS:
-        answer = answers[name]
-        error_m = run.tip_m - answer.tip_m
-        distance_m = np.linalg.norm(error_m, axis=1)
-        inside = np.abs(error_m) <= answer.half_width_m
-        found[name] = {}
-        for part in ("all", *PARTS):
-            rows = known & ((run.part == part) | (part == "all"))
-            if not rows.any():
-                continue
-            trusted = rows & answer.in_range
-            found[name][part] = {
-                "rows": int(rows.sum()),
-                "mean_m": float(distance_m[rows].mean()),
-                "max_m": float(distance_m[rows].max()),
-                "coverage": float(inside[rows].mean()),
-                "in_range": float(answer.in_range[rows].mean()),
-                "coverage_in_range": float(inside[trusted].mean()) if trusted.any() else 1.0,
-                "max_in_range_m": float(distance_m[trusted].max(initial=0.0)),
-                "half_width_m": float(answer.half_width_m[rows].mean()),
-            }
-    return found
-
-
-def claimed_figures(document: Mapping[str, Any]) -> dict[str, float]:
-    """Figures that the claims state, of the deployed predictor."""
-    nominal = {name: run["deployed"] for name, run in document["nominal"].items()}
-    motions = [nominal[name]["all"] for name in SECONDS]
-    swinging = [nominal["decay"]["all"], nominal["stopped"]["stop"]]
-    parts = [part for run in nominal.values() for name, part in run.items() if name != "all"]
-    wrong = [run["deployed"]["all"] for runs in document["wrong"].values() for run in runs.values()]
-    found = {
-        "mean_m": max(m["mean_m"] for m in motions),
-        "max_m": max(m["max_m"] for m in motions),
-        "swinging_max_in_range_m": max(m["max_in_range_m"] for m in swinging),
-        "decay_in_range": nominal["decay"]["free decay"]["in_range"],
-        "coverage_smallest": min(p["coverage"] for p in parts),
-        "coverage_largest": max(p["coverage"] for p in parts),
-        "coverage_mean": float(np.mean([m["coverage"] for m in motions])),
-    }
-    if wrong:
-        found["wrong_coverage_in_range_smallest"] = min(w["coverage_in_range"] for w in wrong)
-        found["wrong_coverage_in_range_mean"] = float(
-            np.mean([w["coverage_in_range"] for w in wrong])
-        )
-    return found
-
-
 def table(document: Mapping[str, Any]) -> str:
     """Return the figures as text, in mm and %.
 
@@ -166,7 +107,7 @@ def table(document: Mapping[str, Any]) -> str:
     """
     lines = [
         f"{document['dof']}DOF, deployed: {document['predictor']}; mean / largest in mm; the "
-        "interval covers, and in range, in %",
+        "interval covers, mean / worst axis, and in range, in %",
         f"{'run':34}" + "".join(f"{name:>34}" for name in CONTENDERS),
     ]
     groups = {"": document["nominal"], **{f"{k}: ": v for k, v in document["wrong"].items()}}
@@ -181,14 +122,14 @@ def table(document: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _cell(figures: Mapping[str, float] | None) -> str:
+def _cell(figures: Mapping[str, Any] | None) -> str:
     if figures is None:
         return ""
     error = f"{LENGTH.number(figures['mean_m'])} / {LENGTH.number(figures['max_m'])}"
     if not np.isfinite(figures["half_width_m"]):
         return error
-    covers, in_range = FRACTION.number(figures["coverage"], 1), FRACTION.number(figures["in_range"])
-    return f"{error}  {covers}  {in_range}"
+    covers = coverage_text(figures["coverage"], figures["coverage_least"])
+    return f"{error}  {covers}  {FRACTION.number(figures['in_range'])}"
 
 
 if __name__ == "__main__":

@@ -59,6 +59,11 @@ class TipRun:
     tip_m: Array
     part: NDArray[np.str_]
 
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return int(self.angle_rad.shape[1])
+
 
 def run_behind_servos(
     bundle: ModelBundle,

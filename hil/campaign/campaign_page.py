@@ -130,7 +130,7 @@ def _unit(name: str) -> DisplayUnit:
     last = name.rpartition(".")[2]
     if last == "di":
         return signal_unit(last)
-    if last.endswith(("_fraction", "coverage", "right")):
+    if last.endswith(("_fraction", "coverage", "coverage_least", "right")):
         return error_unit("1")
     if last.endswith("ticks"):
         return DisplayUnit("", 1.0, 0)

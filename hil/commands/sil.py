@@ -23,7 +23,7 @@ import msgspec
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import MotionConfig
 from firmware_py.console import emit
-from firmware_py.display_units import CPU_TIME, FRACTION, LENGTH, TIME
+from firmware_py.display_units import CPU_TIME, LENGTH, TIME
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.goals.outside.for_robot import outside_goals
@@ -38,6 +38,7 @@ from hil.sil import LineKind, SilOptions, run_sil, write_results
 from hil.sil.sil_options import sil_config
 from hil.timing.tick_budget import describe_budget
 from hil.timing.timing_document import PredictionError, TimingDocument
+from models.learning.axis_coverage import coverage_text
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
@@ -236,7 +237,7 @@ def _error_lines(error: PredictionError) -> list[str]:
             f"  {name.replace('_', ' '):12} "
             f"{LENGTH.number(part.mean_euclidean_distance_m or 0):>5} mm, "
             f"{LENGTH.number(part.max_m or 0):>5} mm at most, interval covers "
-            f"{FRACTION.number(part.interval_coverage or 0, 1)} %"
+            f"{coverage_text(part.interval_coverage or 0, part.interval_coverage_least)} %"
             for name, part in error.parts.items()
         ),
     ]

@@ -24,6 +24,7 @@ from firmware_py.realtime.targets import (
 from hil.report.build_inputs import BuildInputs, FmuCheckOutput, LoopRun
 from hil.report.study.estimator_figures import test_words
 from hil.timing.timing_document import TipErrors
+from models.learning.axis_coverage import COVERS, coverage_text
 from models.plant.plant import Plant
 from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipError
 from models.shared.page_parts import NO_VALUE, Cell, Table, TableCell
@@ -155,7 +156,8 @@ def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
         ["", "degree", "rigid link", "without DI", "estimated DI", "true DI", "observer's tip",
          "interval covers"],
         rows,
-        "The interval is the predictor's 95\u00a0% prediction interval, per coordinate. It is "
+        "The interval is the predictor's 95\u00a0% prediction interval; what it covers is the mean "
+        "over the axes that move. It is "
         "calibrated on payloads left out of training, so its coverage of the training payloads "
         "is higher.",
     )  # fmt: skip
@@ -319,7 +321,7 @@ def prediction_table(loop: LoopRun) -> Table | None:
         [
             _PARTS.get(name, name), str(part.n),
             *(LENGTH.number(distance_m) for distance_m in distances_m),
-            FRACTION.text(part.interval_coverage or 0.0, 1),
+            coverage_text(part.interval_coverage or 0.0, part.interval_coverage_least),
             FRACTION.text(part.in_range_fraction or 0.0, 1),
         ]
         for name, part in {"all": error, **error.parts}.items()
@@ -329,7 +331,7 @@ def prediction_table(loop: LoopRun) -> Table | None:
         return None
     return Table(
         f"Distance between predicted and true tip in {LENGTH.name}",
-        ["", "ticks", "mean", "95th percentile", "maximum", "interval covers", "in range"],
+        ["", "ticks", "mean", "95th percentile", "maximum", COVERS, "in range"],
         rows,
         "During glide and rest the link still swings while the joints hardly move. The paper's "
         "polynomial cannot tell to which side: angle, current and DI, which has no sign, do not "

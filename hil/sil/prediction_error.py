@@ -12,6 +12,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
 from hil.emulator.emulator import Truth
 from hil.timing.timing_document import PredictionError, TipErrors
+from models.learning.axis_coverage import axis_coverage
 
 Array = NDArray[np.float64]
 
@@ -98,12 +99,15 @@ def _errors(records: NDArray[np.void], error_m: Array, rows: NDArray[np.bool_]) 
         return TipErrors(n=0)
     distance_m = np.linalg.norm(error_m[rows], axis=1)
     half_width_m = np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
+    dof = 2 if "angle_2_rad" in (records.dtype.names or ()) else 1
+    coverage = axis_coverage((np.abs(error_m) <= half_width_m)[rows], dof)
     return TipErrors(
         n=int(rows.sum()),
         mean_euclidean_distance_m=float(distance_m.mean()),
         rms_m=float(np.sqrt(np.mean(distance_m**2))),
         p95_m=float(np.quantile(distance_m, 0.95)),
         max_m=float(distance_m.max()),
-        interval_coverage=float((np.abs(error_m) <= half_width_m)[rows].mean()),
+        interval_coverage=coverage.mean,
+        interval_coverage_least=coverage.least,
         in_range_fraction=float(records["in_range"].astype(bool)[rows].mean()),
     )

@@ -113,7 +113,9 @@ class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     mean_euclidean_distance_m, rms_m, p95_m, max_m : float or None
         Of the distance.
     interval_coverage : float or None
-        Fraction of coordinates inside the predictor's 95 % interval.
+        Fraction of ticks inside the predictor's 95 % interval, mean over the axes that move.
+    interval_coverage_least : float or None
+        The same on the worst of these axes; None in a run of an earlier release.
     in_range_fraction : float or None
         Fraction of ticks inside the predictor's training range.
     """
@@ -124,6 +126,7 @@ class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     p95_m: float | None = None
     max_m: float | None = None
     interval_coverage: float | None = None
+    interval_coverage_least: float | None = None
     in_range_fraction: float | None = None
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from firmware_py.display_units import ANGLE, DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
 from firmware_py.inference.bundle import Manifest
 from firmware_py.signals import PERIOD_S
-from models.study.study_document import StudyDocument, TrialsSummary
+from models.learning.axis_coverage import COVERS, MOVING_AXES, coverage_text
+from models.study.study_document import DeployedScores, StudyDocument, TrialsSummary
 from models.tip.guarded_tip import MARGIN, TRUSTED_M
 from models.tip.observed_trials import ASKEW_RAD
 from models.tip.predictors_document import CandidateEntry, Latency, PredictorsDocument
@@ -116,12 +117,13 @@ def _candidates(predictors: PredictorsDocument) -> str:
             rows.append((
                 label, str(entry.variant), test, LENGTH.number(score.mean_m, 2),
                 LENGTH.number(score.p95_m), LENGTH.number(score.max_m),
-                f"{FRACTION.number(score.coverage, 1)}", f"{FRACTION.number(score.in_range)}",
+                coverage_text(score.coverage, score.coverage_least),
+                FRACTION.number(score.in_range),
                 LENGTH.number(score.max_in_range_m), *_cost(entry),
             ))  # fmt: skip
     header = (
         "candidate", "variant", "test", "mean in mm", "95 % in mm", "largest in mm",
-        "interval covers in %", "in range in %", "largest in range in mm",
+        COVERS, "in range in %", "largest in range in mm",
         "warm / cold in µs", "graph in kB",
     )  # fmt: skip
     payloads = ", ".join(f"{kg:g}" for kg in predictors.payload_kg)
@@ -222,7 +224,8 @@ def _estimation(document: StudyDocument) -> str:
 def _limits(manifest: Manifest, document: StudyDocument) -> str:
     coverage = "\n".join(
         f"- On {name} the 95 % interval contained the tip in "
-        f"{FRACTION.number(part.interval_coverage_mean, 1)} % of the rows and axes; "
+        f"{FRACTION.number(part.interval_coverage_mean, 1)} % of the rows, mean over the axes that "
+        f"move, {FRACTION.number(_worst_axis(document, part), 1)} % on the worst of them; "
         f"{FRACTION.number(part.in_range_fraction, 1)} % of the rows were in range."
         for name, part in document.deployed.items()
     )
@@ -240,6 +243,10 @@ def _limits(manifest: Manifest, document: StudyDocument) -> str:
 - The interval is calibrated on payloads left out of training, so it is wide for the trained \
 payloads. Coverage is lower on motions that differ from the training motion.
 - Another pressure, temperature, link or servo needs new trials."""
+
+
+def _worst_axis(document: StudyDocument, part: DeployedScores) -> float:
+    return min(part.interval_coverage["xyz"[k]] for k in MOVING_AXES[document.dof])
 
 
 def _findings(document: StudyDocument) -> str:

@@ -129,9 +129,9 @@ class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     interval_coverage : dict of axis to float
         Fraction of rows inside the 95 % interval, per world axis.
     interval_coverage_mean : float
-        Over rows and axes.
+        Over the axes that move: y of one joint, which cannot miss, does not count.
     interval_coverage_by_part : dict of part to float
-        Over axes, per part.
+        Over these axes, per part.
     mean_half_width_m : dict of axis to float
         Mean half width of the interval.
     in_range_fraction : float

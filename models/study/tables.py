@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from sklearn.pipeline import Pipeline
 
+from models.learning.axis_coverage import axis_coverage
 from models.learning.predictors import DEGREES, Array, GuardedPredictor, predict
 from models.learning.samples import VARIANTS, Samples, Source
 from models.learning.validation import euclidean_distance_m, r_squared
@@ -193,13 +194,14 @@ def deployed_table(predictor: GuardedPredictor, samples: Samples) -> DeployedSco
     features = samples.features("observer")
     predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
     inside = np.abs(samples.tip_m - predicted_m) <= half_width_m
+    dof = samples.trials[0].meta.dof
     axes = list(enumerate("xyz"))
     return DeployedScores(
         mean_euclidean_distance_m=float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
         interval_coverage={axis: float(inside[:, k].mean()) for k, axis in axes},
-        interval_coverage_mean=float(inside.mean()),
+        interval_coverage_mean=axis_coverage(inside, dof).mean,
         interval_coverage_by_part={
-            key: float(inside[rows].mean()) for key, rows in samples.parts().items()
+            key: axis_coverage(inside[rows], dof).mean for key, rows in samples.parts().items()
         },
         mean_half_width_m={axis: float(half_width_m[:, k].mean()) for k, axis in axes},
         in_range_fraction=float(predictor.in_range(features).mean()),

@@ -28,13 +28,16 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mean_m, p95_m, max_m : float
         Euclidean distance: mean, 95 % quantile, largest.
     coverage : float
-        Fraction of rows and axes inside the 95 % interval.
+        Fraction of rows inside the 95 % interval, mean over the axes that move. In a bundle of an
+        earlier release over all axes, y of one joint included, which cannot miss.
     half_width_m : float
         Mean half width over rows and axes.
     in_range : float
         Fraction of rows in range.
     max_in_range_m : float
         Largest distance among these.
+    coverage_least : float or None
+        Coverage on the worst of these axes; None in a bundle of an earlier release.
     """
 
     rows: int
@@ -45,6 +48,7 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     half_width_m: float
     in_range: float
     max_in_range_m: float
+    coverage_least: float | None = None
 
 
 class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

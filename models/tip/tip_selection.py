@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from models.learning.axis_coverage import axis_coverage
 from models.learning.predictors import Array, Fold
 from models.learning.validation import euclidean_distance_m
 from models.tip.candidates.candidate_list import CANDIDATES
@@ -158,26 +159,29 @@ def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
         rows.tip_m - predictor.predict(rows.inputs),
         predictor.half_width(rows.inputs),
         predictor.in_range(rows.inputs),
+        rows.dof,
     )
 
 
-def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_]) -> TipScore:
+def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
+    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
     distance_m = euclidean_distance_m(error_m, np.zeros_like(error_m))
     return TipScore(
         rows=len(error_m),
         mean_m=float(distance_m.mean()),
         p95_m=float(np.quantile(distance_m, 0.95)),
         max_m=float(distance_m.max()),
-        coverage=float((np.abs(error_m) <= half_width_m).mean()),
+        coverage=coverage.mean,
         half_width_m=float(half_width_m.mean()),
         in_range=float(in_range.mean()),
         max_in_range_m=float(distance_m[in_range].max(initial=0.0)),
+        coverage_least=coverage.least,
     )
 
 
-def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]]) -> TipScore:
+def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]], dof: int) -> TipScore:
     error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return _score(error_m, half_width_m, in_range)
+    return _score(error_m, half_width_m, in_range, dof)
 
 
 def _outer(
@@ -206,7 +210,7 @@ def _outer(
             rows.tip_m[test] - guarded.predict(inputs), guarded.half_width(inputs),
             guarded.in_range(inputs),
         ))  # fmt: skip
-    return _joined(parts), left_out_m
+    return _joined(parts, rows.dof), left_out_m
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:

@@ -115,6 +115,13 @@ def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
     return scores
 
 
+def _covered(score: TipScore) -> str:
+    mean = f"{FRACTION.number(score.coverage, 1)} %"
+    if score.coverage_least is None:
+        return mean
+    return f"{mean} ({FRACTION.number(score.coverage_least, 1)} % on the worst axis)"
+
+
 def _reason(choice: TipChoice) -> str:
     chosen = choice.chosen
     others = ", ".join(
@@ -125,6 +132,6 @@ def _reason(choice: TipChoice) -> str:
     return (
         f"On payloads and motions left out {chosen.summary} is off by "
         f"{LENGTH.number(chosen.nested.mean_m, 2)} mm on average and its interval covers "
-        f"{FRACTION.number(chosen.nested.coverage, 1)} %; no candidate that is less simple is "
+        f"{_covered(chosen.nested)}; no candidate that is less simple is "
         f"better by more than 3 % ({others} mm)."
     )

@@ -102,6 +102,9 @@ def test_the_predictor_runs_on_the_robot(toy_bundle, tmp_path):
     assert inside.in_range and inside.tip_m == pytest.approx(row @ slope, abs=1e-12)
     assert not predictor.predict(row[:dof], row[dof:-1], 2.0).in_range
     assert dropstitch(["replay", "--bundle", str(bundle)]) == 0
+    manifest = read_manifest(bundle)
+    assert manifest.predictor == "linear" and len(manifest.features) == 2 * dof + 1
+    assert not any(name.startswith("predictor_") for name in manifest.metrics)
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"^make ([\w-]+)", GUIDE, re.MULTILINE))))

@@ -101,7 +101,8 @@ class SilKind(CaseKind[SilConfig]):
     figures: ClassVar = {
         "prediction_error.mean_euclidean_distance_m": "predicted tip off, mean",
         "prediction_error.max_m": "predicted tip off, largest",
-        "prediction_error.interval_coverage": "covered by the interval",
+        "prediction_error.interval_coverage": "covered by the interval, mean over the axes",
+        "prediction_error.interval_coverage_least": "covered by the interval, worst axis",
         "path_errors.0.rms_m": "tip off its path, first run",
         "last_path_rms_m": "tip off its path, last run",
         "stale_ticks": "ticks without fresh data",

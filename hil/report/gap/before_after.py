@@ -75,7 +75,7 @@ class RobotErrors(msgspec.Struct, frozen=True):
     fraction_removed : float or None
         Of the gap.
     interval_coverage : dict of variant to float or None
-        Fraction of coordinates inside the 95 % interval.
+        Fraction of ticks inside the 95 % interval, mean over the axes that move.
     """
 
     tip_mean_m: ByVariant

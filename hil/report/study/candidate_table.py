@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from firmware_py.display_units import DELAY, FILE_SIZE, FRACTION, LENGTH
 from hil.report.study.estimator_figures import test_words
+from models.learning.axis_coverage import COVERS, coverage_text
 from models.shared.page_parts import Table
 from models.study.model_card import latency_text
 from models.tip.predictors_document import PredictorsDocument
@@ -30,14 +31,15 @@ def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
                     [
                         f"{dof}DOF, {name}{chosen}", test,
                         *map(LENGTH.number, (score.mean_m, score.p95_m, score.max_m)),
-                        FRACTION.text(score.coverage, 1), FRACTION.text(score.in_range),
+                        coverage_text(score.coverage, score.coverage_least),
+                        FRACTION.text(score.in_range),
                         LENGTH.number(score.max_in_range_m), latency_text(entry.latency),
                         FILE_SIZE.text(entry.graph_bytes),
                     ]
                 )  # fmt: skip
     return Table(
         f"Candidates for the robot's predictor, Euclidean distance in {LENGTH.name}",
-        ["", "test", "mean", "95th percentile", "maximum", "interval covers", "in range",
+        ["", "test", "mean", "95th percentile", "maximum", COVERS, "in range",
          "maximum in range", f"warm / cold in {DELAY.name}", "graph"],
         rows,
         " ".join(_note(dof, document) for dof, document in documents.items()),

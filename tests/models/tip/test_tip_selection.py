@@ -135,3 +135,18 @@ def test_a_link_mounted_askew_shifts_the_tip_in_the_plane_of_a_joint():
     rows.tip_m[:] = [1.0, 0.0, 0.0]
     shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows)]
     assert np.allclose(shifts_m, [[0, 0, a], [0, 0, -a], [0, -a, 0], [0, a, 0]])
+
+
+def test_the_interval_covers_each_trial_with_a_wrong_plant_on_each_axis():
+    rows = made_up_rows()
+    error_m = rows.tip_m - rows.observer_tip_m
+    wrong_m = error_m.copy()
+    one = rows.run < 2  # a third of the rows, which a quantile of all would leave out in part
+    wrong_m[one] += [0.006, 0.0, 0.003]
+    wrong = (rows.inputs, wrong_m)
+    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run), [wrong])
+    moving = np.abs(rows.inputs[:, rows.names.index("joint_rate_1_rad_s")]) > 0.05
+    inside = np.abs(wrong_m) <= interval.half_width(rows.inputs)
+    assert inside[one & moving].mean(axis=0).min() >= 0.88
+    standing, standing_excess = interval.quantile[[0, 2], 2]
+    assert standing >= interval.quantile[1, 2] and standing_excess >= interval.quantile[3, 2]
