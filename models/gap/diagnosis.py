@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from firmware_py.errors import InputError
 from models.gap.decision.decision import decide
 from models.gap.decision.gap_verdict import GapVerdict
+from models.gap.decision.look_alikes import LookAlike, look_alikes_of
 from models.gap.decision.posterior import Hypothesis, posterior_of
 from models.gap.decision.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.estimation.curve_transfer import Knowledge
@@ -26,7 +27,6 @@ from models.gap.residuals.spectrum import Array
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
-from models.gap.search.look_alikes import LookAlike, look_alikes_of
 from models.gap.search.null_distribution import NullDistribution
 from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.strength_consistency import StrengthConsistency
@@ -235,7 +235,7 @@ def diagnose(
         located=tuple(located),
         remaining=tuple(remaining),
         named=tuple(result.named),
-        inclusions=_inclusions(result, settings),
+        inclusions=_inclusions(result),
         hypotheses=hypotheses,
         strength_consistency=dict(decision.consistencies),
         screened=result.screened,
@@ -276,7 +276,7 @@ def all_fit_parameters(
     return nuisance_and_variation(plant, trials, settings) + effects
 
 
-def _inclusions(result: SearchResult, settings: GapSettings) -> tuple[Inclusion, ...]:
+def _inclusions(result: SearchResult) -> tuple[Inclusion, ...]:
     return tuple(
         Inclusion(
             effects=c.effects,
@@ -285,7 +285,7 @@ def _inclusions(result: SearchResult, settings: GapSettings) -> tuple[Inclusion,
             least=c.least,
             held_out_gain=c.held_out_gain,
             held_out_error=c.held_out_error,
-            look_alikes=look_alikes_of(result, turn, settings),
+            look_alikes=look_alikes_of(result, turn),
         )
         for turn, c in enumerate(result.chosen)
     )

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.residuals.fit_parameters import FitParameter
+from models.gap.residuals.fit_parameters import FitParameter, plant_with_searched_effects
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
@@ -59,7 +59,7 @@ def improved_plant(
     )
     if not result.named:
         return replace(plant, provenance=origin)
-    full = plant.with_effects(*result.named)
+    full = plant_with_searched_effects(plant, result.named)
     changed = written_values(full, search.fit_parameters, point.values, free)
     uncertain = _standard_errors(full, search, point, free)
     name = f"{plant.name.removesuffix(', gap closed')}, gap closed"

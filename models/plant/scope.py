@@ -102,6 +102,8 @@ class Scope:
         Factor on the drive's torque; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
         Lost motion in the gear: the load's coordinate is angle - windup.
+    lean, lean_rate, lean_acceleration : dict by joint
+        Angle by which the link's markers lean in its mount, which moves no mass.
     bend, bend_rate, stiffness, bend_torque : dict by hinge
         Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
     rest_bend : dict by hinge
@@ -160,6 +162,9 @@ class Scope:
     windup: dict[int, Expr] = field(default_factory=dict)
     windup_rate: dict[int, Expr] = field(default_factory=dict)
     windup_acceleration: dict[int, Expr] = field(default_factory=dict)
+    lean: dict[int, Expr] = field(default_factory=dict)
+    lean_rate: dict[int, Expr] = field(default_factory=dict)
+    lean_acceleration: dict[int, Expr] = field(default_factory=dict)
     bend: dict[Hinge, Expr] = field(default_factory=dict)
     bend_rate: dict[Hinge, Expr] = field(default_factory=dict)
     stiffness: dict[Hinge, Expr] = field(default_factory=dict)
@@ -183,8 +188,8 @@ class Scope:
             self.holding_torque[j] = ca.SX.sym(f"holding_{j}")
             for quantity in (
                 self.friction, self.joint_torque, self.current_limit_reduction, self.windup,
-                self.windup_rate, self.windup_acceleration,
-                self.encoder_error, self.current_bias, self.current_scale,
+                self.windup_rate, self.windup_acceleration, self.lean, self.lean_rate,
+                self.lean_acceleration, self.encoder_error, self.current_bias, self.current_scale,
             ):  # fmt: skip
                 quantity[j] = 0
             self.torque_scale[j] = 1

@@ -32,6 +32,7 @@ import numpy as np
 from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
+from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
 from models.gap.search.candidate import SearchResult
@@ -190,7 +191,7 @@ class Acceptance:
             ("at a bound", row)
             for row in values_at_bounds(plant, parameters, point, free, self.settings)
         ]
-        full = plant.with_effects(*self.result.named)
+        full = plant_with_searched_effects(plant, self.result.named)
         written = full.with_values(written_values(full, parameters, point.values, free))
         payloads_kg = [t.meta.payload_kg for t in self.residuals.trials]
         rows += [

@@ -128,10 +128,7 @@ def set_probabilities(size: Array, gain: Array, least: Array, catalogue: int) ->
     probability = np.where(sets, 0.0, 1.0)
     if not sets.any():
         return probability
-    score = (gain - least)[sets]
-    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
-    logarithm = score / (2 * temperature) - size[sets] * np.log(max(catalogue, 1))
-    weight = np.exp(logarithm - logarithm.max())
+    weight = set_weights(size[sets], (gain - least)[sets], catalogue)
     ratio = np.maximum(gain, 1e-12)[sets] / least[sets]
     log_ratio = float(np.log(ratio).max()) / 2
     something = float(norm.cdf((log_ratio - EVEN_LOG_RATIO) / LOG_RATIO_DEVIATION))
@@ -139,6 +136,23 @@ def set_probabilities(size: Array, gain: Array, least: Array, catalogue: int) ->
     probability[sets] = something * weight / weight.sum()
     probability[~sets] *= 1 - something
     return probability
+
+
+def set_weights(size: Array, score: Array, catalogue: int) -> Array:
+    """Weight of each of some sets that are not empty, relative to the heaviest, shape (n,).
+
+    Parameters
+    ----------
+    size : ndarray of int, shape (n,)
+        Effects in each set.
+    score : ndarray, shape (n,)
+        Fall of twice the cost, less what it must reach.
+    catalogue : int
+        Effects that could be missing.
+    """
+    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
+    logarithm = score / (2 * temperature) - size * np.log(max(catalogue, 1))
+    return np.asarray(np.exp(logarithm - logarithm.max()))
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:

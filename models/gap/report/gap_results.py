@@ -31,6 +31,7 @@ from models.gap.report.gap_json import (
     WaterfallStep,
 )
 from models.gap.report.separating_motion import separating_motion
+from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
@@ -112,7 +113,7 @@ def _listed(probabilities: Mapping[str, float]) -> dict[str, float]:
 
 
 def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
-    full = found.plant.with_effects(*hypothesis.effects)
+    full = plant_with_searched_effects(found.plant, hypothesis.effects)
     values = written_values(full, found.fit_parameters, hypothesis.values, hypothesis.free)
     return HypothesisRecord(hypothesis.effects, round(hypothesis.probability, 4), values)
 

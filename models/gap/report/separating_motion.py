@@ -17,11 +17,11 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.motion import Kind, Motion
 from firmware_py.signals import PERIOD_S
+from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
-from models.gap.search.look_alikes import LookAlike
 from models.plant.plant import Plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names

@@ -61,7 +61,23 @@ class FitParameter:
 
 def plant_with_every_effect(plant: Plant) -> Plant:
     """Plant that holds every effect it can; those that it lacked at zero strength."""
-    return plant.with_effects(*candidate_effects(plant))
+    return plant_with_searched_effects(plant, candidate_effects(plant))
+
+
+def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
+    """Plant that holds effects as a search begins: those that it lacked at zero strength.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    names : sequence of str
+        Effects of the catalogue.
+    """
+    full = plant.with_effects(*names)
+    added = [EFFECTS[e].search_start for e in names if e not in plant.effects]
+    start = {n: v for own in added for n, v in own.items() if n in full.parameters}
+    return full.with_values(start)
 
 
 def candidate_effects(plant: Plant) -> list[str]:

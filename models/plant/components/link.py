@@ -187,9 +187,11 @@ class Link:
         standing = self._load_angles(scope)
         joint = {
             j: late(
-                standing[j],
-                scope.rate[j] - scope.windup_rate[j],
-                scope.states[scope.rate[j].name()].rate - scope.windup_acceleration[j],
+                standing[j] + scope.lean[j],
+                scope.rate[j] - scope.windup_rate[j] + scope.lean_rate[j],
+                scope.states[scope.rate[j].name()].rate
+                - scope.windup_acceleration[j]
+                + scope.lean_acceleration[j],
             )
             for j in scope.joints
         }

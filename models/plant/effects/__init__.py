@@ -50,6 +50,8 @@ class Effect:
         One for all joints.
     needs : tuple of str
         Features that the drive or the load must have.
+    search_start : mapping of str to float
+        Values of further parameters from which a search for the strength begins.
     """
 
     name: ClassVar[str]
@@ -57,6 +59,7 @@ class Effect:
     per_joint: ClassVar[tuple[Parameter, ...]] = ()
     shared: ClassVar[tuple[Parameter, ...]] = ()
     needs: ClassVar[tuple[Need, ...]] = ()
+    search_start: ClassVar[Mapping[str, float]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -20,7 +20,7 @@ NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
 REST_ROWS = 60
 CONSIDERED = (
     "dead_time", "current_bias", "current_scale", "viscous_friction", "creep",
-    "unmodelled_payload", "marker_frame_tilt", "current_saturation",
+    "unmodelled_payload", "marker_frame_tilt", "current_saturation", "backlash",
 )  # fmt: skip
 VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 

@@ -49,6 +49,18 @@ def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, di
     assert q.value - before == pytest.approx(4.0, rel=0.2)
 
 
+def test_play_in_the_mount_is_named_as_backlash_and_told_from_that_in_the_gear(
+    plant, hidden, diagnosed
+):
+    found = diagnosed(plant, hidden(backlash_1_rad=0.008, backlash_mount_fraction=1.0))
+    assert found.named == ("backlash",) and found.verdict == "closed"
+    known = found.improved.parameters
+    assert known["backlash_1_rad"].value == pytest.approx(0.008, rel=0.1)
+    assert known["backlash_mount_fraction"].value == pytest.approx(1.0, abs=0.2)
+    geared = diagnosed(plant, hidden(backlash_1_rad=0.008))
+    assert geared.improved.parameters["backlash_mount_fraction"].value == pytest.approx(0, abs=0.2)
+
+
 def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(plant, hidden, diagnosed):
     """Creep looks like a softer link; the fit that holds the creep leaves the link as it was."""
     found = diagnosed(plant, hidden(creep_share_1=0.4))

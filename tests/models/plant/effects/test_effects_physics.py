@@ -116,6 +116,26 @@ def test_backlash_moves_the_load_from_side_to_side(bench):
     assert sides[0] == pytest.approx(-sides[1], rel=1e-6) and sides[0] > 0.005
 
 
+def test_play_in_the_mount_moves_the_markers_alone(bench):
+    play = {"backlash_1_rad": 0.01, "backlash_mount_fraction": 1.0}
+    assert unchanged(bench, ["backlash"], play, ("angle_1_rad", "current_1_a"))
+    for side in (1.0, -1.0):
+        goal = side * HELD
+        before, after = (bench.run(["backlash"], c, goal=goal, count=700) for c in ({}, play))
+        moved = np.hypot(*(after[n][-1] - before[n][-1] for n in ("tip_x_m", "tip_z_m")))
+        reach = np.hypot(before["tip_x_m"][-1], before["tip_z_m"][-1])
+        assert moved == pytest.approx(0.005 * reach, rel=1e-3)
+        assert side * (after["tip_x_m"][-1] - before["tip_x_m"][-1]) > 0
+
+
+def test_play_in_gear_and_mount_adds_up_at_rest(bench):
+    tips = []
+    for fraction in (0.0, 0.5, 1.0):
+        play = {"backlash_1_rad": 0.01, "backlash_mount_fraction": fraction}
+        tips.append(bench.run(["backlash"], play, goal=HELD, count=700)["tip_x_m"][-1])
+    assert np.ptp(tips) < 0.1 * 0.005  # the play of the gear also bends the link
+
+
 def test_joint_elasticity_adds_its_compliance_to_the_roots(bench):
     """A link at rest: the tip sinks as with a root of 1 / (1/K + c), the encoder stays."""
     compliance = 2e-3

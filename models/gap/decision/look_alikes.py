@@ -1,0 +1,62 @@
+"""Look-alikes: effects that these trials cannot tell apart.
+
+What one turn of the search could have included instead, by the posterior: the weights of all
+candidates that were refitted in that turn, an error in the named one's own equation allowed for by
+the temperature (`models.gap.decision.posterior`). A name and its look-alikes together hold 95 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from models.gap.decision.posterior import set_weights
+from models.gap.residuals.spectrum import Array
+from models.gap.search.candidate import SearchResult
+
+CLASS_PROBABILITY: Final = 0.95
+"""Probability that a name and its look-alikes hold together (requirement)."""
+
+
+@dataclass(frozen=True)
+class LookAlike:
+    """Effects that explain the trials about as well as those included.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names.
+    separation : float
+        Their d′.
+    values : ndarray, shape (p,)
+        All fit parameters where they were fitted.
+    """
+
+    effects: tuple[str, ...]
+    separation: float
+    values: Array
+
+
+def look_alikes_of(result: SearchResult, turn: int) -> tuple[LookAlike, ...]:
+    """Candidates that might be what is missing in place of the one included in a turn.
+
+    Parameters
+    ----------
+    result : SearchResult
+        Of the effect search.
+    turn : int
+        Number of the inclusion.
+    """
+    chosen = result.chosen[turn]
+    others = [c for c in result.rounds[turn] if c.effects != chosen.effects]
+    rows = sorted([chosen, *others], key=lambda c: c.score, reverse=True)
+    size = np.array([len(c.effects) for c in rows])
+    weights = set_weights(size, np.array([c.score for c in rows]), len(result.screened))
+    before = np.cumsum(weights) - weights
+    return tuple(
+        LookAlike(c.effects, c.separation, c.point.values)
+        for c, held in zip(rows, before / weights.sum(), strict=True)
+        if c is not chosen and held < CLASS_PROBABILITY
+    )
