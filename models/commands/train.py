@@ -62,6 +62,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="compare no candidates: the bundle holds the study's polynomial",
     )  # fmt: skip
     add(
+        "--candidate", type=Path, action="append", default=[], metavar="FILE.py",
+        help="compare a candidate of one's own too; the file is run; repeatable",
+    )  # fmt: skip
+    add(
         "--phase-deg", type=float, action="append", metavar="DEG",
         help="only 2DOF trials with this lead of joint 2; repeatable (default: all)",
     )  # fmt: skip
@@ -79,6 +83,10 @@ def run(args: argparse.Namespace) -> int:
             "--askew-deg", f"is {args.askew_deg:g}, not within 0 to {LARGEST_ASKEW_DEG:g}",
             "mount the link upright, or train on trials of it as it is",
         )  # fmt: skip
+    if args.study_only and args.candidate:
+        raise InputError(
+            "--candidate", "changes nothing with --study-only", "leave out one of them"
+        )
     everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
@@ -95,9 +103,13 @@ def run(args: argparse.Namespace) -> int:
     refuse_fitted(plant.provenance, args.plant, tests)
     observer = plant.step_model(args.dof, "observer")
     from models.tip.candidates.candidate_list import CANDIDATES
+    from models.tip.candidates.own_candidate import own_candidate
     from models.tip.tip_training import train_tip
 
-    steps = STEPS + len(tests) + (0 if args.study_only else len(CANDIDATES))
+    candidates = CANDIDATES
+    for path in args.candidate:
+        candidates = (*candidates, own_candidate(path, candidates))
+    steps = STEPS + len(tests) + (0 if args.study_only else len(candidates))
     progress = Progress(f"train {args.dof}DOF", steps)
     others, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
     study = run_study(training, tests, observer, others, progress.step)
@@ -105,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.study_only:
         together = (*training, *further)
         askew_rad = math.radians(args.askew_deg)
-        tip = train_tip(together, tests, study.observer, CANDIDATES, progress.step, askew_rad)
+        tip = train_tip(together, tests, study.observer, candidates, progress.step, askew_rad)
     try:
         parity = write_bundle(args.out, study, plant, tip)
     except ParityError as error:
