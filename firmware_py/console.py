@@ -210,15 +210,19 @@ class Progress:
         self._start_s, self._tty = time.monotonic(), sys.stderr.isatty()
         self._shown_s = 0.0
 
-    def step(self, detail: str = "") -> None:
+    def step(self, detail: str = "", further: int | None = None) -> None:
         """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file.
 
         Parameters
         ----------
         detail : str
             Text at the end of the line.
+        further : int, optional
+            Steps that follow, where only the job itself finds out; sets the total.
         """
         self.done += 1
+        if further is not None:
+            self.total = self.done + further
         now_s, last = time.monotonic(), self.done >= self.total
         if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):
             return

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.experiment.experiment_page import write_experiment_page
     from models.gap.experiment.rival import rivals_of
 
-    progress = Progress("experiment", 12)
+    progress = Progress("experiment", 0)
     found = design_experiment(
         rivals_of(document.hypotheses), plant, trials, limits, args.seconds, args.payloads,
         args.seed, progress.step, document.settings,
@@ -100,8 +100,7 @@ def run(args: argparse.Namespace) -> int:
         after, repeated = _repeated(args, plant, inputs, found.design.document, hidden, progress)
         result["after"] = after
         text = f"{text}\n{repeated}"
-    progress.total = progress.done + 1
-    progress.step("done")
+    progress.step("done", 0)
     emit(args, result, text)
     return DONE
 
@@ -140,7 +139,7 @@ def _repeated(
     for old in (*own.glob("*.csv"), *own.glob("*.toml")):
         old.unlink()
     write_trial(trial, own)
-    progress.step("motion run on the rig")
+    progress.step("motion run on the rig", 2)
     inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
     every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
     _, document, page = write_diagnosis(plant, every, inputs, directory / "gap", progress.step)

@@ -45,14 +45,13 @@ def run(args: argparse.Namespace) -> int:
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
-    progress = Progress("gap", 12)
+    progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials)
     )
     found, document, page = write_diagnosis(
         plant, trials, inputs, args.out, progress.step, args.without
     )
-    progress.total = progress.done + 1
-    progress.step("done")
+    progress.step("done", 0)
     emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")
     return NEGATIVE if found.verdict == "not in the catalogue" else DONE

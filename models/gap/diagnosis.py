@@ -165,7 +165,7 @@ class Diagnosis:
 def diagnose(
     plant: Plant,
     trials: TrialSet,
-    report: ReportProgress = lambda text: None,
+    report: ReportProgress = lambda text, further: None,
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
     floor: NoiseFloor | None = None,
@@ -181,7 +181,7 @@ def diagnose(
     trials : TrialSet
         Of one number of joints.
     report : callable
-        Called with one phrase after each part of the work.
+        Called after each part of the work.
     leave_out : sequence of str
         Effects that may not be named.
     settings : GapSettings
@@ -207,7 +207,7 @@ def diagnose(
     hypotheses = posterior_of(search, result)
     decision = decide(search, result, hypotheses)
     result, accepted = decision.result, decision.accepted
-    report("tested on what was left out")
+    report("tested on what was left out", 1)
     located, remaining = (
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
         for p in (result.before, result.after)

@@ -148,3 +148,11 @@ def test_memory_that_is_not_there_is_one_sentence(dispatched, capsys):
 
     assert dispatched(large) == 2
     assert capsys.readouterr().err == "tool: echo: needs more memory than there is; give less.\n"
+
+
+def test_a_job_that_finds_its_total_as_it_goes_never_counts_beyond_it(capsys):
+    progress = console.Progress("gap", 0)
+    for further in (2, 4, 3, 2, 1, 0):
+        progress.step("part", further)
+        assert progress.total == progress.done + further
+    assert capsys.readouterr().err.splitlines()[-1].startswith("gap 6/6 ")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from models.gap.experiment.motion_twin import planned_trial
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import PairSeparation, SeparationModel
 from models.gap.report.separating_motion import MENU
+from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import TrialSet
@@ -101,7 +102,7 @@ class Experiment:
 def design_experiment(
     rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
     payloads_kg: Sequence[float] = (), seed: int = 0,
-    report: Callable[[str], None] = lambda text: None, settings: GapSettings = DEFAULT_SETTINGS,
+    report: ReportProgress = lambda text, further: None, settings: GapSettings = DEFAULT_SETTINGS,
 ) -> Experiment:  # fmt: skip
     """Design the motion that separates the hypotheses of a diagnosis best.
 
@@ -140,12 +141,12 @@ def design_experiment(
     if len(rivals) < 2:
         raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
     model = SeparationModel(plant, trials.trials, rivals, settings)
-    report("trials at hand judged")
+    report("trials at hand judged", 3)
     payloads = tuple(payloads_kg) or default_payloads_kg(trials)
     fixed = _fixed_motions(
         model, limits, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials}
     )
-    report("fixed motions tried")
+    report("fixed motions tried", 2)
     designer = MotionDesigner(model, limits, seconds, seed, report)
     design = designer.design(payloads)
     rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)

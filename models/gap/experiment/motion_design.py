@@ -11,7 +11,6 @@ what the twin does are linearised.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,6 +25,7 @@ from models.gap.estimation.curve_transfer import STUDY_REST_S
 from models.gap.experiment.motion_twin import CoefficientTwin, planned_trial
 from models.gap.experiment.separation import PairSeparation, SeparationModel
 from models.gap.residuals.spectrum import Array
+from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS
 from models.trials.trial import Trial
 
@@ -120,7 +120,7 @@ class MotionDesigner:
 
     def __init__(
         self, model: SeparationModel, limits: Limits, seconds: float, seed: int,
-        report: Callable[[str], None],
+        report: ReportProgress,
     ) -> None:  # fmt: skip
         self.model, self.limits, self.report = model, limits, report
         self.duration_s, self.dof = seconds, model.like.meta.dof
@@ -189,17 +189,20 @@ class MotionDesigner:
             That the operator can attach.
         """
         starts: list[tuple[float, int, Array, float]] = []
-        for number, x in enumerate(self._starts()):
+        tried = self._starts()
+        kept = min(KEPT_STARTS, len(tried) * len(payloads_kg))
+        for number, x in enumerate(tried, 1):
             for payload_kg in payloads_kg:
                 allowed = self._within_twin_limits(x, payload_kg)
                 pairs = self.model.separations(self.trial(allowed, payload_kg))
                 starts.append((float(self.scores(pairs).min()), -len(starts), allowed, payload_kg))
-            self.report(f"start {number + 1} tried")
+            self.report(f"start {number} tried", len(tried) - number + kept + 1)
         found = []
         for _, _, x, payload_kg in sorted(starts, key=lambda s: s[:2])[::-1][:KEPT_STARTS]:
             found.append(self._raised(x, payload_kg))
             least = min(q.separation for q in found[-1].pairs)
-            self.report(f"least d′ {least:.1f} with {payload_kg:g} kg")
+            further = kept - len(found) + 1
+            self.report(f"least d′ {least:.1f} with {payload_kg:g} kg", further)
         return max(found, key=lambda d: d.score)
 
     def _starts(self) -> list[Array]:

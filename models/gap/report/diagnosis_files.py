@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -12,13 +12,14 @@ from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_d
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
 from models.gap.report.waterfall import waterfall_steps
+from models.gap.search.effect_search import ReportProgress
 from models.plant.plant import Plant
 from models.trials.trial_files import TrialSet
 
 
 def write_diagnosis(
     plant: Plant, trials: TrialSet, inputs: DiagnosisInputs, out: Path,
-    report: Callable[[str], None], leave_out: Sequence[str] = (),
+    report: ReportProgress, leave_out: Sequence[str] = (),
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
@@ -33,7 +34,7 @@ def write_diagnosis(
     out : Path
         Directory to write.
     report : callable
-        Called with one phrase after each part of the work.
+        Called after each part of the work.
     leave_out : sequence of str
         Effects that may not be named.
 

@@ -40,8 +40,8 @@ from models.gap.search.several_starts import (
 from models.gap.search.strength_consistency import strength_consistency_of
 from models.plant.effects import EFFECTS
 
-ReportProgress = Callable[[str], None]
-"""Function that is called with one phrase after each part of the work."""
+ReportProgress = Callable[[str, int], None]
+"""Function that is called after each part of the work: a phrase, and how many follow at least."""
 
 
 class EffectSearch:
@@ -72,7 +72,7 @@ class EffectSearch:
         self,
         estimator: GaussNewton,
         catalogue: Sequence[str],
-        report: ReportProgress = lambda text: None,
+        report: ReportProgress = lambda text, further: None,
     ) -> None:
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
@@ -97,7 +97,7 @@ class EffectSearch:
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         zero = self.estimator.linearise(self.estimator.at(zero.values))
         self.estimator.linearise(before)
-        self.report("nuisance fitted")
+        self.report("nuisance fitted", 2 + self._most_refitted())
         found = SearchResult(before, before)
         flat = unexcited_effects(self.estimator, before, self.base, self.of)
         found.unexcited = self.absent + flat
@@ -149,8 +149,8 @@ class EffectSearch:
         screen = self._screen(found.after, others, found)
         if not found.named:
             found.screened = {e: c.separation for (e,), c in screen.items()}
-        best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)
-        refitted = [self._refit(c, found.after, found) for c in best[: self._most_refitted()]]
+        best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)[: self._most_refitted()]
+        refitted = [self._refit(c, found.after, found, len(best) - k) for k, c in enumerate(best)]
         found.rounds.append(sorted(refitted, key=lambda c: c.score, reverse=True))
 
     @cached_property
@@ -207,19 +207,21 @@ class EffectSearch:
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)
-        self.report(f"{len(result)} effects screened")
+        self.report(f"{len(result)} effects screened", min(len(result), self._most_refitted()) + 1)
         return result
 
     def _choices(self, found: SearchResult) -> list[str]:
         """Effects that may still be named."""
         return [e for e in self.of if e not in found.named and e not in self.excluded]
 
-    def _refit(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> Candidate:
+    def _refit(
+        self, candidate: Candidate, here: FitPoint, found: SearchResult, further: int
+    ) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""
         named, own = [*found.named, *candidate.effects], self.free(candidate.effects) & ~self.base
         fit = self.estimator, candidate.point, here, self.free(named), own
         found.explore(named, point := refitted_from_both_signs(*fit))
-        self.report(" + ".join(candidate.effects))
+        self.report(" + ".join(candidate.effects), further)
         return self._candidate(candidate.effects, point, here)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
@@ -309,8 +311,8 @@ class EffectSearch:
         if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
         own = found.named, self._choices(found), self.free
-        tried = promising_pairs(self.estimator, here, *own)
-        refitted = [self._refit(self._candidate(*row, here), here, found) for row in tried]
+        tried = [self._candidate(*r, here) for r in promising_pairs(self.estimator, here, *own)]
+        refitted = [self._refit(c, here, found, len(tried) - k) for k, c in enumerate(tried)]
         refitted.sort(key=lambda c: c.score, reverse=True)
         return self._accept(refitted, here, found)
 

@@ -173,3 +173,13 @@ def test_an_effect_that_removes_a_nuisance_bias_need_not_stand_out_beside_the_fi
     first, second = found.inclusions
     least = DEFAULT_SETTINGS.further_effect_fraction_by_port["stiffness"]
     assert second.separation < least * first.separation
+
+
+def test_progress_tells_how_many_parts_follow_at_least(plant, hidden):
+    told = []
+    others = [e for e in candidate_effects(plant) if e not in ("dead_time", "creep")]
+    diagnose(plant, hidden(), lambda text, further: told.append((text, further)), others)
+    parts = ["nuisance fitted", "2 effects screened", None, None, "tested on what was left out"]
+    assert len(told) == len(parts)
+    assert all(p is None or p == text for p, (text, _) in zip(parts, told, strict=True))
+    assert [further for _, further in told[1:]] == [3, 2, 1, 1]
