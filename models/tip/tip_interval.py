@@ -130,7 +130,7 @@ class TipInterval:
                 for k in range(4)
             ]
             quantile = np.maximum(quantile, found)
-        quantile[_STANDING, 2] = np.maximum(quantile[_STANDING, 2], quantile[_MOVING, 2])
+        quantile[_STANDING] = np.maximum(quantile[_STANDING], quantile[_MOVING])
         return cls(names, weights, quantile, (usual, largest))
 
     def half_width(self, inputs: Array) -> Array:
@@ -255,9 +255,9 @@ def _kinds(names: Sequence[str], inputs: Array, usual: float) -> NDArray[np.intp
 
 
 _STANDING: Final = [0, 2]
-"""Classes of joints that stand: few rows in a trial, one rest or glide alone. The link rests along
-z there, where a turn of the tip hardly changes z; their q for z is no less than that of `_MOVING`,
-since a link may also be held where it leans."""
+"""Classes of joints that stand. Training has few rows of them, mostly of a link at rest that hardly
+bends; where a link swings while the joints stand a wrong plant errs as it does in motion. Their q
+is therefore no less than that of `_MOVING`."""
 _MOVING: Final = [1, 3]
 """Classes of joints that move, in the same order."""
 
