@@ -21,6 +21,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -293,11 +294,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     for system in chosen:
         if not any((args.data / system.folder).glob(system.pattern)):
             parser.error(f"{args.data / system.folder} holds no {system.pattern}")
-    progress = Progress("real", 50)
-    result = {
-        system.name: run_system(system, args.data, args.out / system.name, progress.step)
-        for system in chosen
-    }
+    progress, result = Progress("real", 0), {}
+    for left, system in zip(reversed(range(len(chosen))), chosen, strict=True):
+        step = partial(progress.step, further=left + 1)
+        result[system.name] = run_system(system, args.data, args.out / system.name, step)
+    progress.step("judged", 0)
     data = {"systems": result, "verdicts": real_data_verdicts(result)}
     (args.out / "real.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     page = write_real_page(data, args.out)

@@ -148,8 +148,29 @@ def beyond_limits(
         not consistent.
     """
     beyond = 2 * candidate.gain - max(left, 1.0) * candidate.least**2
-    missed = sum((c.missed_fraction(settings) * c.separation) ** 2 for c in found.chosen)
+    missed = _missed_by_earlier(found, settings)
     linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
     doubt = settings.inconsistent_further_effect_fraction
     doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
     return beyond, beyond - missed, beyond - doubted
+
+
+def may_pass(candidate: Candidate, found: SearchResult, settings: GapSettings) -> bool:
+    """Whether a further candidate may pass its limits after its refit.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        As screened.
+    found : SearchResult
+        What was included before.
+    settings : GapSettings
+        Tuned numbers.
+    """
+    reach = settings.refit_growth * 2 * max(candidate.gain, candidate.predicted)
+    return reach > candidate.least_on_same_link**2 + _missed_by_earlier(found, settings)
+
+
+def _missed_by_earlier(found: SearchResult, settings: GapSettings) -> float:
+    """Squared d′ that the equations which were included before may miss."""
+    return sum((c.missed_fraction(settings) * c.separation) ** 2 for c in found.chosen)

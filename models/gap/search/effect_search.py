@@ -5,11 +5,11 @@ One round of the search, repeated after each inclusion with everything tried aga
 1. Screen: from the present fit, and from the plant as given, one step of all free fit parameters
    together with those of a candidate, its cost measured by simulation. Effects with a dead zone are
    tried at several strengths (`models.gap.search.dead_zone_effects`).
-2. Refit the best from several starts; the cost never rises above that without the candidate.
+2. Refit the best from several starts, of further ones those that may pass.
 3. Include the best where its gain exceeds what it shows without a gap
-   (`models.gap.search.null_distribution`), on a link that changed as much as the fit with it says,
-   and its gain on payloads left out in turn exceeds twice the losses. A further effect must also
-   stand out beside the error of the equations before it. Where none does, pairs are tried.
+   (`models.gap.search.null_distribution`), on a link that changed as the fit with it says, and its
+   gain on payloads left out exceeds twice the losses. A further effect must also stand out beside
+   the error of the equations before it. Where none does, pairs are tried.
 4. Delete effects included before that are no longer needed.
 """
 
@@ -27,7 +27,7 @@ from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import bounded_candidate
-from models.gap.search.candidate import Candidate, SearchResult, beyond_limits
+from models.gap.search.candidate import Candidate, SearchResult, beyond_limits, may_pass
 from models.gap.search.cross_validation import held_out_gain
 from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcited_effects
 from models.gap.search.effect_pairs import promising_pairs
@@ -69,11 +69,9 @@ class EffectSearch:
     """
 
     def __init__(
-        self,
-        estimator: GaussNewton,
-        catalogue: Sequence[str],
+        self, estimator: GaussNewton, catalogue: Sequence[str],
         report: ReportProgress = lambda text, further: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
         self.unchanged_null = null_distribution_of(estimator.residuals.plant, self.settings)
@@ -150,6 +148,9 @@ class EffectSearch:
         if not found.named:
             found.screened = {e: c.separation for (e,), c in screen.items()}
         best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)[: self._most_refitted()]
+        if found.named and self.learned and not self.nuisance_bias(found.after):
+            best = [c for c in best if may_pass(c, found, self.settings)]
+        self.report(f"{len(screen)} effects screened", len(best) + 1)
         refitted = [self._refit(c, found.after, found, len(best) - k) for k, c in enumerate(best)]
         found.rounds.append(sorted(refitted, key=lambda c: c.score, reverse=True))
 
@@ -207,7 +208,6 @@ class EffectSearch:
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)
-        self.report(f"{len(result)} effects screened", min(len(result), self._most_refitted()) + 1)
         return result
 
     def _choices(self, found: SearchResult) -> list[str]:
@@ -313,8 +313,7 @@ class EffectSearch:
         own = found.named, self._choices(found), self.free
         tried = [self._candidate(*r, here) for r in promising_pairs(self.estimator, here, *own)]
         refitted = [self._refit(c, here, found, len(tried) - k) for k, c in enumerate(tried)]
-        refitted.sort(key=lambda c: c.score, reverse=True)
-        return self._accept(refitted, here, found)
+        return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), here, found)
 
     def _widen(self, point: FitPoint) -> None:
         """Allow for a fraction of the gap that is left, and for the change of the link."""

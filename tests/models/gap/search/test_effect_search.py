@@ -7,10 +7,12 @@ import pytest
 
 from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.diagnosis import diagnose
+from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.report.gap_results import errors_in_floors, gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.residuals import rows_that_follow
+from models.gap.search.candidate import Candidate, SearchResult, may_pass
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import read_plant
@@ -183,3 +185,18 @@ def test_progress_tells_how_many_parts_follow_at_least(plant, hidden):
     assert len(told) == len(parts)
     assert all(p is None or p == text for p, (text, _) in zip(parts, told, strict=True))
     assert [further for _, further in told[1:]] == [3, 2, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("separation", "predicted", "refitted"),
+    [(12.0, 0.0, True), (8.0, 0.0, False), (8.0, 12.0, True), (40.0, 40.0, True)],
+)
+def test_a_further_candidate_is_refitted_where_it_may_pass_its_limits(
+    separation, predicted, refitted
+):
+    """Least d′ 4.5, and 10 % of the first one's 100: together 11."""
+    point = FitPoint(np.zeros(1), 0.0, [])
+    first = Candidate(("coulomb_friction",), point, 100.0**2 / 2, 4.5, 4.5)
+    found = SearchResult(point, point, named=["coulomb_friction"], chosen=[first])
+    further = Candidate(("dead_time",), point, separation**2 / 2, 4.5, 4.5, predicted**2 / 2)
+    assert may_pass(further, found, DEFAULT_SETTINGS) is refitted
