@@ -309,9 +309,10 @@ $(PLANS)/plans.html: $(PLAN_RUNS)
 build/plans/plans.json: $(PLANS)/plans.html
 	$(BIN)/python -m hil plans $(@D) --json > $@
 
-# Speeds, rigs that differ from the plant, learning, moves from rest to rest, a text. No plain pattern: it
+# Speeds, rigs that differ from the plant, with a probing motion too, learning, moves from rest to rest, a text. No plain pattern: it
 # would match the plans of other rigs below, too.
-build/bench_plans/speeds.json build/bench_plans/robust.json build/bench_plans/learning.json build/bench_plans/moves.json build/bench_plans/text.json: \
+build/bench_plans/speeds.json build/bench_plans/robust.json build/bench_plans/probed.json \
+  build/bench_plans/learning.json build/bench_plans/moves.json build/bench_plans/text.json: \
   build/bench_plans/%.json: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu
 	$(call run,python -m bench.plans $* --build build --out $(@D))
 

@@ -4,8 +4,9 @@ The same class runs on the robot, against an emulated servo and in simulated tim
 clock differ.
 
 - Slot k starts at the absolute time `start + k * period`. The motion begins with slot 0; in the
-  slots below it the arm approaches its first goal. After a tick that ends late the slots that have
-  begun are skipped: the phase is kept, and no two ticks run in one slot.
+  slots below it the arm approaches its first goal, and probes its link where a plan says so. After
+  a tick that ends late the slots that have begun are skipped: the phase is kept, and no two ticks
+  run in one slot.
 - The remaining time of the tick bounds every wait for the bus.
 - A tick allocates no net memory and touches no disk; the garbage collector is disabled
   (`firmware_py.realtime.clock.real_time`).
@@ -218,8 +219,8 @@ class ControlLoop:
         clock, period_ns = self._clock, self._period_ns
         self._log.start()
         if self._start_ns is None:
-            approach_ns = self._supervisor.approach(self._goals.at(0)) * period_ns
-            self._start_ns = clock.now_ns() + approach_ns + _START_DELAY_NS
+            slots_before = self._supervisor.approach(self._goals.at(0)) + self._goals.lead
+            self._start_ns = clock.now_ns() + slots_before * period_ns + _START_DELAY_NS
         else:
             self._supervisor.resume()
         start_ns = self._start_ns

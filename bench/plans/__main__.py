@@ -5,13 +5,14 @@
 `speeds`: circle and figure eight of 0.5 m, the study's 30°, in 8 and 4 s, with feedback: rigid
 kinematics, payload known, and payload estimated in the second run. `robust`: rigs with a fifth more
 stiffness or damping than the plant believes, payload known and estimated, open loop and with
-feedback, in the second run where the robot learns within it. `learning`: five runs with motion
-capture on these rigs, 1.8 kg, open loop; then three runs on draws of the rig that learning did not
-see. `moves`: 25° with 2 kg, from rest to rest: as fast as the limits permit with a rigid link, ZVD
-shaping, the shortest inverted move. `text`: HELLO in 40 s with 1 kg and feedback; draws it to
-OUT/text.svg. `other_rig`: `--rig NAME` behind plans from `--plant FILE`, identified on trials of
-it, open loop, payload known: at once, and after one run, from which shape and timing of the goals
-were learned.
+feedback, in the second run where the robot learns within it. `probed`: the same with feedback and a
+probing motion before the first run, and on the rig that the plant was identified on. `learning`:
+five runs with motion capture on these rigs, 1.8 kg, open loop; then three runs on draws of the rig
+that learning did not see. `moves`: 25° with 2 kg, from rest to rest: as fast as the limits permit
+with a rigid link, ZVD shaping, the shortest inverted move. `text`: HELLO in 40 s with 1 kg and
+feedback; draws it to OUT/text.svg. `other_rig`: `--rig NAME` behind plans from `--plant FILE`,
+identified on trials of it, open loop, payload known: at once, and after one run, from which shape
+and timing of the goals were learned.
 """
 
 from __future__ import annotations
@@ -85,13 +86,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _plan(
     build: Path, dof: int, name: str, options: PathOptions, method: Method = "inverse",
     payloads_kg: Sequence[float] = PAYLOADS_KG, *, fastest: bool = False, feedback: bool = False,
-    plant: Plant | None = None, limits: Limits = LIMITS,
+    plant: Plant | None = None, limits: Limits = LIMITS, probe: bool = False,
 ) -> TipPlan:  # fmt: skip
     files = read_bundle_files(_bundle(build, dof))
     period_s = files.manifest.period_s
     request = PlanRequest(
         plant or _plant(build), dof, period_s, limits, payloads_kg, files.manifest_sha256, method,
-        feedback,
+        feedback, probe,
     )  # fmt: skip
     if fastest:
         move_s = shortest_move_s(
@@ -235,6 +236,44 @@ def robust(build: Path) -> dict[str, Any]:
     return {"cases": cases} | times
 
 
+def probed(build: Path) -> dict[str, Any]:
+    """RMS errors of plans with a probing motion, on rigs as the plant and others; least ratios.
+
+    Parameters
+    ----------
+    build : Path
+        Directory with plant and bundles.
+    """
+    cases: list[dict[str, Any]] = []
+    progress = Progress("bench.plans probed", 6)
+    for dof, (name, options) in PATHS.items():
+        bundle = _bundle(build, dof)
+        inverse = _plan(build, dof, name, options, feedback=True, probe=True)
+        rigid = _plan(build, dof, name, options, "rigid")
+        for what in ("nothing", "stiffness", "damping"):
+            with tempfile.TemporaryDirectory() as scratch:
+                rig = "default" if what == "nothing" else str(larger_rig(what, Path(scratch)))
+                for kg in RUN_KG:
+                    own = {"rigid": run_on_rig(rigid, bundle, kg, rig=rig).rms_m}
+                    for kind, known in (("known", True), ("unknown", False)):
+                        own[kind] = run_on_rig(
+                            inverse, bundle, kg, rig=rig, runs=2, known=known
+                        ).rms_m
+                    cases.append({"dof": dof, "more": what, "payload_kg": kg, **own})
+            progress.step(f"{dof}DOF, {what}")
+    times = {
+        f"{kind}_times_{n}dof{'_same' if same else ''}": min(
+            c["rigid"] / c[kind]
+            for c in cases
+            if c["dof"] == n and (c["more"] == "nothing") is same
+        )
+        for kind in ("known", "unknown")
+        for n in PATHS
+        for same in (False, True)
+    }
+    return {"cases": cases} | times
+
+
 def text(build: Path, picture: Path) -> dict[str, Any]:
     """RMS error of a text that is written, and its picture.
 
@@ -289,8 +328,8 @@ def other_rig(build: Path, rig: str, plant: Plant) -> dict[str, Any]:
 
 
 PARTS: Final[dict[str, Callable[..., dict[str, Any]]]] = {
-    "speeds": speeds, "robust": robust, "learning": learning, "moves": moves, "text": text,
-    "other_rig": other_rig,
+    "speeds": speeds, "robust": robust, "probed": probed, "learning": learning, "moves": moves,
+    "text": text, "other_rig": other_rig,
 }  # fmt: skip
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
-from firmware_py.log.logged_run import logged_run
+from firmware_py.log.logged_run import LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.signals import DI, PAYLOAD, tip_names
 
@@ -126,13 +127,27 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     hold = SampleHold(bundle.estimator)
     hold.reset()
     fresh = columns.get("stale_ticks", np.zeros(len(replayed))) == 0
+    slot = columns.get("tick", np.zeros(len(replayed)))
+    told = int(np.argmax(slot >= 0)) if facts.probed else -1
     for k, (angle, current) in enumerate(zip(angle_rad, current_a, strict=True)):
         estimate = hold.update(angle, current, float(step_s[k]), bool(fresh[k]))
         tip_m = bundle.predictor.predict(
             angle, current, estimate.di, estimate.signals, hold.age_s
         ).tip_m
         replayed[k] = (estimate.di, estimate.payload_kg, *tip_m)
+        if k == told and slot[k] >= 0:
+            bundle.assume_payload(_told_payload_kg(facts, columns["payload_kg"][k + 1 :]))
     difference = np.abs(replayed - recorded)
     difference[np.isnan(replayed) & np.isnan(recorded)] = 0.0
     difference[np.isnan(difference)] = np.inf
     return dict(zip(_COMPARED, difference.max(axis=0).tolist(), strict=True))
+
+
+def _told_payload_kg(facts: LoggedRun, later_kg: NDArray[np.float64]) -> float | None:
+    """Payload that the observer was told after a probing motion; None where it was to estimate it.
+
+    What it was told it repeats in every later tick; an estimate changes.
+    """
+    if facts.assumed_payload_kg is not None or not len(later_kg):
+        return facts.assumed_payload_kg
+    return float(later_kg[0]) if np.all(later_kg == later_kg[0]) else None

@@ -246,7 +246,7 @@ def _telemetry(
     address = (live.host, live.port) if args.live else None
     metadata = log_metadata(config, bundle, started, settings)
     if plan is not None:
-        metadata |= log_facts(plan)
+        metadata |= log_facts(plan, config)
     if args.goals is not None:
         metadata |= outside_facts()
     with recording(

@@ -29,6 +29,8 @@ class GoalSource(Protocol):
         Number of joints.
     slots : int
         Slots after which the goals repeat.
+    lead : int
+        Slots before slot 0 in which the goals move already: those of a probing motion.
     trouble : str
         Why the robot must stop; empty as long as the source can be trusted.
     ended : str
@@ -53,6 +55,11 @@ class GoalSource(Protocol):
     @property
     def slots(self) -> int:
         """Slots after which the goals repeat."""
+        ...
+
+    @property
+    def lead(self) -> int:
+        """Slots before slot 0 in which the goals move already."""
         ...
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
@@ -92,6 +99,7 @@ class OwnGoals:
     """Base of sources that nothing outside of the robot can disturb."""
 
     trouble = ended = ""
+    lead = 0
 
     def report(self, tick: Tick, reason: str) -> None:
         """Do nothing."""

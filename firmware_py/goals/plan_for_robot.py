@@ -56,7 +56,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
             "bundle does not tell", "give payload_kg, or use a bundle with the observer",
         )  # fmt: skip
     check_plan_goals(plan, config.limits_in_force, where)
-    return PlanGoals(plan, config.payload_kg)
+    return PlanGoals(plan, config.payload_kg, probes=config.feedback.use)
 
 
 def feedback_of_plan(
@@ -89,7 +89,7 @@ def feedback_of_plan(
             "tell when it is wrong: it has no innovation of the currents",
             "use a bundle with the observer, or run the plan with --open-loop",
         )  # fmt: skip
-    return TipFeedback(plan, goals, config.feedback, places)
+    return TipFeedback(plan, goals, config.feedback, places, bundle.assume_payload)
 
 
 def innovation_places(told: Sequence[str], dof: int) -> list[int]:
@@ -106,15 +106,18 @@ def innovation_places(told: Sequence[str], dof: int) -> list[int]:
     return [told.index(name) for name in names if name in told]
 
 
-def log_facts(plan: TipPlan) -> dict[str, str]:
+def log_facts(plan: TipPlan, config: RobotConfig) -> dict[str, str]:
     """Return what the log of a run of a plan holds in place of the configured motion.
 
     Parameters
     ----------
     plan : TipPlan
         The plan.
+    config : RobotConfig
+        Configuration of the run.
     """
-    return {
+    probed = {"probed": "true"} if plan.probe is not None and config.feedback.use else {}
+    return probed | {
         "motion": msgspec.json.encode(plan.conditions()).decode(),
         "rest_samples": str(round(plan.rest_s / plan.period_s)),
     }

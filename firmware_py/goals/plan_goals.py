@@ -34,11 +34,15 @@ class PlanGoals(OwnGoals):
         The plan.
     payload_kg : float or None
         Payload where it is known; None follows the estimate, from the middle of the grid.
+    probes : bool
+        Whether the probing motion of the plan, where it has one, precedes slot 0.
 
     Attributes
     ----------
     dof, slots : int
         Joints and rows of the plan.
+    lead : int
+        Rows of its probing motion.
     payload_kg : float
         Payload of the goals of this tick; beyond the grid its nearest end.
     known : bool
@@ -50,9 +54,15 @@ class PlanGoals(OwnGoals):
         If the known payload lies outside of the grid.
     """
 
-    def __init__(self, plan: TipPlan, payload_kg: float | None = None) -> None:
+    def __init__(
+        self, plan: TipPlan, payload_kg: float | None = None, *, probes: bool = True
+    ) -> None:
         self._goals, self._grid = plan.goals_rad(), plan.grid_kg.tolist()
         self.slots, self.dof = self._goals.shape[1:]
+        self._probe = np.zeros((0, self.dof))
+        if probes and plan.probe is not None:
+            self._probe = np.transpose(plan.probe.goals_rad)
+        self.lead = len(self._probe)
         low, high = self._grid[0], self._grid[-1]
         if payload_kg is not None and not low <= payload_kg <= high:
             raise InputError(
@@ -85,8 +95,10 @@ class PlanGoals(OwnGoals):
         Parameters
         ----------
         slot : int
-            Number of the slot; before the first the goals wait at the start.
+            Number of the slot; before the first the goals probe the link or wait at the start.
         """
+        if -self.lead <= slot < 0:
+            return np.asarray(self.between(self._goals, 0) + self._probe[slot])
         return self.between(self._goals, max(slot, 0) % self.slots)
 
     def between(self, tables: Array, row: int) -> Array:
@@ -103,15 +115,17 @@ class PlanGoals(OwnGoals):
         below = tables[k, row]
         return np.asarray(below + part * (tables[k + 1, row] - below) if part else below)
 
-    def along(self, tables: Array) -> Array:
-        """Interpolate whole tables for the payload of this tick, shape (n, dof).
+    def along(self, tables: Array, payload_kg: float | None = None) -> Array:
+        """Interpolate whole tables for a payload, shape (n, dof).
 
         Parameters
         ----------
         tables : ndarray, shape (p, n, dof)
             One table per payload.
+        payload_kg : float, optional
+            Beyond the grid its nearest end counts; by default that of this tick.
         """
-        k, part = self._place()
+        k, part = self._place(payload_kg)
         return np.asarray(tables[k] + part * (tables[k + 1] - tables[k]) if part else tables[k])
 
     def blend(self, values: Array) -> Array:
@@ -125,14 +139,15 @@ class PlanGoals(OwnGoals):
         k, part = self._place()
         return np.asarray(values[k] + part * (values[k + 1] - values[k]) if part else values[k])
 
-    def _place(self) -> tuple[int, float]:
+    def _place(self, payload_kg: float | None = None) -> tuple[int, float]:
         """Interval of the grid that the payload lies in, and where in it."""
         grid, k = self._grid, 0
         if len(grid) == 1:
             return 0, 0.0
-        while k < len(grid) - 2 and self.payload_kg > grid[k + 1]:
+        at_kg = self.payload_kg if payload_kg is None else min(max(payload_kg, grid[0]), grid[-1])
+        while k < len(grid) - 2 and at_kg > grid[k + 1]:
             k += 1
-        return k, (self.payload_kg - grid[k]) / (grid[k + 1] - grid[k])
+        return k, (at_kg - grid[k]) / (grid[k + 1] - grid[k])
 
 
 def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
@@ -154,7 +169,9 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
     """
     goals, step_s = plan.goals_rad(), plan.period_s
     limits = _beside_corrections(plan, limits)
-    for own, table in zip(plan.payloads, goals, strict=True):
+    probe = np.zeros((0, plan.dof)) if plan.probe is None else np.transpose(plan.probe.goals_rad)
+    tables = list(zip((f"{own.payload_kg:g} kg" for own in plan.payloads), goals, strict=True))
+    for whose, table in [("probing motion", goals[0, 0] + probe)] * bool(len(probe)) + tables:
         before, velocity = table[0], np.zeros(plan.dof)
         for row, goal in enumerate(table):
             violation = limits.goal_violation(
@@ -162,9 +179,8 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
             )
             if violation:
                 raise InputError(
-                    where, f"row {row} ({row * step_s:.2f} s), {own.payload_kg:g} kg: {violation}",
-                    _REMEDY,
-                )  # fmt: skip
+                    where, f"row {row} ({row * step_s:.2f} s), {whose}: {violation}", _REMEDY
+                )
             before, velocity = goal, (goal - before) / step_s
     _check_change_of_payload(plan, goals, limits, where)
 

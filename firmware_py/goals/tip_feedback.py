@@ -5,13 +5,14 @@ correction is its integral, so its bounds of size and rate are at the integrator
 winds up behind them. Filters for the payloads of the plan run side by side, and their rates are
 interpolated like the goals. Where the payload is known, the stiffness of the link is estimated as
 well (`firmware_py.goals.stiffness_estimate`): goals and the estimated tip take it over at the start
-of each run of the plan, where the arm rests.
+of each run of the plan, where the arm rests. A probing motion before the first run
+(`firmware_py.goals.probe_estimate`) tells stiffness and payload; where it is certain, both stay.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from firmware_py.goals.feedback_design import RateFilter, StiffnessSlopes
 from firmware_py.goals.plan_goals import PlanGoals
+from firmware_py.goals.probe_estimate import ProbeEstimate, ProbeFinding
 from firmware_py.goals.stiffness_estimate import StiffnessEstimate
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.estimator import Estimate
@@ -120,13 +122,19 @@ class TipFeedback:
         What follows when the estimate is not trusted.
     innovations : sequence of int
         Places of the innovations of the currents among the signals of an estimate.
+    tell : callable, optional
+        Called after a probing motion, with the payload that the observer is to assume from now on,
+        or None where it is to estimate it afresh.
 
     Attributes
     ----------
     value_rad : ndarray, shape (dof,)
         Correction of the latest tick.
+    found : ProbeFinding or None
+        What the probing motion told.
     stiffness : float
-        Relative stiffness of this run of the plan: what the runs before it told. Measured on the
+        Relative stiffness of this run of the plan: what the probing motion told, else the runs
+        before it. Measured on the
         rig, 1.8 kg: within the first run the current of the first moves tells it wrong by 0.1, and
         following that makes 3.1 mm of an error of 1.9 mm.
 
@@ -137,8 +145,9 @@ class TipFeedback:
     """
 
     def __init__(
-        self, plan: TipPlan, goals: PlanGoals, options: TrustOptions, innovations: list[int]
-    ) -> None:
+        self, plan: TipPlan, goals: PlanGoals, options: TrustOptions, innovations: list[int],
+        tell: Callable[[float | None], None] = lambda payload_kg: None,
+    ) -> None:  # fmt: skip
         if plan.feedback is None:
             raise ValueError("the plan has no feedback")
         design, self._goals, self._innovations = plan.feedback, goals, innovations
@@ -149,16 +158,18 @@ class TipFeedback:
         filters = [f for own in design.filters for f in own]
         self._a, self._b, self._c, self._d = _side_by_side(filters, plan.dof)
         self._x = np.zeros(len(self._a))
-        slopes = [own.stiffness for own in plan.payloads]
-        known = [s for s in slopes if s is not None] if goals.known else []
+        self._tables = _tables(plan)
         # With a known payload the tables are interpolated once, not in every tick.
         self._slopes: dict[str, Array] | None = None
-        if len(known) == len(slopes):
-            current = np.array([np.transpose(own.current_a) for own in plan.payloads])
-            self._slopes = {n: goals.along(table) for n, table in _tables(known).items()}
-            self._slopes["planned_a"] = goals.along(current)
+        if goals.known and self._tables:
+            self._slopes = {n: goals.along(table) for n, table in self._tables.items()}
         self._estimate = StiffnessEstimate(plan.dof)
-        self.stiffness = 0.0
+        self.stiffness, self._tell = 0.0, tell
+        self.found: ProbeFinding | None = None
+        self._known_kg = goals.payload_kg if goals.known else None
+        self._probing: ProbeEstimate | None = None
+        if plan.probe is not None and goals.lead and self._tables:
+            self._probing = ProbeEstimate(plan.probe, self._known_kg)
         self._integral = np.zeros(plan.dof)
         self.value_rad = np.zeros(plan.dof)
         self._trust = EstimateTrust(options, plan.period_s)
@@ -185,13 +196,20 @@ class TipFeedback:
         prediction: Prediction,
     ) -> Array:  # fmt: skip
         """Return the correction of a tick; see `Correction.update`."""
+        if self._probing is not None:
+            # The observer is misled by a link that is not its own: it is asked again afterwards.
+            if slot < 0:
+                self._probing.take(slot + self._probing.rows, fresh, current_a)
+            else:
+                self._conclude(self._probing.found())
+            return self.value_rad
         trust = self._trust
         doubt = self._doubt(fresh, estimate, prediction)
         trust.update(doubt, step_s)
         if slot < 0:
             return self.value_rad
         row = slot % self._rows
-        if row == 0:
+        if row == 0 and self.found is None:
             self.stiffness = self._estimate.value
         if trust.state is TrustState.TRUSTED and not doubt:
             self._follow(row, step_s, current_a, prediction.tip_m)
@@ -205,6 +223,17 @@ class TipFeedback:
         step = _within(wanted - self.value_rad, self._rate_rad_s * step_s)
         self.value_rad = self.value_rad + step
         return self.value_rad
+
+    def _conclude(self, found: ProbeFinding | None) -> None:
+        """Take over what the probing motion told, where it is certain."""
+        self._probing, payload_kg = None, self._known_kg
+        if found is not None and found.certain:
+            self.found, self.stiffness = found, found.stiffness
+            if payload_kg is None:
+                payload_kg = found.payload_kg
+                along = self._goals.along
+                self._slopes = {n: along(table, payload_kg) for n, table in self._tables.items()}
+        self._tell(payload_kg)
 
     def _doubt(self, fresh: bool, estimate: Estimate, prediction: Prediction) -> str:
         if not fresh:
@@ -235,13 +264,14 @@ class TipFeedback:
         slopes, dof = self._slopes, self._dof
         error = self._desired_m[row] - tip_m[:dof]
         if slopes is not None:
-            unmatched = slopes["unmatched_a"][row]
-            moved = slopes["current_a"][row] - unmatched
-            excess = current_a - slopes["planned_a"][row] - self.stiffness * moved
-            self._estimate.update(
-                excess.tolist(), unmatched.tolist(), slopes["friction_a"][row].tolist(),
-                slopes["weight"][row].tolist(),
-            )  # fmt: skip
+            if self.found is None:
+                unmatched = slopes["unmatched_a"][row]
+                moved = slopes["current_a"][row] - unmatched
+                excess = current_a - slopes["planned_a"][row] - self.stiffness * moved
+                self._estimate.update(
+                    excess.tolist(), unmatched.tolist(), slopes["friction_a"][row].tolist(),
+                    slopes["weight"][row].tolist(),
+                )  # fmt: skip
             error -= self.stiffness * slopes["unseen_m"][row]
         rates = self._c @ self._x + self._d @ error
         self._x = self._a @ self._x + self._b @ error
@@ -273,9 +303,14 @@ def _within(values: Array, most: float) -> Array:
     return np.minimum(np.maximum(values, -most), most)
 
 
-def _tables(slopes: list[StiffnessSlopes]) -> dict[str, Array]:
-    """Columns by name, shape (payloads, rows, dof)."""
-    return {
+def _tables(plan: TipPlan) -> dict[str, Array]:
+    """Slopes and currents by name, shape (payloads, rows, dof); empty where the plan has none."""
+    slopes = [own.stiffness for own in plan.payloads]
+    if None in slopes:
+        return {}
+    tables = {
         name: np.array([np.transpose(getattr(own, name)) for own in slopes])
         for name in StiffnessSlopes.__struct_fields__
     }
+    currents = [np.transpose(own.current_a) for own in plan.payloads]
+    return tables | {"planned_a": np.array(currents)}

@@ -20,6 +20,7 @@ from firmware_py.goals.feedback_design import (
     StiffnessSlopes,
     wrong_in_feedback,
 )
+from firmware_py.goals.probe_design import ProbeDesign, wrong_in_probe
 
 __all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "as_columns", "read_tip_plan"]
 
@@ -158,6 +159,8 @@ class TipPlan(Document, frozen=True):
         the rest that follows.
     feedback : FeedbackDesign or None
         Feedback of the estimated tip.
+    probe : ProbeDesign or None
+        Motion before the first run that tells stiffness and payload; it needs feedback.
     """
 
     VERSION: ClassVar[int] = 1
@@ -182,6 +185,7 @@ class TipPlan(Document, frozen=True):
     best: tuple[BestRun, ...] = ()
     moves: tuple[tuple[int, int, int], ...] = ()
     feedback: FeedbackDesign | None = None
+    probe: ProbeDesign | None = None
 
     @property
     def name(self) -> str:
@@ -286,7 +290,13 @@ def _wrong_in(plan: TipPlan) -> str:
             if not np.isfinite(columns).all():
                 return f"has a value in {name} that is not finite"
     slopes = tuple(own.stiffness for own in plan.payloads)
-    return _wrong_in_learning(plan) or wrong_in_feedback(plan.feedback, slopes, plan.dof, plan.rows)
+    if plan.probe is not None and (plan.feedback is None or None in slopes):
+        return "has a probe without feedback"
+    return (
+        _wrong_in_learning(plan)
+        or wrong_in_feedback(plan.feedback, slopes, plan.dof, plan.rows)
+        or wrong_in_probe(plan.probe, plan.dof)
+    )
 
 
 def _wrong_in_learning(plan: TipPlan) -> str:

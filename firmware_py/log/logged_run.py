@@ -57,12 +57,15 @@ class LoggedRun(msgspec.Struct, frozen=True):
         Mass that robot.toml gave to the estimator.
     motion : LoggedMotion
         What ran.
+    probed : bool
+        Whether a probing motion preceded it, after which the observer was told the payload.
     """
 
     period_s: float | None
     payload_kg: float | None
     assumed_payload_kg: float | None
     motion: LoggedMotion
+    probed: bool = False
 
 
 def logged_run(log: Recording) -> LoggedRun:
@@ -88,7 +91,8 @@ def logged_run(log: Recording) -> LoggedRun:
         motion = _decoded(log, "motion", "{}", LoggedMotion)
     if motion.design is not None:
         check_motion_document(motion.design, log.path)
-    return LoggedRun(period_s, payload_kg, config.payload_kg, motion)
+    probed = _decoded(log, "probed", "false", bool)
+    return LoggedRun(period_s, payload_kg, config.payload_kg, motion, probed)
 
 
 def _decoded(log: Recording, key: str, absent: str, kind: type[T]) -> T:

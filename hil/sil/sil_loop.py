@@ -101,9 +101,10 @@ def build_sil_loop(
     if plan is not None:
         goals = planned = goals_of_plan(plan, config, options.bundle)
         correction = feedback_of_plan(plan, planned, config, options.bundle)
+    lead = goals.lead if goals is not None else 0
     return build_loop(
         config, options.bundle, bus, clock, goals=goals, correction=correction, slots=slots,
-        telemetry=telemetry, counters=counters, keep=slots + _STOP_TICKS,
+        telemetry=telemetry, counters=counters, keep=lead + slots + _STOP_TICKS,
     )  # fmt: skip
 
 
@@ -124,7 +125,7 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
         "source": "sil",
     }
     if options.plan is not None:
-        metadata |= log_facts(options.plan)
+        metadata |= log_facts(options.plan, config)
     if options.goals is not None:
         metadata |= outside_facts()
     path = options.out / LOG_NAME

@@ -21,6 +21,7 @@ from firmware_py.console import DONE, Progress, emit
 from firmware_py.display_units import ANGLE, CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
+from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_limits import limits_of_link
@@ -72,6 +73,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="duration of a move of point_to_point (a quarter of --seconds)")  # fmt: skip
     add("--fastest", action="store_true", help="shortest move that keeps the limits")
     add("--open-loop", action="store_true", help="leave the feedback of the estimated tip out")
+    add("--probe", action="store_true", help="begin the first run with a short motion whose "
+        "currents tell the link's stiffness and payload")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,11 +96,13 @@ def run(args: argparse.Namespace) -> int:
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
     feedback = not (args.open_loop or path.moves)
-    steps = 1 + feedback + len(payloads) if method == "inverse" else 1
+    if args.probe and (not feedback or method != "inverse"):
+        raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
+    steps = 1 + feedback + args.probe + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
     request = PlanRequest(
         plant, manifest.dof, manifest.period_s, limits, payloads,
-        files.manifest_sha256, method, feedback,
+        files.manifest_sha256, method, feedback, args.probe,
     )  # fmt: skip
     if args.fastest:
         seconds = shortest_move_s(
@@ -244,7 +249,23 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
         )
     elif plan.method == "inverse":
         lines.append("no feedback of the tip")
+    if plan.probe is not None:
+        lines.append(_probe_in_words(plan, plan.probe))
     if plan.plant_error_rms_m is None:
         lines.append("the plant does not tell its own error: expected is what the inversion leaves")
     lines.append(f"see {picture}")
     return "\n".join(lines)
+
+
+def _probe_in_words(plan: TipPlan, probe: ProbeDesign) -> str:
+    from models.plan.feedback.probe_motion import expected_deviation
+
+    most = {
+        known: max(expected_deviation(probe, float(kg), known=known) for kg in plan.grid_kg)
+        for known in (True, False)
+    }
+    return (
+        f"a probing motion of {TIME.text(probe.rows * plan.period_s, 1)} before the first run "
+        f"tells the stiffness to ± {most[True]:.0%} where the payload is known, ± "
+        f"{most[False]:.0%} where it is not"
+    )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +16,7 @@ from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, as_columns
 from firmware_py.safety.limits import Limits
 from models.plan.feedback.planned_feedback import with_feedback
+from models.plan.feedback.probe_motion import design_probe
 from models.plan.inversion import Inverse, Inverter
 from models.plan.moves.point_moves import rate_limited, shaped, zvd_impulses
 from models.plan.moves.vibration_mode import first_modes
@@ -65,6 +67,8 @@ class PlanRequest:
         the limits permit; the latter with ZVD shaping of the moves.
     feedback : bool
         Whether the inverse gets feedback of the estimated tip.
+    probe : bool
+        Whether a motion that tells stiffness and payload precedes the first run; it needs feedback.
     """
 
     plant: Plant
@@ -75,6 +79,7 @@ class PlanRequest:
     bundle_sha256: str = ""
     method: Method = "inverse"
     feedback: bool = True
+    probe: bool = False
 
 
 def plan_path(
@@ -121,6 +126,13 @@ def plan_path(
     if request.feedback and request.method == "inverse":
         plan, refusal = with_feedback(plan, request.plant, request.limits, twin, inverter, found)
         report(f"no feedback: {refusal}" if refusal else "feedback designed")
+        if request.probe and refusal:
+            raise InputError("--probe", f"needs feedback of the tip: {refusal}", "leave it out")
+    if request.probe:
+        probe = design_probe(request.plant, twin, payloads, request.limits)
+        plan = msgspec.structs.replace(plan, probe=probe)
+        check_plan_goals(plan, request.limits, where)
+        report("probing motion designed")
     for own in found:
         _check_prediction(twin, own, line, request.limits, where)
     return plan

@@ -67,7 +67,7 @@ class OutsideGoals:
 
     Attributes
     ----------
-    dof, slots : int
+    dof, slots, lead : int
         See `GoalSource`; the goals end when the program or `--seconds` says so.
     trouble, ended : str
         See `GoalSource`.
@@ -79,7 +79,7 @@ class OutsideGoals:
         self, channel: GoalChannel, limits: Limits, dof: int, period_s: float,
         goal_map: GoalMap | None = None, payload_kg: float | None = None,
     ) -> None:  # fmt: skip
-        self.dof, self.slots = dof, ENDLESS
+        self.dof, self.slots, self.lead = dof, ENDLESS, 0
         self.trouble = self.ended = ""
         self._channel, self._limits, self._period_s = channel, limits, period_s
         self._rest = RestGoals(goal_map) if goal_map else None

@@ -14,6 +14,9 @@ from models.plant.plant import NOMINAL
         ("line", ["--fastest"], "--fastest: is for the inverse of point_to_point"),
         ("point_to_point", ["--fastest", "--move", "1"], "without --move; leave it out"),
         ("own.CSV", ["--size", "0.1"], "has its own size, place and time; leave --size"),
+        ("line", ["--probe", "--open-loop"], "--probe: is for plans with feedback of the tip"),
+        ("line", ["--probe", "--rigid"], "--probe: is for plans with feedback of the tip"),
+        ("point_to_point", ["--probe"], "--probe: is for plans with feedback of the tip"),
         ("own.CSV", ["--out", "own.svg"], "is the name of the picture"),
     ],
 )

@@ -1,0 +1,181 @@
+"""Stiffness and payload of a link from the currents of a probing motion.
+
+In slow motion a stiffer link and a lighter payload take the same current. Near the first mode of
+the link they do not: the mode's frequency tells their ratio, the size of the currents the payload.
+The features z of the currents (`ProbeDesign`) are compared with those expected for a stiffness k
+and a payload m::
+
+    |z - expected(k, m)|^2 + (k / PRIOR)^2  [+ ((m - known) / KNOWN)^2]
+
+It is least at a node of the grid or near it: Gauss–Newton steps on the quadratic through the nodes
+around it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.goals.probe_design import ProbeDesign
+
+__all__ = ["ProbeEstimate", "ProbeFinding"]
+
+Array = NDArray[np.float64]
+PRIOR_DEVIATION: Final = 0.15
+"""Standard deviation of the relative stiffness before the motion [assumed]."""
+KNOWN_DEVIATION_KG: Final = 0.02
+"""That of a payload which is known [assumed]."""
+CERTAIN: Final = 0.1
+"""Largest standard deviation of a relative stiffness that is taken over. On rigs with 0.85 to 1.25
+times the stiffness, 0.4 and 1.3 kg: 0.02 to 0.04 with the payload known, else 0.04 to 0.08."""
+MOST_MISFIT: Final = 4.0
+"""Largest mean square of what the features leave, per degree of freedom; 0.1 to 0.6 on
+these rigs: the noise that the plan assumes is more than theirs."""
+MOST_MISSING: Final = 2
+"""Rows without a fresh sample with which the motion still counts; the latest current is held."""
+STEPS: Final = 6
+ENOUGH: Final = 1e-4
+"""Most steps, and the change of stiffness and payload at which they end."""
+
+
+class ProbeFinding(NamedTuple):
+    """What a probing motion told.
+
+    Attributes
+    ----------
+    stiffness : float
+        Relative stiffness beyond the plant's.
+    payload_kg : float
+        Mass at the tip.
+    deviation : float
+        Standard deviation of the stiffness.
+    misfit : float
+        Mean square of what the features leave, per degree of freedom.
+    """
+
+    stiffness: float
+    payload_kg: float
+    deviation: float
+    misfit: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is to be taken over."""
+        return self.deviation <= CERTAIN and self.misfit <= MOST_MISFIT
+
+
+class ProbeEstimate:
+    """Features of the currents, gathered row by row, and what they tell.
+
+    Parameters
+    ----------
+    design : ProbeDesign
+        Of the plan.
+    known_kg : float or None
+        Payload where it is known.
+    """
+
+    def __init__(self, design: ProbeDesign, known_kg: float | None) -> None:
+        self.rows, self._known_kg = design.rows, known_kg
+        self._weights = np.ascontiguousarray(np.moveaxis(np.array(design.weights), 2, 0))
+        self._stiffness, self._payloads_kg = (
+            np.array(design.stiffness),
+            np.array(design.payloads_kg),
+        )
+        self._expected = np.array(design.expected)
+        self._features = np.zeros(len(design.weights))
+        self._current_a = np.zeros(len(design.goals_rad))
+        self._next, self._missing = 0, 0
+        self._found: ProbeFinding | None = None
+
+    def take(self, row: int, fresh: bool, current_a: Array) -> None:
+        """Take the currents of a row; rows that were skipped count as missing.
+
+        Parameters
+        ----------
+        row : int
+            Row of the probing motion; before the first nothing is taken.
+        fresh : bool
+            Whether the sample was measured in this tick.
+        current_a : ndarray, shape (dof,)
+            Measured currents.
+        """
+        fresh = fresh and bool(np.isfinite(current_a).all())
+        for k in range(max(self._next, 0), min(row + 1, self.rows)):
+            if k < row or not fresh:
+                self._missing += 1
+            else:
+                self._current_a[:] = current_a
+            self._features += self._weights[k] @ self._current_a
+        self._next = max(self._next, row + 1)
+        if row == self.rows - 1:  # the tick after it has the observer to start again
+            self._found = self._sought()
+
+    def found(self) -> ProbeFinding | None:
+        """Stiffness and payload; None where rows are missing or nothing fits."""
+        return self._found if self._next >= self.rows else self._sought()
+
+    def _sought(self) -> ProbeFinding | None:
+        missing = self._missing + self.rows - min(self._next, self.rows)
+        if missing > MOST_MISSING:
+            return None
+        k, m = self._nearest_node()
+        known, deviation = self._known_kg, KNOWN_DEVIATION_KG
+        prior = np.array([0.0, m if known is None else known])
+        weight = np.array([PRIOR_DEVIATION**-2, 0.0 if known is None else deviation**-2])
+        at, steps = np.array([k, m]), self._steps
+        for _ in range(STEPS):
+            left, slopes = self._left(at)
+            normal = slopes.T @ slopes + np.diag(weight)
+            step = np.linalg.solve(
+                normal + 1e-9 * np.eye(2), slopes.T @ left + weight * (prior - at)
+            )
+            before, at = at, self._inside(at + np.minimum(np.maximum(step, -steps), steps))
+            if np.all(np.abs(at - before) < ENOUGH):
+                break
+        left, slopes = self._left(at)
+        variance = float(np.linalg.inv(slopes.T @ slopes + np.diag(weight + 1e-9))[0, 0])
+        misfit = float(left @ left) / max(len(left) - 2, 1)
+        if not (math.isfinite(variance) and math.isfinite(misfit)):
+            return None
+        deviation = math.sqrt(max(variance, 0.0) * max(misfit, 1.0))
+        return ProbeFinding(float(at[0]), float(at[1]), deviation, misfit)
+
+    @property
+    def _steps(self) -> Array:
+        return np.array([self._stiffness[1] - self._stiffness[0],
+                         self._payloads_kg[1] - self._payloads_kg[0]])  # fmt: skip
+
+    def _nearest_node(self) -> tuple[float, float]:
+        cost = np.sum((self._expected - self._features) ** 2, axis=2)
+        cost = cost + (self._stiffness[:, None] / PRIOR_DEVIATION) ** 2
+        if self._known_kg is not None:  # a node need not lie at the known payload
+            cost = cost + ((self._payloads_kg - self._known_kg) / self._steps[1]) ** 2
+        i, j = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        return float(self._stiffness[i]), float(self._payloads_kg[j])
+
+    def _inside(self, at: Array) -> Array:
+        ends = zip(self._stiffness[[0, -1]], self._payloads_kg[[0, -1]], strict=True)
+        low, high = (np.array(end) for end in ends)
+        return np.asarray(np.minimum(np.maximum(at, low), high))
+
+    def _left(self, at: Array) -> tuple[Array, Array]:
+        """Features beyond the expected ones at a place, and the slopes of the latter."""
+        hk, hm = self._steps.tolist()
+        axes = self._stiffness, self._payloads_kg
+        i, j = (
+            min(max(round(float((x - axis[0]) / h)), 1), len(axis) - 2)
+            for x, axis, h in zip(at, axes, (hk, hm), strict=True)
+        )
+        p, a, b = self._expected, at[0] - axes[0][i], at[1] - axes[1][j]
+        middle, more, less = p[i, j], p[i + 1, j], p[i - 1, j]
+        heavy, light = p[i, j + 1], p[i, j - 1]
+        by_k, by_m = (more - less) / (2 * hk), (heavy - light) / (2 * hm)
+        kk, mm = (more - 2 * middle + less) / hk**2, (heavy - 2 * middle + light) / hm**2
+        km = (p[i + 1, j + 1] - p[i + 1, j - 1] - p[i - 1, j + 1] + p[i - 1, j - 1]) / (4 * hk * hm)
+        expected = middle + a * (by_k + 0.5 * a * kk + b * km) + b * (by_m + 0.5 * b * mm)
+        slopes = np.column_stack([by_k + a * kk + b * km, by_m + b * mm + a * km])
+        return self._features - expected, slopes
