@@ -19,6 +19,10 @@ ITERATIONS: Final = 30
 LEARNING_RATE: Final = 0.15
 SMALLEST_LEAF: Final = 40
 """Rows in a leaf: 0.7 s of motion. All three assumed."""
+DECIMALS: Final = 9
+"""Digits of the inputs that a split may look at, in their SI units. Values that differ by rounding
+only, such as those of a joint at rest, would lie on both sides of a split between them, and another
+compiler's would fall on the other."""
 
 
 class BoostedTrees:
@@ -40,13 +44,17 @@ class BoostedTrees:
         self._columns = rows.columns((*motion_names(rows.dof), PAYLOAD.name))
         self._base, self._width = rows.columns(tip_names()), len(rows.names)
         error_m = rows.tip_m - rows.observer_tip_m
+        chosen = rows.inputs[:, self._columns].round(DECIMALS)
         self._trees = [
             HistGradientBoostingRegressor(
                 max_iter=ITERATIONS, max_depth=self.variant, learning_rate=LEARNING_RATE,
                 min_samples_leaf=SMALLEST_LEAF, early_stopping=False, random_state=0,
-            ).fit(rows.inputs[:, self._columns], error_m[:, axis])
+            ).fit(chosen, error_m[:, axis])
             for axis in range(3)
         ]  # fmt: skip
+        for trees in self._trees:
+            for (tree,) in trees._predictors:  # between two of the rounded values
+                tree.nodes["num_threshold"] += 0.5 * 10.0**-DECIMALS
         return self
 
     def predict(self, inputs: Array) -> Array:

@@ -9,6 +9,7 @@ import pytest
 
 from models.learning.onnx_power import to_onnx
 from models.learning.onnx_symbolic import predictor_function
+from models.tip.candidates.boosted_trees import BoostedTrees
 from models.tip.candidates.candidate_list import CANDIDATES
 from models.tip.guarded_tip import GuardedTip
 from models.tip.tip_interval import TipInterval
@@ -46,6 +47,21 @@ def test_graph_and_fmu_answer_what_scikit_learn_does(candidate, dof, tmp_path):
         for name, value in zip(("tip_m", "in_range", "half_width_m"), expected, strict=True):
             found = np.ravel(symbolic(features=point)[name])
             np.testing.assert_allclose(found, value, rtol=0, atol=1e-9)
+
+
+def test_no_split_of_a_tree_lies_between_values_that_differ_by_rounding():
+    """Joints at rest, an encoder's steps: an input shows which half of the rows it is in."""
+    rng, rows = np.random.default_rng(4), made_up_rows()
+    half = rng.random(len(rows.inputs)) < 0.5
+    rate, angle = (rows.names.index(n) for n in ("bend_rate_1_rad_s", "bend_1_rad"))
+    rows.inputs[:, rate] = np.where(half, 1e-17, -1e-17)
+    rows.inputs[:, angle] = rows.inputs[:, angle].round(3)
+    rows.tip_m[half, 1] += 1e-3
+    trees = BoostedTrees(2).fit(rows)
+    plain = trees.predict(rows.inputs)
+    for _ in range(20):
+        shaken = rows.inputs + 1e-12 * rng.standard_normal(rows.inputs.shape)
+        np.testing.assert_allclose(trees.predict(shaken), plain, rtol=0, atol=1e-9)
 
 
 def test_a_nan_is_out_of_range(tmp_path):
