@@ -90,7 +90,9 @@ def _guard(predictors: PredictorsDocument | None) -> str:
     return (
         f"`in_range` is 0 where a signal of joints or link leaves its range by more than "
         f"{FRACTION.number(MARGIN)} % of it, and where the interval is wider than "
-        f"{LENGTH.number(TRUSTED_M)} mm to either side. {_mounting(predictors)}"
+        f"{LENGTH.number(TRUSTED_M)} mm to either side. Where joints move and the innovation of a "
+        "current is far above that of the training, the interval is wider by as much. "
+        f"{_mounting(predictors)}"
     )
 
 

@@ -13,6 +13,7 @@ from firmware_py.signals import AGE
 from models.learning.graph_writer import GraphWriter
 from models.learning.onnx_power import register_model
 from models.learning.predictors import Array
+from models.tip.innovation_bound import InnovationBound
 from models.tip.tip_interval import TipInterval
 from models.tip.tip_predictor import TipPredictor
 from models.tip.tip_rows import TipRows
@@ -32,7 +33,8 @@ class GuardedTip:
     """Candidate, guard and interval.
 
     `in_range` tells whether no input is NaN, those of joints and link lie within their training
-    range and a margin, and the interval is no wider than `TRUSTED_M` on any axis.
+    range and a margin, and the interval is no wider than `TRUSTED_M` on any axis. Where joints move
+    and an innovation is above its bound, the interval is wider by `TRUSTED_M`, so out of range.
 
     Attributes
     ----------
@@ -44,6 +46,8 @@ class GuardedTip:
         Calibrated on rows that were left out.
     lower, upper : ndarray, shape (inputs,)
         Range of every input in the training rows.
+    innovation : InnovationBound
+        Of the training rows.
     """
 
     names: tuple[str, ...]
@@ -51,12 +55,13 @@ class GuardedTip:
     interval: TipInterval
     lower: Array
     upper: Array
+    innovation: InnovationBound
 
     @classmethod
     def of(cls, rows: TipRows, predictor: TipPredictor, interval: TipInterval) -> GuardedTip:
         """Guard a fitted predictor by the range of its training rows."""
         lower, upper = rows.inputs.min(axis=0), rows.inputs.max(axis=0)
-        return cls(rows.names, predictor, interval, lower, upper)
+        return cls(rows.names, predictor, interval, lower, upper, InnovationBound.of(rows))
 
     def predict(self, inputs: Array) -> Array:
         """Return the tip in m, shape (n, 3)."""
@@ -64,7 +69,8 @@ class GuardedTip:
 
     def half_width(self, inputs: Array) -> Array:
         """Return the half width of the 95 % interval in m, shape (n, 3)."""
-        return self.interval.half_width(inputs)
+        exceeded = self.innovation.exceeded(inputs)
+        return self.interval.half_width(inputs) + TRUSTED_M * exceeded[:, None]
 
     def guard(self) -> tuple[Array, Array]:
         """Return the bounds outside which an input is out of range, (inputs,) each.
@@ -94,7 +100,11 @@ def _convert(scope: Any, operator: Any, container: Any) -> None:
     source = operator.inputs[0].full_name
     tip, in_range, half_width = (variable.full_name for variable in operator.outputs)
     model.predictor.write(graph, source, tip)
-    model.interval.write(graph, source, half_width)
+    usual = model.interval.write(graph, source)
+    exceeded = model.innovation.write(graph, source)
+    widening = graph.constant("widening", np.full((1, 3), TRUSTED_M))
+    widening = graph.temporary("MatMul", [exceeded, widening], "widening")
+    graph.node("Add", [usual, widening], half_width)
 
     clipped = graph.clipped(source, *model.guard())
     same = graph.temporary("Equal", [clipped, source], "same")

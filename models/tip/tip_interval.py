@@ -140,7 +140,7 @@ class TipInterval:
             deviation_m * self.quantile[_kinds(self.names, inputs, self.innovation[0])]
         )
 
-    def write(self, graph: GraphWriter, source: str, output: str) -> None:
+    def write(self, graph: GraphWriter, source: str) -> str:
         """Write the half width of an input row.
 
         Parameters
@@ -149,7 +149,10 @@ class TipInterval:
             Receives the nodes.
         source : str
             Input row in SI units.
-        output : str
+
+        Returns
+        -------
+        str
             Name of the result, shape (1, 3).
         """
         sums, constants, most = _bases(self.names, self.innovation)
@@ -169,7 +172,7 @@ class TipInterval:
         )
         deviation = graph.temporary("Sqrt", [variance], "deviation")
         factor = self._write_factor(graph, square)
-        graph.node("Mul", [deviation, factor], output)
+        return graph.temporary("Mul", [deviation, factor], "usual_width")
 
     def _write_factor(self, graph: GraphWriter, square: str) -> str:
         """Write q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of two bits m, e."""

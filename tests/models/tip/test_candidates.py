@@ -38,6 +38,8 @@ def test_graph_and_fmu_answer_what_scikit_learn_does(candidate, dof, tmp_path):
     path = tmp_path / "predictor.onnx"
     onnx.save(to_onnx(model, len(rows.names)), path)
     points = np.vstack([rows.inputs[:60], 1.4 * rows.inputs[60:120]])  # half of them outside
+    points[::3, rows.names.index(f"innovation_{dof}_a")] *= 10.0
+    assert 5 < model.innovation.exceeded(points).sum() < 40
     tip_m, in_range, half_width_m = answers(path, points)
     np.testing.assert_allclose(tip_m, model.predict(points), rtol=0, atol=1e-9)
     np.testing.assert_allclose(half_width_m, model.half_width(points), rtol=0, atol=1e-9)
