@@ -134,9 +134,8 @@ class TipFeedback:
         What the probing motion told.
     stiffness : float
         Relative stiffness of this run of the plan: what the probing motion told, else the runs
-        before it. Measured on the
-        rig, 1.8 kg: within the first run the current of the first moves tells it wrong by 0.1, and
-        following that makes 3.1 mm of an error of 1.9 mm.
+        before it. Measured on the rig, 1.8 kg: within the first run the current of the first moves
+        tells it wrong by 0.1, and following that makes 3.1 mm of an error of 1.9 mm.
 
     Raises
     ------
