@@ -1,4 +1,7 @@
-"""Picture of a plan: path and predicted tip, error over time, goals for every payload."""
+"""Picture of a plan: path and predicted tip, error over time, goals for every payload.
+
+A probing motion stands before time 0.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +46,12 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
                 goal, current = own.goals_rad[j], own.current_a[j]
                 axes["goals"].plot(time_s, ANGLE.shown(goal), style, color=colour, lw=0.8)
                 axes["current"].plot(time_s, current, style, color=colour, lw=0.8)
+        if plan.probe is not None:
+            before_s = plan.period_s * np.arange(-plan.probe.rows, 0)
+            for column, style in zip(plan.probe.goals_rad, ("-", "--"), strict=False):
+                axes["goals"].plot(before_s, ANGLE.shown(column), style, color=MUTED, lw=0.8)
+            axes["goals"].plot([], [], color=MUTED, lw=0.8, label="probing motion")
+            axes["goals"].legend(fontsize="x-small", frameon=False)
         axes["error"].set(xlabel=TIME.label("time"), ylabel=LENGTH.label("predicted tip error"))
         axes["goals"].set(xlabel=TIME.label("time"), ylabel=ANGLE.label("goal"))
         axes["current"].set(xlabel=TIME.label("time"), ylabel=CURRENT.label("current"))
