@@ -9,7 +9,7 @@ import pytest
 
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.summary import Ended
@@ -34,15 +34,8 @@ class NoPredictor:
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("bundle")
-    manifest = Manifest(
-        dof=1, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
-        lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
-    )  # fmt: skip
-    write_manifest(directory, manifest)
-    return ModelBundle(directory, manifest, NoEstimator(), NoPredictor())
+def bundle(bare_bundle):
+    return ModelBundle(bare_bundle, read_manifest(bare_bundle), NoEstimator(), NoPredictor())
 
 
 @pytest.fixture
