@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from firmware_py.errors import InputError
@@ -38,6 +39,8 @@ class FitPoint:
     normal, gradient, slopes :
         J'J with priors, the gradient of the fall, and the whitened derivatives by group; empty
         before `GaussNewton.linearise`.
+    derived : ndarray of bool, shape (p,)
+        Fit parameters whose derivatives these are; those of the others are zero.
     exact : bool
         Whether the derivatives are exact; secants otherwise.
     """
@@ -48,7 +51,14 @@ class FitPoint:
     normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
     gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
     slopes: list[Array] = field(repr=False, default_factory=list)
+    derived: NDArray[np.bool_] = field(
+        repr=False, default_factory=lambda: np.zeros(0, dtype=np.bool_)
+    )
     exact: bool = False
+
+    def has_derivatives(self, wanted: NDArray[np.bool_]) -> bool:
+        """Whether derivatives by these fit parameters are known."""
+        return bool(self.slopes) and not np.any(wanted & ~self.derived)
 
 
 class GaussNewton:
@@ -151,13 +161,26 @@ class GaussNewton:
         cost = 0.5 * sum_of_squares(self.whitened(rows)) + 0.5 * float(self.precision @ values**2)
         return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
-    def linearise(self, point: FitPoint) -> FitPoint:
-        """Add derivatives to a point: H = J'J with priors, and the gradient of the fall."""
-        if not point.exact:
-            _, slopes = self.residuals.jacobian(point.values)
-            white = [w.reshape(-1, w.shape[-1]) for w in self.whiten(slopes)]
+    def linearise(self, point: FitPoint, wanted: NDArray[np.bool_] | None = None) -> FitPoint:
+        """Add derivatives to a point: H = J'J with priors, and the gradient of the fall.
+
+        Parameters
+        ----------
+        point : FitPoint
+            Returned with exact derivatives.
+        wanted : ndarray of bool, shape (p,), optional
+            Fit parameters to differentiate by; by default all. The fewer, the faster.
+        """
+        wanted = np.ones(len(point.values), dtype=np.bool_) if wanted is None else wanted
+        if not (point.exact and point.has_derivatives(wanted)):
+            _, slopes = self.residuals.jacobian(point.values, wanted)
+            white = []
+            for own in self.whiten(slopes):
+                rows = np.zeros((own[..., 0].size, len(wanted)))
+                rows[:, wanted] = own.reshape(len(rows), -1)
+                white.append(rows)
             self._set_slopes(point, white)
-            point.exact = True
+            point.derived, point.exact = wanted, True
         return point
 
     def _set_slopes(self, point: FitPoint, slopes: list[Array]) -> None:
@@ -188,6 +211,7 @@ class GaussNewton:
             missing = (b - a).ravel() - slope @ moved
             slopes.append(slope + np.outer(missing, along))
         self._set_slopes(end, slopes)
+        end.derived = start.derived
         return end
 
     def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
@@ -200,8 +224,8 @@ class GaussNewton:
         free : ndarray of bool, shape (p,)
             Fit parameters that may change.
         """
-        if not point.slopes:
-            self.linearise(point)
+        if not point.has_derivatives(free):
+            self.linearise(point, free)
         index = np.flatnonzero(free)
         equation = NormalEquation.of(point.normal, index)
         size = equation.size
@@ -250,7 +274,7 @@ class GaussNewton:
             elif point.exact:
                 break
             else:
-                self.linearise(point)
+                self.linearise(point, free)
         return point
 
     def fit_nuisance(self, start: FitPoint) -> FitPoint:
@@ -297,4 +321,4 @@ class GaussNewton:
         free : ndarray of bool, shape (p,)
             Fit parameters that were fitted.
         """
-        return NormalEquation.of(self.linearise(point).normal, np.flatnonzero(free)).inverse()
+        return NormalEquation.of(self.linearise(point, free).normal, np.flatnonzero(free)).inverse()

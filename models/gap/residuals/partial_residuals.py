@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
@@ -29,15 +30,15 @@ class PartialResiduals(Residuals):
     counted : mapping of int to ndarray, shape (n,)
         1 for each row that counts, 0 otherwise, by index of the trial.
     derivatives : callable
-        From values to the derivatives of `whole`, as `Residuals.jacobian`: one run of all trials
-        serves every part of them.
+        From values and the fit parameters wanted to the derivatives of `whole`, as
+        `Residuals.jacobian`: one run of all trials serves every part of them.
     """
 
     def __init__(
         self,
         whole: Residuals,
         counted: Mapping[int, Array],
-        derivatives: Callable[[Array], list[Array]],
+        derivatives: Callable[[Array, NDArray[np.bool_]], list[Array]],
     ) -> None:
         vars(self).update(vars(whole))
         self._derivatives = derivatives
@@ -51,10 +52,12 @@ class PartialResiduals(Residuals):
             rows * counted.get(k, np.zeros(len(rows))) for k, rows in enumerate(whole._follows)
         ]
 
-    def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
+    def jacobian(
+        self, values: Array, wanted: NDArray[np.bool_]
+    ) -> tuple[list[Array], list[Array]]:
         """As `Residuals.jacobian`, cut out of the derivatives of all trials."""
-        slopes = [s[part] for s, part in zip(self._derivatives(values), self._parts, strict=True)
-                  if part]  # fmt: skip
+        every = self._derivatives(values, wanted)
+        slopes = [s[part] for s, part in zip(every, self._parts, strict=True) if part]
         cut = [
             np.moveaxis(self.as_counted(g, np.moveaxis(s, -1, 0)), 0, -1)
             for g, s in zip(self.groups, slopes, strict=True)

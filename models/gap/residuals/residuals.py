@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from models.gap.residuals.fit_parameters import (
@@ -169,10 +170,24 @@ class Residuals:
             runs = list(pool.map(lambda k: self._run(k, values), range(len(self.trials))))
         return [self._spectra(g, runs) for g in self.groups]
 
-    def jacobian(self, values: Array) -> tuple[list[Array], list[Array]]:
-        """Residual spectra, and derivatives of the simulated ones, (trials, signals, K, p)."""
+    def jacobian(
+        self, values: Array, wanted: NDArray[np.bool_]
+    ) -> tuple[list[Array], list[Array]]:
+        """Residual spectra, and derivatives of the simulated ones, (trials, signals, K, wanted).
+
+        Parameters
+        ----------
+        values : ndarray, shape (p,)
+            Of all fit parameters.
+        wanted : ndarray of bool, shape (p,)
+            Fit parameters to differentiate by.
+        """
         with ThreadPoolExecutor(WORKERS) as pool:
-            both = list(pool.map(lambda k: self._run_sensitive(k, values), range(len(self.trials))))
+            both = list(
+                pool.map(
+                    lambda k: self._run_sensitive(k, values, wanted), range(len(self.trials))
+                )
+            )
         rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
         slopes = [np.stack([both[k][1] for k in g.trials]) for g in self.groups]
         return rows, slopes
@@ -198,20 +213,25 @@ class Residuals:
         y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
         return np.asarray(y + self._by_output @ (values * self._acts[k]))
 
-    def _run_sensitive(self, k: int, values: Array) -> tuple[Array, Array]:
-        """Outputs (n, outputs) and the spectra of their derivatives (signals, K, fit parameters).
+    def _run_sensitive(
+        self, k: int, values: Array, wanted: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Outputs (n, outputs) and the spectra of their derivatives (signals, K, wanted).
 
         A derivative that overflows says nothing and counts as zero.
         """
+        acting = wanted & self._acts[k]
+        moved = self._moved[:, acting]
         y, slopes = run_sensitive_trial(
-            self._sensitive, self.trials[k], self._parameters(k, values)
+            self._sensitive, self.trials[k], self._parameters(k, values), moved.any(axis=1)
         )
         group = next(g for g in self.groups if k in g.trials)
-        spectra = np.empty((len(group.signals), group.coefficients, len(self.fit_parameters)))
+        spectra = np.zeros((len(group.signals), group.coefficients, int(wanted.sum())))
         for b, signal in enumerate(group.signals):
             o = self._outputs.index(signal)
-            slope = (slopes[:, o] @ self._moved + self._by_output[o]) * self._acts[k]
-            spectra[b] = self._coefficients(k, signal, slope, group.coefficients)
+            slope = slopes[:, o] @ moved + self._by_output[o, acting]
+            own = self._coefficients(k, signal, slope, group.coefficients)
+            spectra[b][:, acting[wanted]] = own
         spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0
         return y + self._by_output @ (values * self._acts[k]), spectra
 

@@ -100,7 +100,7 @@ def _held_out_cost(
     estimator: GaussNewton, point: FitPoint, free: Array, fold: Sequence[int]
 ) -> float:
     """Cost of the trials of a fold when the effects are fitted without them."""
-    estimator.linearise(point)
+    estimator.linearise(point, free)
     inside: tuple[list[Array], list[Array]] = ([], [])
     outside: tuple[list[Array], list[Array]] = ([], [])
     white = estimator.whitened(point.rows)

@@ -94,7 +94,6 @@ class EffectSearch:
             self._widen(before)
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         zero = self.estimator.linearise(self.estimator.at(zero.values))
-        self.estimator.linearise(before)
         self.report("nuisance fitted", 2 + self._most_refitted())
         found = SearchResult(before, before)
         flat = unexcited_effects(self.estimator, before, self.base, self.of)
@@ -144,6 +143,7 @@ class EffectSearch:
 
     def _round(self, found: SearchResult, others: Sequence[FitPoint]) -> None:
         """Screen every effect and refit the best candidates."""
+        self.estimator.linearise(found.after)
         screen = self._screen(found.after, others, found)
         if not found.named:
             found.screened = {e: c.separation for (e,), c in screen.items()}

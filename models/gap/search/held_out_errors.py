@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
@@ -143,7 +144,7 @@ class HeldOut:
         self.estimator, self.residuals = estimator, estimator.residuals
         self.settings = estimator.settings
         self.folds = held_out_folds(self.residuals.trials, self.settings)
-        self._known: tuple[bytes, list[Array]] = (b"", [])
+        self._known: tuple[tuple[bytes, bytes], list[Array]] = ((b"", b""), [])
         self._parts = [self._part(fold) for folds in self.folds.values() for fold in folds]
         self.given = self._errors([np.zeros(len(self.residuals.fit_parameters))] * len(self._parts))
 
@@ -170,16 +171,16 @@ class HeldOut:
         own = PartialResiduals(self.residuals, fold, self._derivatives)
         return GaussNewton(remaining, self.estimator.floor), own
 
-    def _derivatives(self, values: Array) -> list[Array]:
+    def _derivatives(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
         """Derivatives of all trials; those of the last values are kept."""
-        key = values.tobytes()
+        key = values.tobytes(), wanted.tobytes()
         if self._known[0] != key:
-            self._known = key, self.residuals.jacobian(values)[1]
+            self._known = key, self.residuals.jacobian(values, wanted)[1]
         return self._known[1]
 
     def _refitted(self, rest: GaussNewton, point: FitPoint, free: Array) -> Array:
         """Values after a few steps without a fold, the derivatives updated by secants."""
-        here = rest.linearise(rest.at(point.values))
+        here = rest.linearise(rest.at(point.values), free)
         for _ in range(self.settings.held_out_steps):
             step, predicted = rest.step(here, free)
             better = None

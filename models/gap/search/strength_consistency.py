@@ -116,7 +116,7 @@ def _released(
 ) -> tuple[Array, Array]:
     """Scores and information of the blocks' strengths, the common fit parameters refitted."""
     index = np.flatnonzero(free)
-    estimator.linearise(point)
+    estimator.linearise(point, free)
     slopes = np.concatenate([s[:, index] for s in point.slopes])
     residual = stacked(estimator.whitened(point.rows)).ravel()
     across = slopes.T @ blocks

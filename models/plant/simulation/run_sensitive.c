@@ -3,7 +3,8 @@
  * The slope follows the variational equation S' = f_x S + f_p by the Runge-Kutta steps of the run
  * itself, so it is the derivative of the discrete run. A row of S belongs to a state, with all
  * parameters side by side: a row times an entry of f_x is a loop over vectors. Every operation is
- * done element by element and rounded by itself, so the width of the vectors changes no bit.
+ * done element by element and rounded by itself, so the width of the vectors changes no bit. Blocks
+ * of parameters that no one asks for are left out.
  */
 #include <math.h>
 #include <stdlib.h>
@@ -37,7 +38,20 @@ typedef struct {
     const double *u, *p, **arg;
     double **res, *w;
     casadi_int *iw;
+    const char *wanted; /* of each chosen parameter */
+    int blocks, block[N_BLOCKS];
 } Run;
+
+/* Blocks of columns that hold a wanted parameter. */
+static void select_blocks(Run *r) {
+    r->blocks = 0;
+    for (int b = 0; b < N_BLOCKS; b++) {
+        int any = 0;
+        for (int c = b * N_BLOCK; c < N_COLUMNS && c < (b + 1) * N_BLOCK; c++)
+            any |= r->wanted[CHOSEN[c]];
+        if (any) r->block[r->blocks++] = b;
+    }
+}
 
 /* Values and entries of the derivatives of a function at a state. */
 static void evaluate(Run *r, Function function, const double *x, const double *time) {
@@ -53,7 +67,8 @@ static void multiply(const Jacobian *j, const Run *r, const Row *slope, Row *res
         memset(sum, 0, sizeof sum);
         for (int e = j->x_start[k]; e < j->x_start[k + 1]; e++) {
             const Block *other = slope[j->x_place[e]];
-            for (int b = 0; b < N_BLOCKS; b++) sum[b] += r->by_x[e] * other[b];
+            for (int i = 0; i < r->blocks; i++)
+                sum[r->block[i]] += r->by_x[e] * other[r->block[i]];
         }
         memcpy(result[k], sum, sizeof sum);
     }
@@ -94,7 +109,8 @@ static void evaluate_stage(Run *r, double weight, double ahead) {
     }
     for (int k = 0; k < j->rows; k++) {
         Block *stage = r->stage[j->row[k]], *start = r->slope[j->row[k]];
-        for (int b = 0; b < N_BLOCKS; b++) {
+        for (int i = 0; i < r->blocks; i++) {
+            const int b = r->block[i];
             r->sum[k][b] += weight * r->change[k][b];
             stage[b] = start[b] + ahead * r->change[k][b];
         }
@@ -114,10 +130,11 @@ static void flow(Run *r, double dt) {
     evaluate_stage(r, 1, 0);
     for (int i = 0; i < N_STATES; i++) r->x[i] += dt / 6 * r->x_sum[i];
     for (int k = 0; k < j->rows; k++)
-        for (int b = 0; b < N_BLOCKS; b++) r->slope[j->row[k]][b] += dt / 6 * r->sum[k][b];
+        for (int i = 0; i < r->blocks; i++)
+            r->slope[j->row[k]][r->block[i]] += dt / 6 * r->sum[k][r->block[i]];
 }
 
-/* Outputs y, and their slopes: of each output by all chosen parameters. */
+/* Outputs y, and their slopes: of each output by all chosen parameters, zero by unwanted ones. */
 static void observe(Run *r, double *y, double *slope) {
     const Jacobian *j = &OUTPUT;
     evaluate(r, sensitivity_output, r->x, NULL);
@@ -126,9 +143,9 @@ static void observe(Run *r, double *y, double *slope) {
     memset(slope, 0, N_OUTPUTS * N_CHOSEN * sizeof *slope);
     for (int k = 0; k < N_OUTPUTS; k++, slope += N_CHOSEN) {
         for (int c = 0; c < N_COLUMNS; c++)
-            slope[CHOSEN[c]] = r->output[k][c / N_BLOCK][c % N_BLOCK];
+            if (r->wanted[CHOSEN[c]]) slope[CHOSEN[c]] = r->output[k][c / N_BLOCK][c % N_BLOCK];
         for (int e = j->p_start[k]; e < j->p_start[k + 1]; e++)
-            slope[j->p_place[e]] += r->by_p[e];
+            if (r->wanted[j->p_place[e]]) slope[j->p_place[e]] += r->by_p[e];
     }
 }
 
@@ -152,10 +169,12 @@ static void run_all(Run *r, long steps, double step_s, double max_substep_s, con
 }
 
 /* Outputs y and their slopes at the start and after each step. The state at the start is the one at
- * rest under the inputs `first`; u[k] drives step k. Returns 0, or 1 when memory is short. */
+ * rest under the inputs `first`; u[k] drives step k. `wanted` holds 1 for each chosen parameter
+ * whose slopes are asked for. Returns 0, or 1 when memory is short. */
 __attribute__((visibility("default"))) int run_sensitive(long steps, double step_s,
-                                                         double max_substep_s, const double *first,
-                                                         const double *u, const double *p, double *y,
+                                                         double max_substep_s, const char *wanted,
+                                                         const double *first, const double *u,
+                                                         const double *p, double *y,
                                                          double *slope) {
     casadi_int sizes[4] = {4, 3, 1, 1}; /* arguments, results, integers, doubles */
     for (int k = 0; k < 5; k++) {
@@ -174,6 +193,8 @@ __attribute__((visibility("default"))) int run_sensitive(long steps, double step
         size_t beyond = (size_t)memory % sizeof(Block);
         Run *r = (Run *)((char *)memory + sizeof(Block) - beyond);
         r->u = first, r->p = p, r->arg = arg, r->res = res, r->iw = iw, r->w = w;
+        r->wanted = wanted;
+        select_blocks(r);
         run_all(r, steps, step_s, max_substep_s, u, y, slope);
     }
     free(memory);

@@ -12,6 +12,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from models.plant.simulation.compiled_model import trial_inputs, trial_parameters
 from models.plant.simulation.sensitivity_c import write_sensitivity_c
@@ -66,7 +67,8 @@ class SensitiveModel:
         self._library = _library(model, [known.index(n) for n in wrt])
 
     def simulate(
-        self, u: Array, step_s: float, p: Array | None = None, first: Array | None = None
+        self, u: Array, step_s: float, p: Array | None = None, first: Array | None = None,
+        wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Array]:
         """Outputs and their derivatives at the start and after each step.
 
@@ -76,6 +78,8 @@ class SensitiveModel:
             As for `StepModel.simulate`.
         first : ndarray, shape (len(inputs),), optional
             Inputs at the start; by default those of the first step.
+        wanted : ndarray of bool, shape (len(wrt),), optional
+            Parameters whose derivatives are computed; the others are zero. By default all.
 
         Returns
         -------
@@ -96,13 +100,15 @@ class SensitiveModel:
         slope = np.empty((*y.shape, len(self.wrt)))
         times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
         pointers = [a.ctypes.data_as(_POINTER) for a in (first, u, p, y, slope)]
-        if self._library.run_sensitive(ctypes.c_long(len(u)), *times, *pointers):
+        chosen = (np.ones(len(self.wrt), dtype=bool) if wanted is None else wanted).tobytes()
+        if self._library.run_sensitive(ctypes.c_long(len(u)), *times, chosen, *pointers):
             raise MemoryError(f"{self.model.name}: run_sensitive")
         return y, slope
 
 
 def run_sensitive_trial(
-    sensitive: SensitiveModel, trial: Trial, p: Array | None = None
+    sensitive: SensitiveModel, trial: Trial, p: Array | None = None,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Array]:
     """Outputs of a model at every row of a trial, and their derivatives.
 
@@ -112,6 +118,8 @@ def run_sensitive_trial(
         Of a plant.
     trial, p
         As for `models.plant.simulation.compiled_model.run_trial`.
+    wanted : ndarray of bool, optional
+        As for `SensitiveModel.simulate`.
 
     Returns
     -------
@@ -127,7 +135,7 @@ def run_sensitive_trial(
     """
     first, u = trial_inputs(sensitive.model, trial)
     p = trial_parameters(sensitive.model, trial) if p is None else p
-    return sensitive.simulate(u, trial.step_s, p, first)
+    return sensitive.simulate(u, trial.step_s, p, first, wanted)
 
 
 _LIBRARIES: Final[dict[bytes, ctypes.CDLL]] = {}

@@ -52,7 +52,7 @@ class LinearResiduals:
     def residuals(self, values):
         return [self.rows - values[0] * self.effect]
 
-    def jacobian(self, values):
+    def jacobian(self, values, wanted):
         return self.residuals(values), [self.effect[..., None]]
 
 
