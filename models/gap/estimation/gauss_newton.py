@@ -56,9 +56,9 @@ class FitPoint:
     )
     exact: bool = False
 
-    def has_derivatives(self, wanted: NDArray[np.bool_]) -> bool:
+    def has_derivatives(self, wanted: Array) -> bool:
         """Whether derivatives by these fit parameters are known."""
-        return bool(self.slopes) and not np.any(wanted & ~self.derived)
+        return bool(self.slopes) and bool(self.derived[np.flatnonzero(wanted)].all())
 
 
 class GaussNewton:
@@ -161,7 +161,7 @@ class GaussNewton:
         cost = 0.5 * sum_of_squares(self.whitened(rows)) + 0.5 * float(self.precision @ values**2)
         return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
-    def linearise(self, point: FitPoint, wanted: NDArray[np.bool_] | None = None) -> FitPoint:
+    def linearise(self, point: FitPoint, wanted: Array | None = None) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall.
 
         Parameters
@@ -171,23 +171,27 @@ class GaussNewton:
         wanted : ndarray of bool, shape (p,), optional
             Fit parameters to differentiate by; by default all. The fewer, the faster.
         """
-        wanted = np.ones(len(point.values), dtype=np.bool_) if wanted is None else wanted
+        wanted = np.ones(len(point.values)) if wanted is None else wanted
         if not (point.exact and point.has_derivatives(wanted)):
-            _, slopes = self.residuals.jacobian(point.values, wanted)
+            derived = np.asarray(wanted, dtype=np.bool_)
+            slopes = self.residuals.jacobian(point.values, derived)
             white = []
             for own in self.whiten(slopes):
-                rows = np.zeros((own[..., 0].size, len(wanted)))
-                rows[:, wanted] = own.reshape(len(rows), -1)
+                rows = np.zeros((own[..., 0].size, len(derived)))
+                rows[:, derived] = own.reshape(len(rows), -1)
                 white.append(rows)
             self._set_slopes(point, white)
-            point.derived, point.exact = wanted, True
+            point.derived, point.exact = derived, True
         return point
 
-    def _set_slopes(self, point: FitPoint, slopes: list[Array]) -> None:
+    def _set_slopes(
+        self, point: FitPoint, slopes: list[Array], normal: Array | None = None
+    ) -> None:
         residual = [w.ravel() for w in self.whitened(point.rows)]
-        normal = sum(s.T @ s for s in slopes) + np.diag(self.precision)
+        if normal is None:
+            normal = np.asarray(sum(s.T @ s for s in slopes) + np.diag(self.precision))
         gradient = sum(s.T @ r for s, r in zip(slopes, residual, strict=True))
-        point.slopes, point.normal = slopes, np.asarray(normal)
+        point.slopes, point.normal = slopes, normal
         point.gradient = np.asarray(gradient - self.precision * point.values)
 
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
@@ -205,12 +209,15 @@ class GaussNewton:
         moved = end.values - start.values
         weighted = np.diag(start.normal) * moved
         along = weighted / max(float(weighted @ moved), 1e-300)
-        slopes = []
+        slopes, across, square = [], np.zeros(len(moved)), 0.0
         before, after = self.whitened(start.rows), self.whitened(end.rows)
         for slope, b, a in zip(start.slopes, before, after, strict=True):
             missing = (b - a).ravel() - slope @ moved
+            across, square = across + slope.T @ missing, square + float(missing @ missing)
             slopes.append(slope + np.outer(missing, along))
-        self._set_slopes(end, slopes)
+        update = np.outer(across, along)  # of J'J: a tenth of the time of a new product
+        update = update + update.T + square * np.outer(along, along)
+        self._set_slopes(end, slopes, start.normal + update)
         end.derived = start.derived
         return end
 

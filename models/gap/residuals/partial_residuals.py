@@ -52,17 +52,14 @@ class PartialResiduals(Residuals):
             rows * counted.get(k, np.zeros(len(rows))) for k, rows in enumerate(whole._follows)
         ]
 
-    def jacobian(
-        self, values: Array, wanted: NDArray[np.bool_]
-    ) -> tuple[list[Array], list[Array]]:
+    def jacobian(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
         """As `Residuals.jacobian`, cut out of the derivatives of all trials."""
         every = self._derivatives(values, wanted)
         slopes = [s[part] for s, part in zip(every, self._parts, strict=True) if part]
-        cut = [
+        return [
             np.moveaxis(self.as_counted(g, np.moveaxis(s, -1, 0)), 0, -1)
             for g, s in zip(self.groups, slopes, strict=True)
         ]
-        return self.residuals(values), cut
 
     def squared_errors(self, values: Array) -> dict[str, SquaredError]:
         """Raw errors by signal, over the rows that count and where something was measured.
@@ -73,9 +70,10 @@ class PartialResiduals(Residuals):
             Of all fit parameters.
         """
         total: dict[str, SquaredError] = {}
+        runs = self._runs(values)
         for group in self.groups:
             for k in group.trials:
-                y, counts = self._run(k, values), self._follows[k] > 0
+                y, counts = runs[k], self._follows[k] > 0
                 for signal in group.signals:
                     error = y[:, self._outputs.index(signal)] - self._measured[k][signal]
                     error = error[counts & np.isfinite(self._measured[k][signal])]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,6 +15,7 @@ from models.gap.residuals.fit_parameters import (
     moved_parameters,
     plant_with_every_effect,
 )
+from models.gap.residuals.lockstep import LockstepRuns
 from models.gap.residuals.spectrum import (
     Array,
     coefficient_count,
@@ -25,14 +25,10 @@ from models.gap.residuals.spectrum import (
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import measured_signals, row_weights
 from models.plant.plant import Plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.simulation.compiled_model import trial_parameters
 from models.plant.simulation.long_trials import shortened
-from models.plant.simulation.sensitivity import SensitiveModel, run_sensitive_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial
-
-WORKERS: Final = 2
-"""Threads that simulate; CasADi lets go of the interpreter meanwhile."""
 
 _FOLLOWED: Final = "goal_{j}_rad angle_{j}_rad current_{j}_a"
 
@@ -117,8 +113,7 @@ class Residuals:
         trials = self.trials
         self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
-        self._plain = CompiledModel(self.model)
-        self._sensitive = SensitiveModel(self.model, moved)
+        self._simulated = LockstepRuns(self.model, moved, trials)
         self._outputs = names(model.outputs)
         self._base = [trial_parameters(model, t) for t in trials]
         self._low = np.array([v.minimum for v in model.parameters])
@@ -126,10 +121,12 @@ class Residuals:
         self._set_directions(names(model.parameters), moved)
         self._measured = [measured_signals(t) for t in trials]
         self.groups = self._group()
-        self._follows = [
-            rows_that_follow(t, self._usual_error_rad(k), settings) if is_link else np.ones(len(t))
-            for k, t in enumerate(trials)
-        ]
+        self._follows = [np.ones(len(t)) for t in trials]
+        if is_link:
+            self._follows = [
+                rows_that_follow(t, error, settings)
+                for t, error in zip(trials, self._usual_errors_rad(), strict=True)
+            ]
 
     def _set_directions(self, known: Sequence[str], moved: Sequence[str]) -> None:
         """Matrices from the fit parameters to the model's parameters and outputs."""
@@ -166,14 +163,11 @@ class Residuals:
 
     def residuals(self, values: Array) -> list[Array]:
         """Measured minus simulated, a spectrum (trials, signals, K) for each group."""
-        with ThreadPoolExecutor(WORKERS) as pool:
-            runs = list(pool.map(lambda k: self._run(k, values), range(len(self.trials))))
+        runs = self._runs(values)
         return [self._spectra(g, runs) for g in self.groups]
 
-    def jacobian(
-        self, values: Array, wanted: NDArray[np.bool_]
-    ) -> tuple[list[Array], list[Array]]:
-        """Residual spectra, and derivatives of the simulated ones, (trials, signals, K, wanted).
+    def jacobian(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
+        """Derivatives of the simulated spectra, (trials, signals, K, wanted) for each group.
 
         Parameters
         ----------
@@ -182,15 +176,14 @@ class Residuals:
         wanted : ndarray of bool, shape (p,)
             Fit parameters to differentiate by.
         """
-        with ThreadPoolExecutor(WORKERS) as pool:
-            both = list(
-                pool.map(
-                    lambda k: self._run_sensitive(k, values, wanted), range(len(self.trials))
-                )
-            )
-        rows = [self._spectra(g, [y for y, _ in both]) for g in self.groups]
-        slopes = [np.stack([both[k][1] for k in g.trials]) for g in self.groups]
-        return rows, slopes
+        group = {k: g for g in self.groups for k in g.trials}
+        slopes = self._simulated.slopes(
+            group,
+            lambda k: self._parameters(k, values),
+            np.asarray(self._moved[:, wanted].any(axis=1)),
+            lambda k, own: self._slope_spectra(k, group[k], own, wanted),
+        )
+        return [np.stack([slopes[k] for k in g.trials]) for g in self.groups]
 
     def goal_not_followed(self) -> dict[str, int]:
         """First row that no longer counts, of each trial whose joint does not follow its goal."""
@@ -199,43 +192,47 @@ class Residuals:
             for t, rows in zip(self.trials, self._follows, strict=True) if not rows.all()
         }  # fmt: skip
 
-    def _usual_error_rad(self, k: int) -> Array:
-        """Largest following error of each joint of the twin as given, rad."""
-        y, goal = self._run(k, np.zeros(len(self.fit_parameters))), self.trials[k].goal_rad
-        angle = [self._outputs.index(f"angle_{j}_rad") for j in range(1, goal.shape[1] + 1)]
-        return np.asarray(np.abs(goal - y[:, angle]).max(axis=0))
+    def _usual_errors_rad(self) -> list[Array]:
+        """Largest following error of each joint of the twin as given, rad, by trial."""
+        runs, result = self._runs(np.zeros(len(self.fit_parameters))), []
+        for k, trial in enumerate(self.trials):
+            joints = range(1, trial.goal_rad.shape[1] + 1)
+            angle = [self._outputs.index(f"angle_{j}_rad") for j in joints]
+            result.append(np.abs(trial.goal_rad - runs[k][:, angle]).max(axis=0))
+        return result
 
     def _parameters(self, k: int, values: Array) -> Array:
         p = self._base[k] + self._by_parameter @ (values * self._acts[k])
         return np.asarray(np.clip(p, self._low, self._high))
 
-    def _run(self, k: int, values: Array) -> Array:
-        y = run_trial(self._plain, self.trials[k], self._parameters(k, values))
-        return np.asarray(y + self._by_output @ (values * self._acts[k]))
+    def _runs(self, values: Array) -> dict[int, Array]:
+        """Outputs (n, outputs) of the trials of all groups, by their indices."""
+        which = sorted(k for g in self.groups for k in g.trials)
+        runs = self._simulated.outputs(which, lambda k: self._parameters(k, values))
+        return {k: y + self._by_output @ (values * self._acts[k]) for k, y in runs.items()}
 
-    def _run_sensitive(
-        self, k: int, values: Array, wanted: NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
-        """Outputs (n, outputs) and the spectra of their derivatives (signals, K, wanted).
+    def _slope_spectra(
+        self, k: int, group: TrialGroup, slopes: Array, wanted: NDArray[np.bool_]
+    ) -> Array:
+        """Spectra (signals, K, wanted) of a trial's derivatives (n, outputs, moved).
 
         A derivative that overflows says nothing and counts as zero.
         """
         acting = wanted & self._acts[k]
         moved = self._moved[:, acting]
-        y, slopes = run_sensitive_trial(
-            self._sensitive, self.trials[k], self._parameters(k, values), moved.any(axis=1)
-        )
-        group = next(g for g in self.groups if k in g.trials)
+        used = moved.any(axis=1)
         spectra = np.zeros((len(group.signals), group.coefficients, int(wanted.sum())))
         for b, signal in enumerate(group.signals):
             o = self._outputs.index(signal)
-            slope = slopes[:, o] @ moved + self._by_output[o, acting]
-            own = self._coefficients(k, signal, slope, group.coefficients)
-            spectra[b][:, acting[wanted]] = own
+            own = self._coefficients(k, signal, slopes[:, o, used], group.coefficients)
+            level = self._coefficients(k, signal, np.ones(len(slopes)), group.coefficients)
+            spectra[b][:, acting[wanted]] = own @ moved[used] + np.outer(
+                level, self._by_output[o, acting]
+            )
         spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0
-        return y + self._by_output @ (values * self._acts[k]), spectra
+        return spectra
 
-    def _spectra(self, g: TrialGroup, runs: Sequence[Array]) -> Array:
+    def _spectra(self, g: TrialGroup, runs: Mapping[int, Array]) -> Array:
         rows = np.empty((len(g.trials), len(g.signals), g.coefficients))
         for a, k in enumerate(g.trials):
             for b, signal in enumerate(g.signals):

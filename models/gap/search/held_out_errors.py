@@ -175,7 +175,7 @@ class HeldOut:
         """Derivatives of all trials; those of the last values are kept."""
         key = values.tobytes(), wanted.tobytes()
         if self._known[0] != key:
-            self._known = key, self.residuals.jacobian(values, wanted)[1]
+            self._known = key, self.residuals.jacobian(values, wanted)
         return self._known[1]
 
     def _refitted(self, rest: GaussNewton, point: FitPoint, free: Array) -> Array:

@@ -1,16 +1,19 @@
-/* Run a sampled model together with the slope S = dx/dp of its states by the chosen parameters.
+/* Run a sampled model together with the slope S = dx/dp of its states by the chosen parameters, for
+ * N_LANES trials in lockstep.
  *
  * The slope follows the variational equation S' = f_x S + f_p by the Runge-Kutta steps of the run
- * itself, so it is the derivative of the discrete run. A row of S belongs to a state, with all
- * parameters side by side: a row times an entry of f_x is a loop over vectors. Every operation is
- * done element by element and rounded by itself, so the width of the vectors changes no bit. Blocks
- * of parameters that no one asks for are left out.
+ * itself, so it is the derivative of the discrete run. Values and entries of the Jacobians are
+ * evaluated for all trials at once, one in each lane. The slope of a trial is cut into blocks of
+ * columns, one for each wanted parameter; a step is done block by block, so that a block stays in
+ * the processor's first cache. Every operation is done element by element and rounded by itself, so
+ * neither lanes nor blocks change a bit.
  */
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "sensitivity.h"
+#include "lanes.h"
 #include "sensitivity_initial.h"
 
 /* Places of the entries of a sparse Jacobian, row after row. Entries x_start[k] to x_start[k + 1]
@@ -23,184 +26,249 @@ typedef struct {
 #include "tables.h"
 
 typedef double Block __attribute__((vector_size(N_BLOCK * sizeof(double)), may_alias));
-typedef Block Row[N_BLOCKS];
+typedef Block Slope[N_BLOCKS][N_ROWS];
 
-typedef int (*Function)(const double **, double **, casadi_int *, double *, int);
-typedef int (*Work)(casadi_int *, casadi_int *, casadi_int *, casadi_int *);
+typedef void Function(const Real **, Real **, int);
+Function sensitivity_begin, sensitivity_rate, sensitivity_finish, sensitivity_output;
 
-static const Work WORK[] = {sensitivity_initial_work, sensitivity_begin_work, sensitivity_rate_work,
-                            sensitivity_finish_work, sensitivity_output_work};
+/* Entries of the derivatives of a function, side by side for each lane. */
+typedef struct {
+    double by_x[N_LANES][MOST_BY_X], by_p[N_LANES][MOST_BY_P];
+} Entries;
+
+/* Entries by p in the order in which they add to each block: to a column of the k-th row. */
+typedef struct {
+    int start[N_BLOCKS + 1], k[MOST_BY_P], column[MOST_BY_P], entry[MOST_BY_P];
+} Additions;
 
 typedef struct {
-    Row slope[N_ROWS], stage[N_ROWS], change[N_ROWS], sum[N_ROWS], output[N_OUTPUTS];
-    double x[N_STATES], x_stage[N_STATES], x_sum[N_STATES];
-    double value[MOST_VALUES], by_x[MOST_BY_X], by_p[MOST_BY_P];
-    const double *u, *p, **arg;
-    double **res, *w;
-    casadi_int *iw;
+    Slope slope[N_LANES];
+    Block change[N_ROWS + N_OUTPUTS], stage[N_ROWS], sum[N_ROWS];
+    Entries stages[4];
+    Real value[MOST_VALUES], by_x[MOST_BY_X], by_p[MOST_BY_P];
+    Real x[N_STATES], x_stage[N_STATES], x_sum[N_STATES], u[N_INPUTS + 1], p[N_PARAMETERS + 1];
+    int lanes, columns, blocks, chosen[N_COLUMNS + 1]; /* wanted columns, as chosen parameters */
+    Additions initial, begin, rate, finish, output;
     const char *wanted; /* of each chosen parameter */
-    int blocks, block[N_BLOCKS];
 } Run;
 
-/* Blocks of columns that hold a wanted parameter. */
-static void select_blocks(Run *r) {
-    r->blocks = 0;
-    for (int b = 0; b < N_BLOCKS; b++) {
-        int any = 0;
-        for (int c = b * N_BLOCK; c < N_COLUMNS && c < (b + 1) * N_BLOCK; c++)
-            any |= r->wanted[CHOSEN[c]];
-        if (any) r->block[r->blocks++] = b;
+static const double WEIGHT[4] = {1, 2, 2, 1}; /* of the stages of a Runge-Kutta step */
+
+/* Additions of a Jacobian, where place[c] is the wanted column of column c, or -1. */
+static void sort_additions(const Run *r, const Jacobian *j, const int *place, Additions *own) {
+    int count = 0;
+    for (int b = 0; b < r->blocks; b++) {
+        own->start[b] = count;
+        for (int k = 0; k < j->rows; k++)
+            for (int e = j->p_start[k]; e < j->p_start[k + 1]; e++) {
+                const int c = place[j->p_place[e]];
+                if (c < 0 || c / N_BLOCK != b) continue;
+                own->k[count] = k, own->column[count] = c % N_BLOCK, own->entry[count++] = e;
+            }
     }
+    own->start[r->blocks] = count;
+}
+
+/* Wanted columns side by side, and the blocks that hold them. */
+static void select_columns(Run *r, int *place) {
+    r->columns = 0;
+    for (int c = 0; c < N_COLUMNS; c++) {
+        place[c] = r->wanted[CHOSEN[c]] ? r->columns : -1;
+        if (r->wanted[CHOSEN[c]]) r->chosen[r->columns++] = CHOSEN[c];
+    }
+    r->blocks = (r->columns + N_BLOCK - 1) / N_BLOCK;
 }
 
 /* Values and entries of the derivatives of a function at a state. */
-static void evaluate(Run *r, Function function, const double *x, const double *time) {
-    r->arg[0] = x, r->arg[1] = r->u, r->arg[2] = r->p, r->arg[3] = time;
-    r->res[0] = r->value, r->res[1] = r->by_x, r->res[2] = r->by_p;
-    function(r->arg, r->res, r->iw, r->w, 0);
+static void evaluate(Run *r, Function function, const Jacobian *j, const Additions *add,
+                     const Real *x, const Real *time, Entries *own) {
+    const Real *arg[] = {x, r->u, r->p, time};
+    Real *res[] = {r->value, r->by_x, r->by_p};
+    function(arg, res, r->lanes);
+    if (!r->blocks) return;
+    for (int e = 0; e < j->x_start[j->rows]; e++)
+        for (int l = 0; l < N_LANES; l++) own->by_x[l][e] = r->by_x[e][l];
+    for (int i = 0; i < add->start[r->blocks]; i++)
+        for (int l = 0; l < N_LANES; l++) own->by_p[l][i] = r->by_p[add->entry[i]][l];
 }
 
-/* Row k of by_x slope + by_p, of each row of the Jacobian. */
-static void multiply(const Jacobian *j, const Run *r, const Row *slope, Row *result) {
+/* Row k of by_x slope, of each row of the Jacobian, for a block of a lane. */
+static void multiply(const Jacobian *j, const Entries *own, int lane, const Block *slope,
+                     Block *result) {
+    const double *by_x = own->by_x[lane];
     for (int k = 0; k < j->rows; k++) {
-        Row sum;
-        memset(sum, 0, sizeof sum);
-        for (int e = j->x_start[k]; e < j->x_start[k + 1]; e++) {
-            const Block *other = slope[j->x_place[e]];
-            for (int i = 0; i < r->blocks; i++)
-                sum[r->block[i]] += r->by_x[e] * other[r->block[i]];
-        }
-        memcpy(result[k], sum, sizeof sum);
+        Block sum = {0};
+        for (int e = j->x_start[k]; e < j->x_start[k + 1]; e++)
+            sum += by_x[e] * slope[j->x_place[e]];
+        result[k] = sum;
     }
 }
 
-/* The same with by_p, for states. */
-static void propagate(const Jacobian *j, const Run *r, const Row *slope, Row *result) {
-    multiply(j, r, slope, result);
-    for (int k = 0; k < j->rows; k++)
-        for (int e = j->p_start[k]; e < j->p_start[k + 1]; e++) {
-            const int c = j->p_place[e];
-            result[k][c / N_BLOCK][c % N_BLOCK] += r->by_p[e];
-        }
-}
-
-/* Rows of the slope after a discrete update of the state. */
-static void replace_rows(Run *r, const Jacobian *j) {
-    propagate(j, r, r->slope, r->change);
-    for (int k = 0; k < j->rows; k++) memcpy(r->slope[j->row[k]], r->change[k], sizeof(Row));
+/* The same with by_p, for block b. */
+static void propagate(const Jacobian *j, const Additions *add, const Entries *own, int lane, int b,
+                      const Block *slope, Block *result) {
+    multiply(j, own, lane, slope, result);
+    for (int i = add->start[b]; i < add->start[b + 1]; i++)
+        result[add->k[i]][add->column[i]] += own->by_p[lane][i];
 }
 
 /* State and slope after a discrete update. */
-static void update(Run *r, Function function, const Jacobian *j, const double *time) {
-    evaluate(r, function, r->x, time);
+static void update(Run *r, Function function, const Jacobian *j, const Additions *add,
+                   const Real *time) {
+    Entries *own = r->stages;
+    evaluate(r, function, j, add, r->x, time, own);
     memcpy(r->x, r->value, sizeof r->x);
-    replace_rows(r, j);
+    for (int lane = 0; lane < r->lanes; lane++)
+        for (int b = 0; b < r->blocks; b++) {
+            Block *slope = r->slope[lane][b];
+            propagate(j, add, own, lane, b, slope, r->change);
+            for (int k = 0; k < j->rows; k++) slope[j->row[k]] = r->change[k];
+        }
 }
 
-/* One of the four evaluations of a Runge-Kutta step: adds weight times the rate to the sums, and
- * advances the stage by `ahead` times the rate from the start of the step. */
-static void evaluate_stage(Run *r, double weight, double ahead) {
+/* A block of a lane's slope after a Runge-Kutta step, whose stages are evaluated. */
+static void follow(Run *r, int lane, int b, double dt, const double *ahead) {
     const Jacobian *j = &RATE;
-    evaluate(r, sensitivity_rate, r->x_stage, NULL);
-    propagate(j, r, r->stage, r->change);
-    for (int i = 0; i < N_STATES; i++) {
-        r->x_sum[i] += weight * r->value[i];
-        r->x_stage[i] = r->x[i] + ahead * r->value[i];
-    }
-    for (int k = 0; k < j->rows; k++) {
-        Block *stage = r->stage[j->row[k]], *start = r->slope[j->row[k]];
-        for (int i = 0; i < r->blocks; i++) {
-            const int b = r->block[i];
-            r->sum[k][b] += weight * r->change[k][b];
-            stage[b] = start[b] + ahead * r->change[k][b];
+    Block *slope = r->slope[lane][b], *change = r->change;
+    memcpy(r->stage, slope, sizeof r->stage);
+    memset(r->sum, 0, sizeof r->sum);
+    for (int s = 0; s < 4; s++) {
+        propagate(j, &r->rate, &r->stages[s], lane, b, r->stage, change);
+        for (int k = 0; k < j->rows; k++) {
+            r->sum[k] += WEIGHT[s] * change[k];
+            r->stage[j->row[k]] = slope[j->row[k]] + ahead[s] * change[k];
         }
     }
+    for (int k = 0; k < j->rows; k++) slope[j->row[k]] += dt / 6 * r->sum[k];
 }
 
 /* One classical Runge-Kutta step, rounded like `runge_kutta` of models/plant/step_model.py. */
 static void flow(Run *r, double dt) {
-    const Jacobian *j = &RATE;
+    const double ahead[4] = {dt / 2, dt / 2, dt, 0};
     memcpy(r->x_stage, r->x, sizeof r->x);
-    memcpy(r->stage, r->slope, sizeof r->slope);
     memset(r->x_sum, 0, sizeof r->x_sum);
-    memset(r->sum, 0, sizeof r->sum);
-    evaluate_stage(r, 1, dt / 2);
-    evaluate_stage(r, 2, dt / 2);
-    evaluate_stage(r, 2, dt);
-    evaluate_stage(r, 1, 0);
+    for (int s = 0; s < 4; s++) {
+        evaluate(r, sensitivity_rate, &RATE, &r->rate, r->x_stage, NULL, &r->stages[s]);
+        for (int i = 0; i < N_STATES; i++) {
+            r->x_sum[i] += WEIGHT[s] * r->value[i];
+            r->x_stage[i] = r->x[i] + ahead[s] * r->value[i];
+        }
+    }
     for (int i = 0; i < N_STATES; i++) r->x[i] += dt / 6 * r->x_sum[i];
-    for (int k = 0; k < j->rows; k++)
-        for (int i = 0; i < r->blocks; i++)
-            r->slope[j->row[k]][r->block[i]] += dt / 6 * r->sum[k][r->block[i]];
+    for (int lane = 0; lane < r->lanes; lane++)
+        for (int b = 0; b < r->blocks; b++) follow(r, lane, b, dt, ahead);
 }
 
-/* Outputs y, and their slopes: of each output by all chosen parameters, zero by unwanted ones. */
-static void observe(Run *r, double *y, double *slope) {
+/* Outputs y of a lane, and their slopes: of each output by all chosen parameters, zero by unwanted
+ * ones. */
+static void observe(Run *r, int lane, double *y, double *slope) {
     const Jacobian *j = &OUTPUT;
-    evaluate(r, sensitivity_output, r->x, NULL);
-    memcpy(y, r->value, N_OUTPUTS * sizeof *y);
-    multiply(j, r, r->slope, r->output);
+    for (int k = 0; k < N_OUTPUTS; k++) y[k] = r->value[k][lane];
     memset(slope, 0, N_OUTPUTS * N_CHOSEN * sizeof *slope);
-    for (int k = 0; k < N_OUTPUTS; k++, slope += N_CHOSEN) {
-        for (int c = 0; c < N_COLUMNS; c++)
-            if (r->wanted[CHOSEN[c]]) slope[CHOSEN[c]] = r->output[k][c / N_BLOCK][c % N_BLOCK];
+    for (int b = 0; b < r->blocks; b++) {
+        multiply(j, r->stages, lane, r->slope[lane][b], r->change);
+        for (int c = b * N_BLOCK; c < r->columns && c < (b + 1) * N_BLOCK; c++)
+            for (int k = 0; k < N_OUTPUTS; k++)
+                slope[k * N_CHOSEN + r->chosen[c]] = r->change[k][c % N_BLOCK];
+    }
+    for (int k = 0; k < N_OUTPUTS; k++, slope += N_CHOSEN)
         for (int e = j->p_start[k]; e < j->p_start[k + 1]; e++)
-            if (r->wanted[j->p_place[e]]) slope[j->p_place[e]] += r->by_p[e];
-    }
+            if (r->wanted[j->p_place[e]]) slope[j->p_place[e]] += r->by_p[e][lane];
 }
 
-static void run_all(Run *r, long steps, double step_s, double max_substep_s, const double *u,
-                    double *y, double *slope) {
-    double substeps = fmax(1.0, ceil(step_s / max_substep_s - 1e-9)), dt = step_s / substeps;
-    r->arg[0] = r->u, r->arg[1] = r->p;
-    r->res[0] = r->x, r->res[1] = r->by_x, r->res[2] = r->by_p;
-    sensitivity_initial(r->arg, r->res, r->iw, r->w, 0);
-    memset(r->slope, 0, sizeof r->slope);
-    replace_rows(r, &INITIAL);
-    r->u = u;
-    observe(r, y, slope);
-    for (long k = 0; k < steps; k++) {
-        r->u = u + k * N_INPUTS;
-        update(r, sensitivity_begin, &BEGIN, &step_s);
-        for (long i = 0; i < (long)substeps; i++) flow(r, dt);
-        update(r, sensitivity_finish, &FINISH, &step_s);
-        observe(r, y + (k + 1) * N_OUTPUTS, slope + (k + 1) * N_OUTPUTS * N_CHOSEN);
-    }
-}
-
-/* Outputs y and their slopes at the start and after each step. The state at the start is the one at
- * rest under the inputs `first`; u[k] drives step k. `wanted` holds 1 for each chosen parameter
- * whose slopes are asked for. Returns 0, or 1 when memory is short. */
-__attribute__((visibility("default"))) int run_sensitive(long steps, double step_s,
-                                                         double max_substep_s, const char *wanted,
-                                                         const double *first, const double *u,
-                                                         const double *p, double *y,
-                                                         double *slope) {
-    casadi_int sizes[4] = {4, 3, 1, 1}; /* arguments, results, integers, doubles */
-    for (int k = 0; k < 5; k++) {
-        casadi_int need[4];
-        WORK[k](&need[0], &need[1], &need[2], &need[3]);
-        for (int i = 0; i < 4; i++)
-            if (need[i] > sizes[i]) sizes[i] = need[i];
-    }
-    void *memory = malloc(sizeof(Run) + sizeof(Block));
-    const double **arg = malloc(sizes[0] * sizeof *arg);
-    double **res = malloc(sizes[1] * sizeof *res);
-    casadi_int *iw = malloc(sizes[2] * sizeof *iw);
-    double *w = malloc(sizes[3] * sizeof *w);
-    int failed = !memory || !arg || !res || !iw || !w;
+/* State and slope of a lane at rest. Returns 1 when memory is short. */
+static int begin_at_rest(Run *r, int lane, const double *u, const double *p) {
+    casadi_int need[4];
+    sensitivity_initial_work(&need[0], &need[1], &need[2], &need[3]);
+    const double **arg = malloc((need[0] + 2) * sizeof *arg);
+    double **res = malloc((need[1] + 3) * sizeof *res);
+    casadi_int *iw = malloc((need[2] + 1) * sizeof *iw);
+    double *w = malloc((need[3] + N_STATES + MOST_BY_X + MOST_BY_P) * sizeof *w);
+    const int failed = !arg || !res || !iw || !w;
     if (!failed) {
-        size_t beyond = (size_t)memory % sizeof(Block);
-        Run *r = (Run *)((char *)memory + sizeof(Block) - beyond);
-        r->u = first, r->p = p, r->arg = arg, r->res = res, r->iw = iw, r->w = w;
-        r->wanted = wanted;
-        select_blocks(r);
-        run_all(r, steps, step_s, max_substep_s, u, y, slope);
+        const Jacobian *j = &INITIAL;
+        const Additions *add = &r->initial;
+        double *by_p = w + need[3] + N_STATES + MOST_BY_X;
+        arg[0] = u, arg[1] = p;
+        res[0] = w + need[3], res[1] = w + need[3] + N_STATES, res[2] = by_p;
+        sensitivity_initial(arg, res, iw, w, 0);
+        for (int i = 0; i < N_STATES; i++) r->x[i][lane] = res[0][i];
+        for (int b = 0; b < r->blocks; b++)
+            for (int i = add->start[b]; i < add->start[b + 1]; i++)
+                r->slope[lane][b][j->row[add->k[i]]][add->column[i]] += by_p[add->entry[i]];
     }
-    free(memory);
     free(arg);
     free(res);
     free(iw);
     free(w);
+    return failed;
+}
+
+/* Inputs of a step; lanes that are left over repeat the last. */
+static void read_inputs(Run *r, const double *u, long steps, long k) {
+    for (int i = 0; i < N_INPUTS; i++)
+        for (int l = 0; l < N_LANES; l++) {
+            const long lane = l < r->lanes ? l : r->lanes - 1;
+            r->u[i][l] = u[(lane * steps + k) * N_INPUTS + i];
+        }
+}
+
+static void observe_all(Run *r, long rows, long k, double *y, double *slope) {
+    evaluate(r, sensitivity_output, &OUTPUT, &r->output, r->x, NULL, r->stages);
+    for (long l = 0; l < r->lanes; l++) {
+        const long row = (l * rows + k) * N_OUTPUTS;
+        observe(r, l, y + row, slope + row * N_CHOSEN);
+    }
+}
+
+static int run_all(Run *r, long steps, double step_s, double max_substep_s, const double *first,
+                   const double *u, const double *p, double *y, double *slope) {
+    const double substeps = fmax(1.0, ceil(step_s / max_substep_s - 1e-9)), dt = step_s / substeps;
+    const Real time = EACH(step_s);
+    int place[N_COLUMNS + 1], failed = 0;
+    const int lanes = r->lanes;
+    select_columns(r, place);
+    const Jacobian *all[] = {&INITIAL, &BEGIN, &RATE, &FINISH};
+    Additions *add[] = {&r->initial, &r->begin, &r->rate, &r->finish};
+    for (int k = 0; k < 4; k++) sort_additions(r, all[k], place, add[k]);
+    memset(r->output.start, 0, sizeof r->output.start); /* `observe` adds these itself */
+    memset(r->slope, 0, sizeof r->slope);
+    for (int l = 0; l < N_LANES; l++) {
+        const int lane = l < lanes ? l : lanes - 1;
+        const double *own = p + lane * N_PARAMETERS;
+        for (int i = 0; i < N_PARAMETERS; i++) r->p[i][l] = own[i];
+        if (l < lanes)
+            failed |= begin_at_rest(r, l, first + l * N_INPUTS, own);
+        else
+            for (int i = 0; i < N_STATES; i++) r->x[i][l] = r->x[i][lane];
+    }
+    read_inputs(r, steps ? u : first, steps ? steps : 1, 0);
+    observe_all(r, steps + 1, 0, y, slope);
+    for (long k = 0; k < steps && !failed; k++) {
+        read_inputs(r, u, steps, k);
+        update(r, sensitivity_begin, &BEGIN, &r->begin, &time);
+        for (long i = 0; i < (long)substeps; i++) flow(r, dt);
+        update(r, sensitivity_finish, &FINISH, &r->finish, &time);
+        observe_all(r, steps + 1, k + 1, y, slope);
+    }
+    return failed;
+}
+
+/* Outputs y and their slopes at the start and after each step, of `lanes` trials one after the
+ * other, at most N_LANES. The state at the start is the one at rest under the inputs `first`; u[k]
+ * drives step k. `wanted` holds 1 for each chosen parameter whose slopes are asked for. Returns 0,
+ * or 1 when memory is short. */
+__attribute__((visibility("default"))) int run_sensitive(int lanes, long steps, double step_s,
+                                                         double max_substep_s, const char *wanted,
+                                                         const double *first, const double *u,
+                                                         const double *p, double *y,
+                                                         double *slope) {
+    const size_t boundary = 256;
+    void *memory = malloc(sizeof(Run) + boundary);
+    if (!memory) return 1;
+    Run *r = (Run *)((char *)memory + boundary - (uintptr_t)memory % boundary);
+    r->lanes = lanes, r->wanted = wanted;
+    const int failed = run_all(r, steps, step_s, max_substep_s, first, u, p, y, slope);
+    free(memory);
     return failed;
 }

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.plant.simulation.compiled_model import trial_inputs, trial_parameters
+from models.plant.simulation.lanes_c import LANES_H
 from models.plant.simulation.sensitivity_c import write_sensitivity_c
 from models.plant.step_model import Array, StepModel, names
 from models.shared.c_compiler import compile_library, compiler_options
@@ -42,12 +43,17 @@ class SensitiveModel:
         Names of parameters.
     max_substep_s : float, optional
         Other longest sub-step, for a model that is not stiff.
+    lanes : int
+        Trials that can run in lockstep: 1, 2, 4 or 8. Four take the time of two, but for the
+        functions of the C library.
 
     Attributes
     ----------
     model : StepModel
         With that longest sub-step.
     wrt : tuple of str
+        As given.
+    lanes : int
         As given.
 
     Raises
@@ -57,17 +63,25 @@ class SensitiveModel:
     """
 
     def __init__(
-        self, model: StepModel, wrt: Sequence[str], max_substep_s: float | None = None
+        self,
+        model: StepModel,
+        wrt: Sequence[str],
+        max_substep_s: float | None = None,
+        lanes: int = 1,
     ) -> None:
         if model.rate is None:
             raise ValueError(f"{model.name} has no rate")
         self.model = replace(model, max_substep_s=max_substep_s or model.max_substep_s)
-        self.wrt = tuple(wrt)
+        self.wrt, self.lanes = tuple(wrt), lanes
         known = names(model.parameters)
-        self._library = _library(model, [known.index(n) for n in wrt])
+        self._library = _library(model, [known.index(n) for n in wrt], lanes)
 
     def simulate(
-        self, u: Array, step_s: float, p: Array | None = None, first: Array | None = None,
+        self,
+        u: Array,
+        step_s: float,
+        p: Array | None = None,
+        first: Array | None = None,
         wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Array]:
         """Outputs and their derivatives at the start and after each step.
@@ -93,21 +107,66 @@ class SensitiveModel:
         MemoryError
             If the library runs out of memory.
         """
-        u = np.ascontiguousarray(u, dtype=np.float64)
-        p = np.ascontiguousarray(self.model.parameter_values() if p is None else p, np.float64)
-        first = np.ascontiguousarray(u[0] if first is None else first, dtype=np.float64)
-        y = np.empty((len(u) + 1, len(self.model.outputs)))
+        p = np.asarray(self.model.parameter_values() if p is None else p)
+        first = np.asarray(u[0] if first is None else first)
+        y, slope = self.simulate_several(u[None], step_s, p[None], first[None], wanted)
+        return y[0], slope[0]
+
+    def simulate_several(
+        self,
+        u: Array,
+        step_s: float,
+        p: Array,
+        first: Array,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> tuple[Array, Array]:
+        """Runs of several trials in lockstep; each has the bits of a run of its own.
+
+        Parameters
+        ----------
+        u : ndarray, shape (m, n, len(inputs))
+            Inputs of each trial; at most as many trials as there are lanes.
+        step_s : float
+            As for `simulate`.
+        p : ndarray, shape (m, len(parameters))
+            Parameters of each trial.
+        first : ndarray, shape (m, len(inputs))
+            Inputs at the start.
+        wanted : ndarray of bool, shape (len(wrt),), optional
+            As for `simulate`.
+
+        Returns
+        -------
+        y : ndarray, shape (m, n + 1, len(outputs))
+            Outputs.
+        slope : ndarray, shape (m, n + 1, len(outputs), len(wrt))
+            Their derivatives.
+
+        Raises
+        ------
+        ValueError
+            If there are no trials, or more than lanes.
+        MemoryError
+            If the library runs out of memory.
+        """
+        if not 1 <= len(u) <= self.lanes:
+            raise ValueError(f"{len(u)} trials in {self.lanes} lanes")
+        first, u, p = (np.ascontiguousarray(a, dtype=np.float64) for a in (first, u, p))
+        y = np.empty((len(u), u.shape[1] + 1, len(self.model.outputs)))
         slope = np.empty((*y.shape, len(self.wrt)))
         times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
+        sizes = ctypes.c_int(len(u)), ctypes.c_long(u.shape[1])
         pointers = [a.ctypes.data_as(_POINTER) for a in (first, u, p, y, slope)]
         chosen = (np.ones(len(self.wrt), dtype=bool) if wanted is None else wanted).tobytes()
-        if self._library.run_sensitive(ctypes.c_long(len(u)), *times, chosen, *pointers):
+        if self._library.run_sensitive(*sizes, *times, chosen, *pointers):
             raise MemoryError(f"{self.model.name}: run_sensitive")
         return y, slope
 
 
 def run_sensitive_trial(
-    sensitive: SensitiveModel, trial: Trial, p: Array | None = None,
+    sensitive: SensitiveModel,
+    trial: Trial,
+    p: Array | None = None,
     wanted: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Array]:
     """Outputs of a model at every row of a trial, and their derivatives.
@@ -142,9 +201,9 @@ _LIBRARIES: Final[dict[bytes, ctypes.CDLL]] = {}
 """Loaded libraries by content of the model: to differentiate an observer takes seconds."""
 
 
-def _library(model: StepModel, index: Sequence[int]) -> ctypes.CDLL:
+def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
     """Compiled derivatives of a model by the parameters of these indices."""
-    flags = _vector_flags()
+    flags = (*_vector_flags(), f"-DN_LANES={lanes}")
     digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
     for part in vars(model).values():
         if isinstance(part, ca.Function):
@@ -155,7 +214,10 @@ def _library(model: StepModel, index: Sequence[int]) -> ctypes.CDLL:
             directory = Path(scratch)
             sources = write_sensitivity_c(model, index, directory)
             path = compile_library(
-                [*sources, _DRIVER], directory / "model.so", include=[directory], flags=flags
+                [*sources, _DRIVER],
+                directory / "model.so",
+                include=[directory, LANES_H.parent],
+                flags=flags,
             )
             _LIBRARIES[key] = ctypes.CDLL(str(path))
     return _LIBRARIES[key]

@@ -2,7 +2,8 @@
 
 A function of the model becomes a C function with three results: the value, and the entries of its
 derivatives by the states and by the chosen parameters, row after row. Constant tables in `tables.h`
-tell the place of each entry; `run_sensitive.c` reads them.
+tell the place of each entry; `run_sensitive.c` reads them. All but the start, which is evaluated
+once, is written for several trials in lockstep (`models.plant.simulation.lanes_c`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from models.plant.simulation.lanes_c import in_lanes
 from models.plant.step_model import StepModel
 
-BLOCK: Final = 8
+BLOCK: Final = 16
 """Columns that `run_sensitive.c` adds at once: two registers of AVX, four of SSE2."""
 
 _NOT_OPTIMISED: Final = "#pragma clang optimize off\n"
@@ -28,7 +30,7 @@ FUNCTIONS: Final = ("initial", "begin", "rate", "finish", "output")
 
 
 def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> list[Path]:
-    """Write `sensitivity.c` and `sensitivity_initial.c` with their headers, and `tables.h`.
+    """Write `sensitivity.c`, `sensitivity_initial.c` and its header, and `tables.h`.
 
     Parameters
     ----------
@@ -48,13 +50,12 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
     if model.smooth_finish is not None:
         derived["finish"] = _Derivatives(model.finish, index, model.smooth_finish)
     states, columns = _reached(derived)
-    generators = {
-        name: ca.CodeGenerator(name, {"with_header": True, "mex": False})
-        for name in ("sensitivity_initial.c", "sensitivity.c")
-    }
+    start = ca.CodeGenerator("sensitivity_initial.c", {"with_header": True, "mex": False})
+    others = ca.CodeGenerator("sensitivity.c", {"mex": False})
     tables = {
         "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
-        "CHOSEN": len(index), "ROWS": max(1, len(states)), "COLUMNS": len(columns),
+        "PARAMETERS": len(model.parameters), "CHOSEN": len(index),
+        "ROWS": max(1, len(states)), "COLUMNS": len(columns),
         "BLOCKS": max(1, -(-len(columns) // BLOCK)), "BLOCK": BLOCK,
     }  # fmt: skip
     lines = [f"#define N_{name} {size}" for name, size in tables.items()]
@@ -67,7 +68,7 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         function = ca.Function(
             f"sensitivity_{what}", own.arguments, ca.cse([own.value, by_x.nz[:], by_p.nz[:]])
         )
-        generators["sensitivity_initial.c" if what == "initial" else "sensitivity.c"].add(function)
+        (start if what == "initial" else others).add(function)
         most = np.maximum(most, [function.numel_out(k) for k in range(3)])
         place = rows if what == "output" else [states.index(i) for i in rows]
         lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
@@ -75,10 +76,10 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
     ]
     (directory / "tables.h").write_text("\n".join(lines) + "\n")
-    for generator in generators.values():
-        generator.generate(f"{directory}/")
-    sources = [directory / name for name in generators]
+    start.generate(f"{directory}/")
+    sources = [directory / name for name in ("sensitivity_initial.c", "sensitivity.c")]
     sources[0].write_text(_NOT_OPTIMISED + sources[0].read_text())
+    sources[1].write_text(in_lanes(others.dump()))
     return sources
 
 

@@ -105,3 +105,38 @@ def test_another_longest_substep_is_that_of_the_run(bench):
 def test_a_model_without_a_rate_is_refused():
     with pytest.raises(ValueError, match="has no rate"):
         SensitiveModel(replace(read_plant().step_model(1, "twin"), rate=None), [])
+
+
+def test_slopes_that_are_not_wanted_are_zero_and_the_others_keep_their_bits(bench):
+    model, wrt = read_plant().step_model(1, "twin"), CHOSEN["twin"]
+    u, sensitive = bench.inputs(model, 40), SensitiveModel(model, wrt)
+    y, every = sensitive.simulate(u, STEP_S)
+    wanted = np.array([False, True, False])
+    same, some = sensitive.simulate(u, STEP_S, wanted=wanted)
+    assert np.array_equal(same, y)
+    assert np.array_equal(some[..., wanted], every[..., wanted])
+    assert (every[..., ~wanted] != 0).any() and (some[..., ~wanted] == 0).all()
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_a_run_in_lockstep_has_the_bits_of_a_run_of_its_own(bench, dof):
+    model = bench.plant("cogging", "stribeck_friction", "creep").step_model(dof, "twin")
+    wrt, plain = CHOSEN["twin"], CompiledModel(model)
+    alone, several = SensitiveModel(model, wrt), SensitiveModel(model, wrt, lanes=4)
+    p = np.tile(model.parameter_values(), (3, 1))
+    p[1] *= 1.01
+    p[2, names(model.parameters).index("cogging_1_nm")] = 0.2
+    u = np.stack([scale * bench.inputs(model, 40) for scale in (1.0, 0.5, 0.8)])
+    for count in 3, 1:
+        y, slopes = several.simulate_several(u[:count], STEP_S, p[:count], u[:count, 0])
+        for k in range(count):
+            assert np.array_equal(y[k], plain.simulate(u[k], STEP_S, p[k]))
+            assert np.array_equal(slopes[k], alone.simulate(u[k], STEP_S, p[k])[1])
+    assert not np.array_equal(y[0], plain.simulate(u[0], STEP_S, p[2]))
+
+
+def test_more_trials_than_lanes_are_refused(bench):
+    model = read_plant().step_model(1, "twin")
+    u, p = np.stack([bench.inputs(model, 5)] * 2), model.parameter_values()
+    with pytest.raises(ValueError, match="2 trials in 1 lanes"):
+        SensitiveModel(model, []).simulate_several(u, STEP_S, np.stack([p, p]), u[:, 0])
