@@ -12,7 +12,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -39,6 +40,9 @@ _FLAGS: Final = (
 
 _LIBRARY: Final = ("-fPIC", "-shared")
 
+_Compile = Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None]
+"""Function of sources, output, directories of headers, and options."""
+
 
 def compile_library(
     sources: Sequence[Path],
@@ -47,6 +51,7 @@ def compile_library(
     include: Sequence[Path] = (),
     flags: Sequence[str] = (),
     target: str = TARGET,
+    at_once: bool = False,
 ) -> Path:
     """Compile C sources into one shared library.
 
@@ -65,6 +70,8 @@ def compile_library(
         Further options, put after the defaults.
     target : str
         Zig's name of the platform.
+    at_once : bool
+        Whether sources are compiled at the same time, on two processors.
 
     Returns
     -------
@@ -77,7 +84,8 @@ def compile_library(
         If the compiler refuses the sources; the message is the compiler's.
     """
     options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
-    return _compile_cached(sources, output, include, options)
+    compile_ = _compile_at_once if at_once else _compile
+    return _compile_cached(sources, output, include, options, compile_)
 
 
 def compile_program(
@@ -101,20 +109,24 @@ def compile_program(
     DropstitchError
         If the compiler refuses the source; the message is the compiler's.
     """
-    _compile_cached([source], output, include, [*_FLAGS, "-target", target])
+    _compile_cached([source], output, include, [*_FLAGS, "-target", target], _compile)
     output.chmod(0o755)
     return output
 
 
 def _compile_cached(
-    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+    sources: Sequence[Path],
+    output: Path,
+    include: Sequence[Path],
+    options: Sequence[str],
+    compile_: _Compile,
 ) -> Path:
     cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
     if not cached.is_file():
         CACHE.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
             fresh = Path(scratch) / output.name
-            _compile(sources, fresh, include, options)
+            compile_(sources, fresh, include, options)
             fresh.replace(cached)  # atomic: another process may build the same
     output.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(cached, output)
@@ -136,6 +148,21 @@ def _compile(
     done = subprocess.run(command, capture_output=True, text=True, env=_environment(), check=False)
     if done.returncode:
         raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
+
+
+def _compile_at_once(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> None:
+    """Compile each source by a compiler of its own, two at a time; one compiler takes turns."""
+    objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
+    alone = [option for option in options if option not in ("-shared", "-s")]
+    with ThreadPoolExecutor(2) as pool:
+        for done in [
+            pool.submit(_compile, [source], path, include, [*alone, "-c"])
+            for source, path in zip(sources, objects, strict=True)
+        ]:
+            done.result()
+    _compile(objects, output, include, options)
 
 
 def _environment() -> dict[str, str]:

@@ -218,6 +218,7 @@ def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
                 directory / "model.so",
                 include=[directory, LANES_H.parent],
                 flags=flags,
+                at_once=True,
             )
             _LIBRARIES[key] = ctypes.CDLL(str(path))
     return _LIBRARIES[key]

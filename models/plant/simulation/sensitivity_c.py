@@ -28,9 +28,15 @@ link with every effect and one joint: a third of the compiler's processor time."
 
 FUNCTIONS: Final = ("initial", "begin", "rate", "finish", "output")
 
+_FILE: Final = {"begin": "step", "rate": "step", "finish": "step", "output": "output"}
+"""Files of the functions that run in lanes: two that take the compiler as long as each other."""
+
+_LANES: Final = ("output", "step")
+"""The largest first."""
+
 
 def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> list[Path]:
-    """Write `sensitivity.c`, `sensitivity_initial.c` and its header, and `tables.h`.
+    """Write `sensitivity_initial.c` and its header, the files of `_LANES`, and `tables.h`.
 
     Parameters
     ----------
@@ -51,7 +57,7 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         derived["finish"] = _Derivatives(model.finish, index, model.smooth_finish)
     states, columns = _reached(derived)
     start = ca.CodeGenerator("sensitivity_initial.c", {"with_header": True, "mex": False})
-    others = ca.CodeGenerator("sensitivity.c", {"mex": False})
+    others = {what: ca.CodeGenerator(f"sensitivity_{what}.c", {"mex": False}) for what in _LANES}
     tables = {
         "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
         "PARAMETERS": len(model.parameters), "CHOSEN": len(index),
@@ -68,7 +74,7 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         function = ca.Function(
             f"sensitivity_{what}", own.arguments, ca.cse([own.value, by_x.nz[:], by_p.nz[:]])
         )
-        (start if what == "initial" else others).add(function)
+        (others[_FILE[what]] if what in _FILE else start).add(function)
         most = np.maximum(most, [function.numel_out(k) for k in range(3)])
         place = rows if what == "output" else [states.index(i) for i in rows]
         lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
@@ -77,10 +83,11 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
     ]
     (directory / "tables.h").write_text("\n".join(lines) + "\n")
     start.generate(f"{directory}/")
-    sources = [directory / name for name in ("sensitivity_initial.c", "sensitivity.c")]
-    sources[0].write_text(_NOT_OPTIMISED + sources[0].read_text())
-    sources[1].write_text(in_lanes(others.dump()))
-    return sources
+    sources = {what: directory / f"sensitivity_{what}.c" for what in (*_LANES, "initial")}
+    for what, generator in others.items():
+        sources[what].write_text(in_lanes(generator.dump()))
+    sources["initial"].write_text(_NOT_OPTIMISED + sources["initial"].read_text())
+    return [*sources.values()]
 
 
 class _Derivatives:
