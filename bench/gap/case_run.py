@@ -58,7 +58,7 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
     leave_out = list(case.hidden) if case.kind == "outside" else []
     found = diagnose(plant, trials, leave_out=leave_out)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
-    known = found.improved.parameters
+    known = found.fitted.parameters
     sealed = sealed_trials(rig.hide(case.hidden), case.seed) if found.named else {}
     return {
         "verdict": found.verdict,

@@ -72,6 +72,8 @@ class Diagnosis:
     ----------
     plant, improved : Plant
         As given, and with the named effects and the nuisance refitted.
+    fitted : Plant
+        With the named effects, also where they are not written into the improved plant.
     trials : TrialSet
         That were looked at: blocks of time of a single one (`models.gap.residuals.time_blocks`).
     settings : GapSettings
@@ -130,6 +132,7 @@ class Diagnosis:
 
     plant: Plant
     improved: Plant
+    fitted: Plant
     trials: TrialSet
     settings: GapSettings
     verdict: GapVerdict
@@ -212,9 +215,15 @@ def diagnose(
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
         for p in (result.before, result.after)
     )
+    free = search.free(result.named)
+    improved = improved_plant(plant, search, result, accepted.point, accepted.free, recorded)
+    is_written = bool(accepted.free.any()) or not result.named
     return Diagnosis(
         plant=plant,
-        improved=improved_plant(plant, search, result, accepted.point, accepted.free, recorded),
+        improved=improved,
+        fitted=improved
+        if is_written
+        else improved_plant(plant, search, result, result.after, free, recorded),
         trials=trials,
         settings=settings,
         verdict=decision.verdict,

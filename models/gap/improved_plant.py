@@ -29,7 +29,7 @@ def improved_plant(
 ) -> Plant:
     """Plant with the named effects and the refitted nuisance, its parentage in the provenance.
 
-    Where nothing was named the values stay as they are.
+    Where nothing was named, or what was named may not be written, the values stay as they are.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ def improved_plant(
         Where the gap was looked for.
     """
     origin = plant.provenance
-    if result.named:
+    named = result.named if np.any(free) else []
+    if named:
         given = plant.provenance
         origin = Provenance(noise_floor=given.noise_floor, servo_gains=given.servo_gains)
     origin = msgspec.structs.replace(
@@ -55,11 +56,11 @@ def improved_plant(
         parent_sha256=plant.sha256(),
         data_sha256=trials.sha256(),
         fitted_trials=plant.provenance.fitted_with(trials),
-        named=tuple(result.named),
+        named=tuple(named),
     )
-    if not result.named:
+    if not named:
         return replace(plant, provenance=origin)
-    full = plant_with_searched_effects(plant, result.named)
+    full = plant_with_searched_effects(plant, named)
     changed = written_values(full, search.fit_parameters, point.values, free)
     uncertain = _standard_errors(full, search, point, free)
     name = f"{plant.name.removesuffix(', gap closed')}, gap closed"

@@ -4,15 +4,16 @@ The effect search decides by the whitened cost. What is written must also hold i
 trials that no value was fitted to, by simulation (`models.gap.search.held_out_errors`):
 
 1. No fitted value is at a bound, and no sum is impossible (`models.plant.physical_limits`). A
-   strength that is takes its effect along; any other value is put back to that of the plant as
-   given.
+   strength that is takes its effect along; any other value is written as in the plant as given.
 2. The strength of every effect after the first is the same everywhere: such an effect corrects the
    equation of the first, and does not make that a stand-in.
 3. Every named effect lowers the held-out error.
 4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
    as given.
 
-What fails is taken out, the rest is fitted again and tested again, down to the plant as given.
+What fails is taken out, the rest is fitted again and tested again, down to the plant as given. An
+effect that passes all but the last test stays named: the plant as given may have made up for it in
+that signal. The plant that is written is then the one as given.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
 these trials. It is written as refitted where the held-out error falls by as much as would count as
@@ -24,11 +25,12 @@ written only where other motions were left out and it passed there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
+import msgspec
 import numpy as np
 
+from models.gap.decision.accepted_fit import AcceptedFit, refit_is_earned
 from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
@@ -37,7 +39,11 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.held_out_errors import HeldOutErrors, lowers_held_out_error
+from models.gap.search.held_out_errors import (
+    HeldOutErrors,
+    is_written,
+    lowers_held_out_error,
+)
 from models.gap.search.refused_effect import (
     OffendingValue,
     RefusalKind,
@@ -46,7 +52,6 @@ from models.gap.search.refused_effect import (
     refusal_of_value,
     values_at_bounds,
 )
-from models.gap.settings import GapSettings
 
 STAND_IN_FOR_ANOTHER: Final = (
     "it stands in for an effect that the catalogue lacks, and no other motion was left out that "
@@ -55,25 +60,6 @@ STAND_IN_FOR_ANOTHER: Final = (
 STAND_IN_FOR_OWN_ERROR: Final = (
     "it stands in for the plant's own error, which is as large on a link that changed as much"
 )
-
-
-@dataclass(frozen=True)
-class AcceptedFit:
-    """Fit that the improved plant is written from.
-
-    Attributes
-    ----------
-    point : FitPoint
-        Values of all fit parameters.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted; none for the plant as given.
-    errors : HeldOutErrors
-        Of this fit, each part left out in turn.
-    """
-
-    point: FitPoint
-    free: Array
-    errors: HeldOutErrors
 
 
 class Acceptance:
@@ -85,13 +71,23 @@ class Acceptance:
         After its run.
     result : SearchResult
         Of that run; `named`, `after` and `refused` are changed.
+
+    Attributes
+    ----------
+    nuisance : ndarray of bool, shape (p,)
+        Fit parameters that are nuisance.
+    as_given : ndarray of bool, shape (p,)
+        Those whose refitted value is refused: the fit that tells the verdict keeps it, the plant
+        that is written does not.
     """
 
     def __init__(self, search: EffectSearch, result: SearchResult) -> None:
         self.search, self.result, self.settings = search, result, search.settings
         self.held_out, self.residuals = search.held_out, search.estimator.residuals
         self.nuisance = np.array([q.kind == "nuisance" for q in search.fit_parameters])
+        self.as_given = np.zeros_like(self.nuisance)
         self._errors: dict[bytes, HeldOutErrors] = {}
+        self._refits: dict[bytes, FitPoint] = {}
 
     def accepted(self) -> AcceptedFit:
         """Best fit that passes."""
@@ -99,11 +95,19 @@ class Acceptance:
             if self._refuses_values() or self._refuses_inconsistent():
                 continue
             fits = self._by_preference(self._nuisance_undone(), self._as_fitted())
-            failing = [self._failing(fit) for fit in fits]
-            for fit, rows in zip(fits, failing, strict=True):
-                if not rows:
-                    return fit
-            self._refuse(fits[0], failing[0])
+            failing = self._failing(fits[0])
+            if not failing:
+                return fits[0]
+            further = any(row.effect in self.result.named[1:] for row in failing)
+            if not further and not self._failing(fits[1]):
+                return fits[1]
+            if len(self.result.named) == 1 and not any(row.effect for row in failing):
+                effect = self.result.named[0]
+                self.result.refused.append(
+                    msgspec.structs.replace(failing[0], effect=effect, kind="not written")
+                )
+                break
+            self._refuse(fits[0], failing)
         return self._as_given()
 
     def without_stand_ins(self, accepted: AcceptedFit, verdict: GapVerdict) -> AcceptedFit:
@@ -161,12 +165,23 @@ class Acceptance:
         return [undone, refitted]
 
     def _as_fitted(self) -> AcceptedFit:
-        free = self.search.free(self.result.named)
-        return self._fit(self.result.after, free)
+        return self._fit(*self._point_as_fitted())
+
+    def _point_as_fitted(self) -> tuple[FitPoint, Array]:
+        """Fit of the named effects and the nuisance that may be written, and what is free in it."""
+        free = self.search.free(self.result.named) & ~self.as_given
+        after = self.result.after
+        return (self._refitted(after.values, free) if self.as_given.any() else after), free
 
     def _nuisance_undone(self) -> AcceptedFit:
-        """Effects and variation alone, the nuisance as in the plant as given."""
-        free = self.search.free(self.result.named) & ~self.nuisance
+        """Effects and variation, the nuisance of the plant as given.
+
+        What belongs to the trials stays free: a shift of the mocap frame, and the clock.
+        """
+        free = self.search.free(self.result.named)
+        plant, residuals = self.residuals.plant, self.residuals
+        written = [is_written(plant, residuals, k, free) for k in range(len(free))]
+        free = free & ~(self.nuisance & np.array(written))
         return self._fit(self._refitted(self.result.after.values, free), free)
 
     def _fit(self, point: FitPoint, free: Array) -> AcceptedFit:
@@ -176,16 +191,30 @@ class Acceptance:
         return AcceptedFit(point, free, self._errors[key])
 
     def _refitted(self, values: Array, free: Array) -> FitPoint:
-        """Fit from some values; what is common to all trials and not free is zero."""
-        fixed = np.array([q.trial is None for q in self.search.fit_parameters]) & (free == 0)
-        start = self.search.estimator.at(np.where(fixed, 0.0, values))
-        steps = self.settings.candidate_fit_steps
-        relative = self.settings.waterfall_relative_fall
-        return self.search.estimator.fit(start, free, steps, relative)
+        """Fit in which all that is common to all trials and not free is zero.
+
+        What is taken out leaves the rest where it made up for that: the fit starts from the best of
+        some values, the same without nuisance, and the search's own fit of the same effects.
+        """
+        key = values.tobytes() + free.tobytes()
+        if key in self._refits:
+            return self._refits[key]
+        parameters, estimator = self.search.fit_parameters, self.search.estimator
+        fixed = np.array([q.trial is None for q in parameters]) & (free == 0)
+        effects = frozenset(
+            q.effect for q, fitted in zip(parameters, free, strict=True) if fitted and q.effect
+        )
+        found = self.result.explored.get(effects)
+        rows = [values, np.where(self.nuisance, 0.0, values)] + ([found.values] if found else [])
+        starts = [estimator.at(np.where(fixed, 0.0, row)) for row in rows]
+        best = min(starts, key=lambda p: p.cost)
+        steps, relative = self.settings.nuisance_fit_steps, self.settings.waterfall_relative_fall
+        self._refits[key] = estimator.fit(best, free, steps, relative)
+        return self._refits[key]
 
     def _refuses_values(self) -> bool:
-        """Whether a value or a sum was refused, and the rest refitted."""
-        point, free = self.result.after, self.search.free(self.result.named)
+        """Whether a value or a sum was refused: it is then not written, or its effect not named."""
+        point, free = self._point_as_fitted()
         plant, parameters = self.residuals.plant, self.search.fit_parameters
         rows: list[tuple[RefusalKind, OffendingValue]] = [
             ("at a bound", row)
@@ -210,9 +239,7 @@ class Acceptance:
         if effects:
             self._take_out(effects)
         else:
-            self.search.held[list(first.index)] = True
-            free = self.search.free(self.result.named)
-            self.result.after = self._refitted(point.values, free)
+            self.as_given[list(first.index)] = True
         return True
 
     def _refuses_inconsistent(self) -> bool:
@@ -300,22 +327,3 @@ class Acceptance:
             self.result.after = self.result.before
             return
         self.result.after = self._refitted(self.result.after.values, free)
-
-
-def refit_is_earned(
-    undone: HeldOutErrors, refitted: HeldOutErrors, given: HeldOutErrors, settings: GapSettings
-) -> bool:
-    """Whether a nuisance is better written as refitted than as in the plant as given.
-
-    Parameters
-    ----------
-    undone, refitted : HeldOutErrors
-        Of the effects with the nuisance as given, and as refitted beside them.
-    given : HeldOutErrors
-        Of the plant as given.
-    settings : GapSettings
-        Tuned numbers.
-    """
-    before, after = (max(fit.ratios(given).values()) for fit in (undone, refitted))
-    falls = refitted.fraction_of(undone) < 1 - settings.harm_fraction
-    return falls and after <= max(before, 1.0)

@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from models.gap.decision.acceptance import Acceptance, AcceptedFit
+from models.gap.decision.acceptance import Acceptance
+from models.gap.decision.accepted_fit import AcceptedFit
 from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
 from models.gap.decision.posterior import Hypothesis
 from models.gap.search.candidate import SearchResult

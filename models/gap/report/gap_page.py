@@ -18,6 +18,7 @@ from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
     goal_not_followed_in_words,
+    is_plant_as_given,
     next_step_in_words,
     nuisance_bias_in_words,
     probabilities_in_words,
@@ -148,11 +149,10 @@ def gap_sections(
 
 def _refused(document: GapDocument) -> list[Part]:
     """Sentences on what was refused, and the held-out errors of what was written."""
-    kept = any(row.kept for row in document.named)
     written = (
-        "The plant that was written is the best one without it."
-        if kept
-        else "The plant that was written is the plant as given, unchanged."
+        "The plant that was written is the plant as given, unchanged."
+        if is_plant_as_given(document)
+        else "The plant that was written is the best one without it."
     )
     parts: list[Part] = [Paragraph(text) for text in refusals_in_words(document)]
     parts.append(Paragraph(written))

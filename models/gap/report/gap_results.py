@@ -186,7 +186,7 @@ def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEff
                 q.value, q.unit, q.error, before[name].value if name in before else 0.0
             )
             for direction in found.fit_parameters if direction.effect in inclusion.effects
-            for name in direction.parameters if (q := found.improved.parameters.get(name))
+            for name in direction.parameters if (q := found.fitted.parameters.get(name))
         },
         evidence=NamingEvidence(
             separation=inclusion.separation,

@@ -84,11 +84,20 @@ def refusals_in_words(document: GapDocument) -> list[str]:
     """One sentence for each effect or value that was refused."""
     result = []
     for row in document.refused:
-        if row.effect:
+        if row.kind == "not written":
+            effect = row.effect.replace("_", " ")
+            result.append(f"{effect} is named, but its plant is not written: {row.reason}.")
+        elif row.effect:
             result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
         else:
             result.append(f"{row.reason}; it was put back to the plant as given.")
     return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
+
+
+def is_plant_as_given(document: GapDocument) -> bool:
+    """Whether the plant that was written is the one as given."""
+    withheld = any(row.kind == "not written" for row in document.refused)
+    return withheld or not any(row.kept for row in document.named)
 
 
 def probabilities_in_words(document: GapDocument) -> str:
@@ -132,6 +141,11 @@ def next_step_in_words(document: GapDocument) -> str:
             f"These trials do not decide on {', '.join(undecided)}: python -m models experiment "
             "designs the motion that does."
         )
+    if is_plant_as_given(document):
+        return (
+            "Identify the plant again on these trials, or record another motion or payload: the "
+            "plant as given has made up for the effect in the signal that would get worse."
+        )
     return "Use the improved plant: train a bundle with it (python -m models train --plant)."
 
 
@@ -156,7 +170,7 @@ def gap_in_words(document: GapDocument) -> str:
     if said := probabilities_in_words(document):
         lines.append(said)
     lines += refusals_in_words(document)
-    if document.refused and not any(row.kept for row in document.named):
+    if document.refused and is_plant_as_given(document):
         lines.append("The plant that was written is the plant as given, unchanged.")
     if document.verdict in ("reduced", "not in the catalogue"):
         lines.append("remaining gap: " + document.remaining.sentence)

@@ -43,7 +43,7 @@ def separating_motion(
     Parameters
     ----------
     found : Diagnosis
-        Whose improved plant has the named effect.
+        Whose fitted plant has the named effect.
     trials : sequence of Trial
         Where the gap was looked for.
     alike : sequence of LookAlike
@@ -54,7 +54,7 @@ def separating_motion(
     tuple
         Its name, and for every motion the least d′ from any of them; the menu is that of the link.
     """
-    if found.improved.load != "link":
+    if found.fitted.load != "link":
         return NO_MOTION, {}
     heaviest = max(t.meta.payload_kg for t in trials)
     swapped = found.settings.swapped_payload_kg
@@ -65,7 +65,7 @@ def separating_motion(
             payload = swapped if heaviest <= swapped / 2 else 0.0
         rest = found.settings.menu_rest_samples
         try:
-            trial = _simulated(found.improved, trials[0], kind, payload, rest)
+            trial = _simulated(found.fitted, trials[0], kind, payload, rest)
         except InputError:  # the trials' amplitude or period are outside what a motion may have
             return NO_MOTION, {}
         result[label] = min(_separation(found, trial, other) for other in alike)

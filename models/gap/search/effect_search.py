@@ -203,8 +203,8 @@ class EffectSearch:
                 if start.cost - fall < here.cost:
                     tried.append(self.estimator.search(start, step) or start)
             own, flat = self.of[effect], effect in found.unexcited
-            for start in [here, *(others if flat else [])]:
-                tried += strengths_far_from_zero(self.estimator, start, effect, own, free, flat)
+            given = here, others, min(p.cost for p in tried)
+            tried += strengths_far_from_zero(self.estimator, *given, effect, own, free, flat)
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
             result[effect,] = self._candidate((effect,), point, here, predicted)

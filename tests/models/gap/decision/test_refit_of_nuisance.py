@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.gap.decision.acceptance import refit_is_earned
+from models.gap.decision.accepted_fit import refit_is_earned
 from models.gap.residuals.partial_residuals import SquaredError
 from models.gap.search.held_out_errors import HeldOutErrors
 from models.gap.settings import DEFAULT_SETTINGS
