@@ -12,8 +12,8 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
    as given.
 
 What fails is taken out, the rest is fitted again and tested again, down to the plant as given. An
-effect that passes all but the last test stays named: the plant as given may have made up for it in
-that signal. The plant that is written is then the one as given.
+effect that passes all but the last test stays named where the noise floor is learned: the plant as
+given may have made up for it in that signal. The plant that is written is then the one as given.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
 these trials. It is written as refitted where the held-out error falls by as much as would count as
@@ -101,7 +101,8 @@ class Acceptance:
             further = any(row.effect in self.result.named[1:] for row in failing)
             if not further and not self._failing(fits[1]):
                 return fits[1]
-            if len(self.result.named) == 1 and not any(row.effect for row in failing):
+            only_rises = not any(row.effect for row in failing)
+            if only_rises and len(self.result.named) == 1 and self.search.learned:
                 effect = self.result.named[0]
                 self.result.refused.append(
                     msgspec.structs.replace(failing[0], effect=effect, kind="not written")

@@ -12,6 +12,7 @@ def document(verdict, *named, **probabilities):
         verdict=verdict,
         named=[SimpleNamespace(kept=True, effect=effect) for effect in named],
         effect_probabilities=probabilities,
+        refused=[],
     )
 
 

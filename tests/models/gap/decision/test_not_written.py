@@ -1,0 +1,54 @@
+"""An effect whose plant makes one signal worse is named, and the plant as given is written."""
+
+import numpy as np
+import pytest
+
+from models.gap.decision.acceptance import Acceptance
+from models.gap.report.gap_results import gap_document
+from models.gap.report.gap_words import gap_in_words, next_step_in_words
+from models.gap.search.refused_effect import RefusedEffect
+
+HIDDEN_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def withheld(plant, hidden, diagnosed):
+    """Diagnosis of a dead time with which the current's held-out error would rise, its trials."""
+    rise = RefusedEffect(
+        effect="", kind="rise of a signal", name="current_1_a", value=1.5, limit=1.05, unit="1",
+        reason="the held-out error of current_1_a would be 150.0% of that of the plant as given",
+    )  # fmt: skip
+    trials = hidden(dead_time_1_s=HIDDEN_S)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Acceptance, "_failing", lambda self, fit: [rise])
+        return diagnosed(plant, trials), trials
+
+
+def test_the_effect_is_named_with_its_strength(withheld):
+    found, trials = withheld
+    assert found.named == ("dead_time",) and found.verdict == "closed"
+    (row,) = gap_document(found, trials).named
+    assert row.parameters["dead_time_1_s"].value == pytest.approx(HIDDEN_S, rel=0.1)
+
+
+def test_the_plant_that_is_written_is_the_one_as_given(withheld):
+    found, _ = withheld
+    assert found.improved.parameters == found.plant.parameters
+    assert found.improved.effects == found.plant.effects
+    assert found.improved.provenance.named == ()
+    assert found.held_out_improved == found.held_out_given
+
+
+def test_it_is_said_why(withheld):
+    found, trials = withheld
+    document = gap_document(found, trials)
+    text = gap_in_words(document)
+    assert "Dead time is named, but its plant is not written: the held-out error of curr" in text
+    assert "The plant that was written is the plant as given, unchanged." in text
+    assert "Identify the plant again" in next_step_in_words(document)
+
+
+def test_the_fit_that_names_is_no_worse_than_that_without_the_effect(withheld):
+    found, _ = withheld
+    assert found.residual_after < found.residual_before
+    assert np.isfinite(found.gap_left_fraction) and found.gap_left_fraction < 0.5
