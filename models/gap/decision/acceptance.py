@@ -180,10 +180,13 @@ class Acceptance:
         What belongs to the trials stays free: a shift of the mocap frame, and the clock.
         """
         free = self.search.free(self.result.named)
-        plant, residuals = self.residuals.plant, self.residuals
-        written = [is_written(plant, residuals, k, free) for k in range(len(free))]
-        free = free & ~(self.nuisance & np.array(written))
+        free = free & ~(self.nuisance & self._written(free))
         return self._fit(self._refitted(self.result.after.values, free), free)
+
+    def _written(self, free: Array) -> Array:
+        """Fit parameters that would change the plant that is written, ndarray of bool."""
+        plant, residuals = self.residuals.plant, self.residuals
+        return np.array([is_written(plant, residuals, k, free) for k in range(len(free))])
 
     def _fit(self, point: FitPoint, free: Array) -> AcceptedFit:
         key = point.values.tobytes() + free.tobytes()
@@ -302,7 +305,7 @@ class Acceptance:
         free: Array = fit.free & ~self.search.of[effect]
         if np.any(free & ~self.search.base):
             return self._fit(self._refitted(fit.point.values, free), free)
-        if np.any(free & self.nuisance):
+        if np.any(free & self.nuisance & self._written(free)):
             return self._fit(self.result.before, free)
         return AcceptedFit(fit.point, free, self.held_out.given)
 
