@@ -143,7 +143,8 @@ class Acceptance:
         self, kind: RefusalKind, reason: str, value: float = 0.0, limit: float = 0.0
     ) -> AcceptedFit:
         """Plant as given, every named effect refused for one reason."""
-        self.result.refused += [
+        earlier = [row for row in self.result.refused if row.kind != "not written"]
+        self.result.refused = earlier + [
             RefusedEffect(
                 effect=effect, kind=kind, name="", value=value, limit=limit, unit="1", reason=reason
             )
