@@ -9,6 +9,7 @@ they are updated by secants (Broyden 1965).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -177,8 +178,8 @@ class GaussNewton:
             slopes = self.residuals.jacobian(point.values, derived)
             white = []
             for own in self.whiten(slopes):
-                rows = np.zeros((own[..., 0].size, len(derived)))
-                rows[:, derived] = own.reshape(len(rows), -1)
+                rows = np.zeros((math.prod(own.shape[:-1]), len(derived)))
+                rows[:, derived] = own.reshape(len(rows), int(derived.sum()))
                 white.append(rows)
             self._set_slopes(point, white)
             point.derived, point.exact = derived, True
