@@ -145,7 +145,7 @@ class GaussNewton:
             return scaled
         white = stacked(scaled)
         white -= self.basis @ (self.shrinkage[:, None] * (self.basis.T @ white))
-        ends = np.cumsum([w[..., 0].size if w.ndim > 3 else w.size for w in scaled])[:-1]
+        ends = np.cumsum([math.prod(w.shape[:3]) for w in scaled])[:-1]
         parts = np.split(white, ends)
         return [part.reshape(w.shape) for part, w in zip(parts, scaled, strict=True)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from models.gap.residuals.spectrum import Array
 
 def stacked(rows: Sequence[Array]) -> Array:
     """Rows (trials, signals, K[, columns]) of all groups as one matrix (all rows, columns or 1)."""
-    return np.concatenate([r.reshape(-1, r.shape[3] if r.ndim > 3 else 1) for r in rows])
+    return np.concatenate([r.reshape(math.prod(r.shape[:3]), math.prod(r.shape[3:])) for r in rows])
 
 
 def sum_of_squares(rows: Sequence[Array]) -> float:

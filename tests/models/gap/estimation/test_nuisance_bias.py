@@ -38,9 +38,9 @@ def test_chance_is_standard_normal_and_is_never_a_bias():
 def test_what_all_trials_share_adds_up_and_what_cancels_does_not():
     values = np.zeros(len(PARAMETERS))
     own = np.array([q.name == "eccentricity_m" for q in PARAMETERS])
-    values[own] = 4 * 0.003
+    values[own] = 6 * 0.003
     assert excessive_nuisance_bias(PARAMETERS, point(values)) == pytest.approx(
-        {"eccentricity_m": 4 * TRIALS**0.5}
+        {"eccentricity_m": 6 * TRIALS**0.5}
     )
     values[own] *= np.resize([1.0, -1.0], TRIALS)
     assert not excessive_nuisance_bias(PARAMETERS, point(values))
