@@ -1,8 +1,9 @@
-"""Effects with a dead zone: they show nothing where they are absent, like a limit never met.
+"""Strengths of an effect to which no step from zero leads.
 
-Their derivatives vanish there, so strengths are tried one by one: fractions of the bound and, where
-the effect itself reads a first strength from the trials (`Effect.dead_zone_strength`), that one
-too. Then between the best and its neighbours.
+An effect with a dead zone shows nothing where it is absent, like a limit never met. Its derivatives
+vanish there, so strengths are tried one by one: fractions of the bound and, where the effect itself
+reads a first strength from the trials (`Effect.dead_zone_strength`), that one too. Then between the
+best and its neighbours. Of any other effect far strengths are tried from the plant as given.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from models.plant.simulation.lanes_c import in_lanes
 from models.plant.step_model import StepModel
 
 BLOCK: Final = 16
-"""Columns that `run_sensitive.c` adds at once: two registers of AVX, four of SSE2."""
+"""Columns that `run_sensitive.c` adds at once: four registers of AVX, eight of SSE2."""
 
 _NOT_OPTIMISED: Final = "#pragma clang optimize off\n"
 """Before the derivatives of `initial`, which are long and evaluated once in a run. Measured on the

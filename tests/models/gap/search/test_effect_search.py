@@ -43,15 +43,6 @@ def test_a_dead_time_is_named_with_its_value_and_added(late):
     assert "dead_time" in found.improved.effects
 
 
-def test_a_dead_time_to_which_no_step_leads_is_found_from_the_plant_as_given(
-    plant, hidden, diagnosed
-):
-    """60 ms, beside which the nuisance fit finds another link."""
-    found = diagnosed(plant, hidden(dead_time_1_s=0.06))
-    assert found.named[0] == "dead_time"
-    assert found.fitted.parameters["dead_time_1_s"].value == pytest.approx(0.06, rel=0.1)
-
-
 def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, diagnosed):
     found = diagnosed(plant, hidden(viscous_friction_1_nm_s_rad=4.0))
     assert found.named == ("viscous_friction",)
