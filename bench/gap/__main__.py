@@ -19,11 +19,18 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from bench.gap.bench_kind import KIND, MODULE, bench_configuration, cases_of_run
+from bench.gap.bench_kind import (
+    KIND,
+    MODULE,
+    bench_configuration,
+    bench_results,
+    cases_of_run,
+)
 from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
 from bench.gap.rig_plants import plant_of_rig
-from bench.gap.rig_table import figures_by_rig, rig_table_text
-from bench.gap.score_summary import benchmark_figures, confusion_matrix_svg
+from bench.gap.scores.confusion_matrix import confusion_counts, confusion_matrix_svg
+from bench.gap.scores.rig_table import figures_by_rig, rig_table_text
+from bench.gap.scores.score_summary import benchmark_figures
 from firmware_py.errors import InputError
 from hil.campaign.campaign_cases import CaseMaker
 from hil.campaign.campaign_run import RunCounts, run_campaign_cases
@@ -106,7 +113,8 @@ def main() -> None:
     (summary / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
     (summary / "by_rig.json").write_text(json.dumps(by_rig, indent=1) + "\n")
     (summary / "by_rig.md").write_text(rig_table_text(by_rig) + "\n")
-    (summary / "confusion.svg").write_text(confusion_matrix_svg(args.out))
+    cells = confusion_counts(bench_results(args.out).values())
+    (summary / "confusion.svg").write_text(confusion_matrix_svg(cells))
     print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
 
 

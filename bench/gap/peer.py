@@ -34,7 +34,7 @@ from bench.gap.bench_kind import bench_results
 from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
 from bench.gap.cases import BenchCase
 from bench.gap.library import Equation, missing_in_equations
-from bench.gap.score_summary import peer_comparison
+from bench.gap.scores.score_summary import peer_comparison
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
@@ -205,7 +205,7 @@ def import_pysindy() -> Any:
 
 
 def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
-    """Write the result of one case, in the form that `bench.gap.score_summary` reads.
+    """Write the result of one case, in the form that `bench.gap.scores.score_summary` reads.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import pytest
 
 from bench.gap import peer
 from bench.gap.library import Equation, missing_in_equations
-from bench.gap.score_summary import peer_comparison
+from bench.gap.scores.score_summary import peer_comparison
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S

@@ -7,7 +7,8 @@ import pytest
 
 from bench.gap.bench_kind import bench_configuration, bench_results, cases_of_run
 from bench.gap.cases import BenchCase, draw_cases, mixed_cases
-from bench.gap.rig_table import figures_by_rig, is_link_effect, rig_figures, rig_table_text
+from bench.gap.scores.result_predicates import is_link_effect
+from bench.gap.scores.rig_table import figures_by_rig, rig_figures, rig_table_text
 from hil.campaign.result_store import ResultStore
 
 

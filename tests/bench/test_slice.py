@@ -6,7 +6,7 @@ import pytest
 
 from bench.gap.__main__ import run_benchmark
 from bench.gap.cases import draw_cases
-from bench.gap.score_summary import benchmark_figures
+from bench.gap.scores.score_summary import benchmark_figures
 from hil.campaign.case_worker import run_task
 
 SINGLES, NULLS = 1, 1

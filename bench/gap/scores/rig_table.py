@@ -14,10 +14,12 @@ from typing import Any, Final
 import numpy as np
 
 from bench.gap.bench_kind import bench_results
-from bench.gap.score_summary import (
-    fraction_with_interval,
+from bench.gap.scores.fraction_interval import fraction_with_interval
+from bench.gap.scores.result_predicates import (
+    Result,
     is_first_name_right,
     is_in_class,
+    is_link_effect,
     is_said_outside,
     is_strength_covered,
 )
@@ -25,18 +27,10 @@ from models.gap.decision.posterior import set_probabilities
 from models.rig.rig_structure import named_structures
 from models.shared.catalogue import CATALOGUE
 
-LINK_PORTS: Final = ("bend_torque", "stiffness", "mass")
 WORSE_FRACTION: Final = 0.05
 """Rise of a signal's error on data that nothing was fitted to, from which a plant is worse."""
 
-Result = dict[str, Any]
 Figures = dict[str, Any]
-
-
-def is_link_effect(effect: str) -> bool:
-    """Whether an effect is of the link, the payload or play, and not of servo or sensor."""
-    port = CATALOGUE[effect].port
-    return port in LINK_PORTS or effect in ("backlash", "aerodynamic_drag")
 
 
 def rig_figures(results: Sequence[Result]) -> Figures:

@@ -1,8 +1,8 @@
-"""Fractions of the benchmark: a pair counts as right where each effect has a name of its own."""
+"""Predicates of one result: a pair counts as right where each effect has a name of its own."""
 
 import pytest
 
-from bench.gap import score_summary
+from bench.gap.scores.result_predicates import is_pair_in_class
 
 
 @pytest.mark.parametrize(
@@ -20,4 +20,4 @@ def test_each_of_a_pair_needs_a_name_of_its_own(chosen, look_alikes, right):
     named = [e for turn in chosen for e in turn]
     hidden = {"prebend": 0.02, "creep": 0.3}
     result = {"case": {"hidden": hidden}, "named": named, "chosen": chosen}
-    assert score_summary._pair_in_class(result | {"look_alikes": look_alikes}) is right
+    assert is_pair_in_class(result | {"look_alikes": look_alikes}) is right

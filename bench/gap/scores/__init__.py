@@ -1,0 +1,1 @@
+"""Scores of the benchmark's results: figures, tables and pictures."""
