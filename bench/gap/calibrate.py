@@ -7,7 +7,7 @@ its trials. Then the link's stiffness, mass and damping change a few times, and 
 refitted. What is left beyond the plant's mean error gives the patterns of its own error
 (`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
 gives the null distribution of every effect (`models/gap/search/null_distribution.json`). Resumable:
-files by rig. No named structure for tests is among the rigs.
+files by rig. No rig for tests is among them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.search.null_distribution import calibrated_null_distribution
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import rig_named
+from models.rig.drawn_rig import FIRST_TEST_NUMBER, rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
@@ -163,6 +163,8 @@ def main() -> None:
     parser.add_argument("--null", type=int, default=18, help="further rigs for the null")
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     args = parser.parse_args()
+    if args.rigs + args.null > FIRST_TEST_NUMBER:
+        parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for tests: take fewer")
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
     out, rigs = str(args.out), range(args.rigs)

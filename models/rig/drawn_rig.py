@@ -1,7 +1,8 @@
 """Rigs drawn at random: structure and values.
 
 What a simulation believes of a robot is wrong in form and in numbers. Rigs of drawn form stand for
-that: numbers of the gap workflow are set on them. Forms that only rigs for testing have are never
+that: numbers of the gap workflow are set on those with numbers below `FIRST_TEST_NUMBER`, and on
+none of the others (`rig_purpose`). Forms that only named structures for testing have are never
 drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges, the rod.
 """
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -19,15 +20,18 @@ from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import describes_link, read_link
 from models.rig.rig_of_link import rig_of_link
 from models.rig.rig_parameters import RigParameters, read_rig
-from models.rig.rig_structure import RigStructure
+from models.rig.rig_structure import RigStructure, named_structures
 
-__all__ = ["draw_rig", "rig_named"]
+__all__ = ["draw_rig", "rig_named", "rig_purpose"]
 
 PREFIX: Final = "drawn_"
 """Beginning of the name of a drawn rig; its number follows."""
 
 SEED: Final = 9000
 """Of the drawn rigs that have names."""
+
+FIRST_TEST_NUMBER: Final = 900
+"""Drawn rigs from this number on are for tests."""
 
 FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "hinges": (6, 8, 10, 13),
@@ -104,10 +108,42 @@ def rig_named(name: str) -> RigParameters:
         if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
             return rig_of_link(read_link(path), path)
         return read_rig(name)
+    return draw_rig(np.random.default_rng([SEED, _drawn_number(name)]))
+
+
+def rig_purpose(name: str) -> Literal["tuning", "test"]:
+    """Purpose of a rig: "tuning" where numbers of the workflow may be set on it, or "test".
+
+    A named structure says its own (`models.rig.rig_structure.NamedStructure`). `drawn_K` is for
+    tests from K = 900 on: nothing of the workflow is ever set on such a rig. Any other rig, as that
+    of a described link, counts as one for tuning, since nobody knows what was set on it.
+
+    Parameters
+    ----------
+    name : str
+        As for `rig_named`.
+
+    Raises
+    ------
+    InputError
+        If the number of a drawn rig is none.
+
+    Examples
+    --------
+    >>> rig_purpose("drawn_899"), rig_purpose("drawn_900")
+    ('tuning', 'test')
+    """
+    if name.startswith(PREFIX):
+        return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"
+    named = named_structures()
+    return named[name].purpose if name in named else "tuning"
+
+
+def _drawn_number(name: str) -> int:
     number = name.removeprefix(PREFIX)
     if not number.isdecimal():
         raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
-    return draw_rig(np.random.default_rng([SEED, int(number)]))
+    return int(number)
 
 
 def _draw_structure(rng: np.random.Generator) -> RigStructure:

@@ -5,6 +5,7 @@ import os
 
 import pytest
 
+from bench.gap import calibrate
 from bench.gap.bench_kind import bench_configuration, bench_results, cases_of_run
 from bench.gap.cases import BenchCase, draw_cases, mixed_cases
 from bench.gap.scores.result_predicates import is_link_effect
@@ -73,15 +74,25 @@ def test_probabilities_are_scored_against_what_was_hidden():
 
 
 def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):
-    for k, rig in enumerate(("default", "drive", "test_a")):
+    rigs = ("default", "drawn_899", "drawn_900", "drive", "test_a")
+    for k, rig in enumerate(rigs):
         row = result({"creep": 0.3}, ["creep"], rig=rig)
         (tmp_path / f"{k}.json").write_text(json.dumps(row))
     figures = figures_by_rig(tmp_path)
-    assert figures["all for test"]["cases"] == 1
-    assert figures["all for tuning"]["cases"] == 2
+    assert figures["all for test"]["cases"] == 2
+    assert figures["all for tuning"]["cases"] == 3
     header = rig_table_text(figures).splitlines()[0]
-    assert all(name in header for name in ("default", "drive", "test_a"))
-    assert [c.rig for c in cases_of_run(tmp_path)] == ["default", "drive", "test_a"]
+    assert all(name in header for name in rigs)
+    assert [c.rig for c in cases_of_run(tmp_path)] == list(rigs)
+
+
+def test_nothing_is_calibrated_on_a_rig_for_tests(tmp_path, monkeypatch, capsys):
+    command = ["calibrate", "--out", str(tmp_path / "out"), "--rigs", "880", "--null", "21"]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit):
+        calibrate.main()
+    assert "drawn_900" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_shortened_draw_keeps_every_kind():

@@ -1,7 +1,8 @@
 """Figures of the benchmark by rig and by group of effects.
 
-Rigs whose purpose is "tuning" are those that numbers of the workflow were set on; the others are
-for tests alone, and only their figures say how the workflow does on a rig that it has never seen.
+Rigs for tuning are those that numbers of the workflow were set on; the others are for tests alone
+(`models.rig.drawn_rig.rig_purpose`), and only their figures say how the workflow does on a rig that
+it has never seen.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from bench.gap.scores.result_predicates import (
     is_strength_covered,
 )
 from models.gap.decision.posterior import set_probabilities
-from models.rig.rig_structure import named_structures
+from models.rig.drawn_rig import rig_purpose
 from models.shared.catalogue import CATALOGUE
 
 WORSE_FRACTION: Final = 0.05
@@ -77,8 +78,7 @@ def figures_by_rig(directory: Path) -> dict[str, Figures]:
     """
     results = list(bench_results(directory).values())
     names = sorted({r["case"]["rig"] for r in results})
-    named = named_structures()
-    purposes = {n: named[n].purpose if n in named else "tuning" for n in names}
+    purposes = {name: rig_purpose(name) for name in names}
     chosen: dict[str, Callable[[Result], bool]] = {
         f"all for {purpose}": lambda r, p=purpose: purposes[r["case"]["rig"]] == p  # type: ignore[misc]
         for purpose in sorted(set(purposes.values()))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.rig.drawn_rig import draw_rig, rig_named
+from models.rig.drawn_rig import draw_rig, rig_named, rig_purpose
 from models.rig.rig_parameters import read_rig
+from models.rig.rig_structure import named_structures
 
 MANY = [rig_named(f"drawn_{k}") for k in range(40)]
 
@@ -42,3 +43,15 @@ def test_named_structures_are_found_too_and_what_is_no_number_is_refused():
     assert rig_named("test_a") == read_rig("test_a")
     with pytest.raises(InputError, match="drawn_x"):
         rig_named("drawn_x")
+
+
+def test_drawn_rigs_from_number_900_on_are_for_tests_and_named_structures_say_their_purpose():
+    drawn = {k: rig_purpose(f"drawn_{k}") for k in (0, 33, 899, 900, 901, 12000)}
+    assert [k for k, purpose in drawn.items() if purpose == "test"] == [900, 901, 12000]
+    assert {n: rig_purpose(n) for n in named_structures()} == {
+        n: s.purpose for n, s in named_structures().items()
+    }
+    assert (rig_purpose("default"), rig_purpose("test_a")) == ("tuning", "test")
+    assert rig_purpose("some/link.toml") == "tuning"  # nobody knows what was set on it
+    with pytest.raises(InputError, match="drawn_9x"):
+        rig_purpose("drawn_9x")
