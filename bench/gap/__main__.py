@@ -7,8 +7,8 @@
 With --plant, cases of the default rig. With --rigs, cases of each rig, with a plant that is
 identified on that rig first. With --like, the cases of another run, to compare two versions.
 It runs as a campaign does (docs/campaigns.md): a rerun does what is missing, or of other code; with
---scheduler it runs on a dask cluster. Leaves figures, the confusion matrix and a table by rig in
-OUT/summary.
+--scheduler it runs on a dask cluster. Leaves figures, confusion matrices, a table by rig and the
+reliability of the probabilities in OUT/summary.
 """
 
 from __future__ import annotations
@@ -19,18 +19,11 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from bench.gap.bench_kind import (
-    KIND,
-    MODULE,
-    bench_configuration,
-    bench_results,
-    cases_of_run,
-)
+from bench.gap.bench_kind import KIND, MODULE, bench_configuration, cases_of_run
 from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
 from bench.gap.rig_plants import plant_of_rig
-from bench.gap.scores.confusion_matrix import confusion_counts, confusion_matrix_svg
-from bench.gap.scores.rig_table import figures_by_rig, rig_table_text
-from bench.gap.scores.score_summary import benchmark_figures
+from bench.gap.scores.rig_table import rig_table_text
+from bench.gap.scores.summary_files import write_bench_summary
 from firmware_py.errors import InputError
 from hil.campaign.campaign_cases import CaseMaker
 from hil.campaign.campaign_run import RunCounts, run_campaign_cases
@@ -107,14 +100,7 @@ def main() -> None:
     counts = run_benchmark(_cases(args), args.plant, args.out, engine)
     if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
         print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
-    figures, by_rig = benchmark_figures(args.out), figures_by_rig(args.out)
-    summary = args.out / "summary"
-    summary.mkdir(exist_ok=True)
-    (summary / "figures.json").write_text(json.dumps(figures, indent=1) + "\n")
-    (summary / "by_rig.json").write_text(json.dumps(by_rig, indent=1) + "\n")
-    (summary / "by_rig.md").write_text(rig_table_text(by_rig) + "\n")
-    cells = confusion_counts(bench_results(args.out).values())
-    (summary / "confusion.svg").write_text(confusion_matrix_svg(cells))
+    figures, by_rig = write_bench_summary(args.out)
     print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
 
 

@@ -13,7 +13,9 @@ from bench.gap.scores.rig_table import figures_by_rig, rig_figures, rig_table_te
 from hil.campaign.result_store import ResultStore
 
 
-def result(hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", rig="default"):
+def result(
+    hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", rig="default", own=1.0
+):
     """Result of one case with one sealed trial of one signal."""
     return {
         "case": {"kind": kind, "hidden": hidden, "nuisance": {}, "seed": 1, "rig": rig},
@@ -25,7 +27,14 @@ def result(hidden, named=(), verdict="closed", rms=(1.0, 0.5), kind="single", ri
         "unsaid_bounds": [],
         "estimates": {n: [[0.3, 0.05, 0.0]] for n in named},
         "true": hidden,
+        "own": dict.fromkeys(hidden, own),
+        "null_standard_deviation": dict.fromkeys(hidden, 0.5),
     }
+
+
+def right_of(figure):
+    """Counts of a fraction."""
+    return round(figure["fraction"] * figure["of"]), figure["of"]
 
 
 def test_of_a_case_that_ran_with_other_code_the_latest_result_counts(tmp_path):
@@ -53,6 +62,48 @@ def test_link_and_servo_effects_are_counted_apart():
     assert is_link_effect("backlash") and not is_link_effect("sync_offset")
 
 
+def test_clear_cases_are_those_from_fifteen_standard_deviations_on():
+    """The screen's d′ is in units of its deviation without an effect, here a half."""
+    rows = [
+        result({"creep": 0.3}, ["creep"], own=7.5),
+        result({"creep": 0.3}, ["hysteresis"], own=7.6),
+        result({"dead_time": 0.03}, [], own=60.0),
+        result({"creep": 0.3}, ["hysteresis"], own=7.49),
+        result({"creep": 0.3}, ["creep"], own=None),
+        result({"creep": 0.3, "prebend": 0.02}, ["creep"], own=60.0, kind="pair"),
+    ]
+    rows[1]["look_alikes"] = [[["creep"]]]
+    figures = rig_figures(rows)
+    assert right_of(figures["first_clear"]) == (1, 3)
+    assert right_of(figures["class_clear"]) == (2, 3)
+    assert right_of(figures["class"]) == (3, 5)
+    assert right_of(figures["class_link"]) == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("named", "verdict", "both", "larger"),
+    [
+        (["prebend", "creep"], "closed", 1, 1),
+        (["backlash", "prebend", "creep"], "closed", 1, 1),
+        (["creep"], "reduced", 0, 1),
+        (["creep"], "not in the catalogue", 0, 1),
+        (["creep"], "no floor", 0, 1),
+        (["creep"], "closed", 0, 0),  # nobody would look for the other
+        (["creep", "backlash"], "closed", 0, 0),
+        (["prebend"], "reduced", 0, 0),
+        ([], "not in the catalogue", 0, 0),
+    ],
+)
+def test_of_a_pair_the_larger_effect_is_named_and_the_rest_is_said(named, verdict, both, larger):
+    pair = result({"prebend": 0.02, "creep": 0.3}, named, verdict, kind="pair")
+    # Creep is the larger one: d′ counts in its own deviation.
+    pair |= {"own": {"prebend": 30.0, "creep": 20.0}}
+    pair |= {"null_standard_deviation": {"prebend": 2.0, "creep": 1.0}}
+    figures = rig_figures([pair, result({"creep": 0.3}, ["creep"])])
+    assert right_of(figures["pairs_both"]) == (both, 1)
+    assert right_of(figures["pairs_larger"]) == (larger, 1)
+
+
 @pytest.mark.parametrize(
     ("after", "worse"), [(0.5, False), (1.0, False), (1.049, False), (1.06, True)]
 )
@@ -71,6 +122,21 @@ def test_probabilities_are_scored_against_what_was_hidden():
     assert figures["brier"] == pytest.approx((0.0 + 2.0) / 2)
     assert rig_figures([denied])["probable_right"]["fraction"] == 0.0
     assert rig_figures([denied])["brier"] is None
+
+
+def test_only_effects_that_could_be_named_count_as_reliable():
+    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0]]}
+    null = result({}, kind="null") | {"hypotheses": right["hypotheses"]}
+    denied = result({"creep": 0.3}, kind="outside") | {"hypotheses": right["hypotheses"]}
+    impossible = {"case": right["case"], "impossible": "the link folds"}
+    figures = rig_figures([right, right, null, denied, impossible, result({"creep": 0.3})])
+    *lower, highest = figures["reliability"]
+    assert right_of(highest) == (2, 3)
+    assert highest["mean_probability"] == pytest.approx(1.0)
+    assert not any(b["of"] for b in lower)
+    table = rig_table_text({"default": figures})
+    assert table.count("reliability") == 0
+    assert table.splitlines()[-1] == "| 0.97 to 1 | 2 of 3 |"
 
 
 def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):

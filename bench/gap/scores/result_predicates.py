@@ -10,6 +10,10 @@ from models.shared.catalogue import CATALOGUE
 Result = dict[str, Any]
 """Of `bench.gap.case_run`, with its case."""
 
+CLEAR: Final = 15.0
+"""d′ of a hidden effect from which nobody would overlook it."""
+MORE_IS_LEFT: Final = ("reduced", "not in the catalogue", "no floor")
+"""Verdicts that say that more may be missing than was named."""
 LINK_PORTS: Final = ("bend_torque", "stiffness", "mass")
 
 
@@ -27,6 +31,11 @@ def hidden_separations(r: Result) -> dict[str, float]:
 def hidden_separation(r: Result) -> float:
     """d′ of the hidden effect as in `hidden_separations`, of a pair the larger; 0 without one."""
     return max(hidden_separations(r).values(), default=0.0)
+
+
+def is_clear(r: Result) -> bool:
+    """Whether the hidden effect has a d′ of 15 or more."""
+    return hidden_separation(r) >= CLEAR
 
 
 def _true(r: Result) -> str:
@@ -47,6 +56,26 @@ def is_in_class(r: Result) -> bool:
     """Whether the hidden effect is the first name or one of its declared look-alikes."""
     alike = [e for c in r["look_alikes"][0] for e in c] if r["look_alikes"] else []
     return _true(r) in [*r["chosen"][0], *alike]
+
+
+def is_class_right(r: Result) -> bool:
+    """Whether anything is named, and in the class of the hidden effect."""
+    return bool(r["named"]) and is_in_class(r)
+
+
+def is_pair_named(r: Result) -> bool:
+    """Whether both hidden effects are among the names."""
+    return set(r["case"]["hidden"]) <= set(r["named"])
+
+
+def is_larger_named(r: Result) -> bool:
+    """Whether both effects of a pair are named, or the larger one by d′ with more said to be left.
+
+    Where only the larger one is named and the verdict is "closed", nobody would look for the other.
+    """
+    separations = hidden_separations(r)
+    larger = max(separations, key=lambda effect: separations[effect])
+    return is_pair_named(r) or (larger in r["named"] and r["verdict"] in MORE_IS_LEFT)
 
 
 def is_pair_in_class(r: Result) -> bool:

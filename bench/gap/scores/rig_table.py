@@ -8,7 +8,7 @@ it has never seen.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,11 +16,16 @@ import numpy as np
 
 from bench.gap.bench_kind import bench_results
 from bench.gap.scores.fraction_interval import fraction_with_interval
+from bench.gap.scores.reliability import reliability_bins, reliability_table
 from bench.gap.scores.result_predicates import (
     Result,
+    is_class_right,
+    is_clear,
     is_first_name_right,
     is_in_class,
+    is_larger_named,
     is_link_effect,
+    is_pair_named,
     is_said_outside,
     is_strength_covered,
 )
@@ -45,7 +50,10 @@ def rig_figures(results: Sequence[Result]) -> Figures:
     possible = [r for r in results if "impossible" not in r]
     single = [r for r in possible if r["case"]["kind"] == "single"]
     null = [r for r in possible if r["case"]["kind"] == "null"]
+    pairs = [r for r in possible if r["case"]["kind"] == "pair"]
     outside = [r for r in possible if r["case"]["kind"] == "outside"]
+    could_be_named = [r for r in possible if r["case"]["kind"] != "outside"]
+    clear = [r for r in single if is_clear(r)]
     link, servo = _by_group(single, link=True), _by_group(single, link=False)
     covered = [c for r in single if (c := is_strength_covered(r)) is not None]
     return {
@@ -53,15 +61,21 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in null]),
         "first_servo_sensor": fraction_with_interval([is_first_name_right(r) for r in servo]),
         "first_link_payload_play": fraction_with_interval([is_first_name_right(r) for r in link]),
-        "class": fraction_with_interval([bool(r["named"]) and is_in_class(r) for r in single]),
+        "first_clear": fraction_with_interval([is_first_name_right(r) for r in clear]),
+        "class": fraction_with_interval([is_class_right(r) for r in single]),
+        "class_link": fraction_with_interval([is_class_right(r) for r in link]),
+        "class_clear": fraction_with_interval([is_class_right(r) for r in clear]),
+        "pairs_both": fraction_with_interval([is_pair_named(r) for r in pairs]),
+        "pairs_larger": fraction_with_interval([is_larger_named(r) for r in pairs]),
         "wrongly_outside": fraction_with_interval([is_said_outside(r) for r in single]),
         "wrong_and_closed": fraction_with_interval([_is_wrong_and_closed(r) for r in single]),
         "strength_covered": fraction_with_interval(covered),
         "outside_said": fraction_with_interval([is_said_outside(r) for r in outside]),
         "probable_right": fraction_with_interval(
-            [e in _missing(r) for r in possible for e, p in _probabilities(r).items() if p >= 0.9]
+            [right for probability, right in _said(possible) if probability >= 0.9]
         ),
-        "brier": _brier([r for r in possible if r["case"]["kind"] != "outside"]),
+        "brier": _brier(could_be_named),
+        "reliability": reliability_bins(_said(could_be_named)),
         "worse": fraction_with_interval([_is_worse(r) for r in possible]),
         "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
         "worst_rise": max((x for r in possible for x in _rises(r)), default=0.0),
@@ -88,13 +102,15 @@ def figures_by_rig(directory: Path) -> dict[str, Figures]:
 
 
 def rig_table_text(figures: Mapping[str, Figures]) -> str:
-    """Markdown table: one row for each figure, one column for each rig."""
+    """Markdown tables: a row for each figure, then for each bin; a column for each rig."""
     columns = list(figures)
     lines = ["| figure | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     rows = list(next(iter(figures.values()), {}))
     for row in rows:
-        lines.append(f"| {row} | " + " | ".join(_cell(figures[c][row]) for c in columns) + " |")
-    return "\n".join(lines)
+        if row != "reliability":
+            lines.append(f"| {row} | " + " | ".join(_cell(figures[c][row]) for c in columns) + " |")
+    bins = reliability_table({c: figures[c]["reliability"] for c in columns})
+    return "\n".join([*lines, *(["", bins] if bins else [])])
 
 
 def _missing(r: Result) -> list[str]:
@@ -116,12 +132,17 @@ def _probabilities(r: Result) -> dict[str, float]:
     return found
 
 
+def _said(results: Iterable[Result]) -> list[tuple[float, bool]]:
+    """Probability of each effect of some results that it is missing, and whether it was."""
+    return [(p, e in _missing(r)) for r in results for e, p in _probabilities(r).items()]
+
+
 def _brier(results: Sequence[Result]) -> float | None:
     """Mean over the cases of the sum of squares of probability less outcome, over the effects."""
     scores = []
     for r in results:
         probabilities, missing = _probabilities(r), _missing(r)
-        effects = {*probabilities, *missing}
+        effects = sorted({*probabilities, *missing})  # a sum of the same digits in every process
         scores.append(sum((probabilities.get(e, 0.0) - (e in missing)) ** 2 for e in effects))
     return float(np.mean(scores)) if scores else None
 

@@ -15,6 +15,7 @@ from bench.gap.scores.result_predicates import (
     Result,
     hidden_separation,
     is_among_first,
+    is_clear,
     is_first_name_right,
     is_in_class,
     is_pair_in_class,
@@ -23,7 +24,6 @@ from bench.gap.scores.result_predicates import (
     strength_change,
 )
 
-CLEAR: Final = 15.0
 FAINT: Final = (3.5, 8.0)
 
 
@@ -34,7 +34,7 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
     of = lambda kind: [r for r in possible if r["case"]["kind"] == kind]  # noqa: E731
     singles = of("single")
     detected = [r for r in singles if r["named"]]
-    clear = [r for r in singles if hidden_separation(r) >= CLEAR]
+    clear = [r for r in singles if is_clear(r)]
     faint = [r for r in singles if FAINT[0] <= hidden_separation(r) < FAINT[1]]
     sealed = [r for r in detected if r["sealed"] and r["sealed"][0] > 1.1 * r["sealed"][2]]
     return {
