@@ -51,10 +51,12 @@ def run_benchmark(
         Of `hil.campaign.engines`; two processes by default.
     """
     wanted, store = list(cases), ResultStore(out)
-    rigs = sorted({c.rig for c in wanted})
-    plants = {rig: plant or plant_of_rig(rig, out / "plants") for rig in rigs}
+    robots = sorted({(c.rig, c.joints) for c in wanted})
+    plants = {(r, joints): plant or plant_of_rig(r, out / "plants", joints) for r, joints in robots}
     maker = CaseMaker(KIND, MODULE, store.shared)
-    made = maker.cases((bench_configuration(c, plants[c.rig]) for c in wanted), "bench.gap")
+    made = maker.cases(
+        (bench_configuration(c, plants[c.rig, c.joints]) for c in wanted), "bench.gap"
+    )
     made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
     with store.locked():
         return run_campaign_cases(made, maker, store, engine or ProcessEngine(2, out / "logs"))
@@ -81,6 +83,7 @@ def main() -> None:
     add("--outside", type=int, default=20, help="effect denied to the catalogue")
     add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
     add("--seed", type=int, default=0, help="of the draw")
+    add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
@@ -111,7 +114,7 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
     cases: list[BenchCase] = []
     for rig in args.rigs or [DEFAULT_RIG]:
         counts = args.singles, args.nulls, args.pairs, args.outside
-        own = list(draw_cases(*counts, args.seed, rig, same_link=args.same_link))
+        own = list(draw_cases(*counts, args.seed, rig, args.same_link, args.joints))
         cases += own if args.most is None else mixed_cases(own, args.most)
     return cases
 

@@ -51,7 +51,7 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
     """
     rig = rig_of(case)
     try:
-        trials = TrialSet(tuple(bench_trials(rig.hide(case.hidden), case.seed)))
+        trials = TrialSet(tuple(bench_trials(rig.hide(case.hidden), case.seed, case.joints)))
     except InputError as error:
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
@@ -59,7 +59,8 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
     found = diagnose(plant, trials, leave_out=leave_out)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.fitted.parameters
-    sealed = sealed_trials(rig.hide(case.hidden), case.seed) if found.named else {}
+    hidden = rig.hide(case.hidden)
+    sealed = sealed_trials(hidden, case.seed, case.joints) if found.named else {}
     return {
         "verdict": found.verdict,
         "named": list(found.named),
@@ -146,7 +147,7 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     return hidden if known else hidden + rig[rig.effects()[effect]]
 
 
-def sealed_trials(rig: RigParameters, seed: int) -> dict[str, Trial]:
+def sealed_trials(rig: RigParameters, seed: int, joints: int) -> dict[str, Trial]:
     """Trials of another motion and of another payload; without those on which the link folds.
 
     Parameters
@@ -155,11 +156,14 @@ def sealed_trials(rig: RigParameters, seed: int) -> dict[str, Trial]:
         With the hidden effects.
     seed : int
         Of the case.
+    joints : int
+        Driven joints, 1 or 2.
     """
     result = {}
-    for what, (motion, payload_kg) in SEALED_CONDITIONS.items():
+    for what, (kind, payload_kg) in SEALED_CONDITIONS.items():
+        motion = Motion(kind, dof=joints)
         try:
-            result[what] = run_case(rig, TrialCase(Motion(motion), payload_kg, 3, seed))
+            result[what] = run_case(rig, TrialCase(motion, payload_kg, 3, seed))
         except InputError:  # the link folds
             continue
     return result
@@ -183,9 +187,10 @@ def sealed_errors(
     """
     if "motion" not in sealed:
         return None
-    motion, payload_kg = SEALED_CONDITIONS["motion"]
+    kind, payload_kg = SEALED_CONDITIONS["motion"]
     try:
-        plain = run_case(rig, TrialCase(Motion(motion), payload_kg, 3, case.seed))
+        motion = Motion(kind, dof=case.joints)
+        plain = run_case(rig, TrialCase(motion, payload_kg, 3, case.seed))
     except InputError:
         return None
     errors = [sealed_error(plant, sealed["motion"]) for plant in plants]
@@ -202,7 +207,7 @@ def sealed_error(plant: Plant, trial: Trial) -> float:
     trial : Trial
         That nothing was fitted to.
     """
-    floor = required_noise_floor(plant)
+    floor = required_noise_floor(plant, trial.meta.dof)
     comparison = compare_with_trials(plant, [trial])[0]
     squares = [
         np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
@@ -259,15 +264,22 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
     )
 
 
-def required_noise_floor(plant: Plant) -> NoiseFloor:
-    """Noise floor of a plant for one joint.
+def required_noise_floor(plant: Plant, joints: int = 1) -> NoiseFloor:
+    """Noise floor of a plant for one joint or two.
+
+    Parameters
+    ----------
+    plant : Plant
+        Identified on repeated trials.
+    joints : int
+        Driven joints, 1 or 2.
 
     Raises
     ------
     InputError
         If the plant carries none.
     """
-    floor = noise_floor_of(plant, 1)
+    floor = noise_floor_of(plant, joints)
     if floor is None:
         raise InputError(plant.name, "carries no noise floor", "identify it on repeated trials")
     return floor
@@ -279,7 +291,7 @@ def rig_of(case: BenchCase) -> RigParameters:
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 
-def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
+def bench_trials(rig: RigParameters, seed: int, joints: int = 1) -> list[Trial]:
     """Trials of three payloads, each repeated once.
 
     Parameters
@@ -288,6 +300,8 @@ def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
         With the hidden effects.
     seed : int
         Of trial variation and noise.
+    joints : int
+        Driven joints, 1 or 2.
 
     Raises
     ------
@@ -295,7 +309,7 @@ def bench_trials(rig: RigParameters, seed: int) -> list[Trial]:
         If the link folds, or the arm hangs before the motion begins: nobody records that.
     """
     trials = [
-        run_case(rig, TrialCase(Motion(), payload, trial, seed))
+        run_case(rig, TrialCase(Motion(dof=joints), payload, trial, seed))
         for payload in PAYLOADS_KG
         for trial in (1, 2)
     ]

@@ -31,13 +31,15 @@ TYPICAL: Final[dict[str, float]] = {
     "marker_frame_tilt": 0.015, "sync_offset": 0.03, "sensor_lag": 0.02, "encoder_ripple": 0.004,
     "cogging": 2.0, "marker_scale": 0.01, "stiction": 3.0,
 }  # fmt: skip
-"""Strength that matters, in the catalogue's unit [chosen before any run]. Cross-axis coupling needs
-two joints and is not in these lean cases."""
+"""Strength that matters, in the catalogue's unit [chosen before any run]."""
+
+TYPICAL_OF_TWO_JOINTS: Final[dict[str, float]] = {**TYPICAL, "cross_axis_coupling": 0.2}
+"""The same for two joints; only these couple the planes of bending."""
 
 SIGNED: Final = {
     "torque_constant_drift", "payload_offset", "prebend", "directional_stiffness",
     "encoder_offset", "load_offset", "current_bias", "current_scale", "marker_frame_tilt",
-    "sync_offset", "encoder_ripple", "cogging", "marker_scale",
+    "sync_offset", "encoder_ripple", "cogging", "marker_scale", "cross_axis_coupling",
 }  # fmt: skip
 
 NUISANCE: Final = {
@@ -63,6 +65,8 @@ class BenchCase:
         Of trial variation and noise.
     rig : str
         Name of the rig.
+    joints : int
+        Driven joints, 1 or 2.
     """
 
     kind: Kind
@@ -70,6 +74,7 @@ class BenchCase:
     nuisance: dict[str, float]
     seed: int
     rig: str = DEFAULT_RIG
+    joints: int = 1
 
 
 def draw_cases(
@@ -80,6 +85,7 @@ def draw_cases(
     seed: int,
     rig: str = DEFAULT_RIG,
     same_link: bool = False,
+    joints: int = 1,
 ) -> Iterator[BenchCase]:
     """Draw cases; those of each rig differ.
 
@@ -95,16 +101,18 @@ def draw_cases(
         Name of the rig.
     same_link : bool
         Whether the link is the one that the plant was identified on.
+    joints : int
+        Driven joints, 1 or 2.
     """
     own = [] if rig == DEFAULT_RIG else [zlib.crc32(rig.encode())]
     rng = np.random.default_rng([seed, *own] if own else seed)
-    names = list(TYPICAL)
+    names = list(TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL)
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
         nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
         strengths = {e: _strength(rng, e, size) for e, size in hidden}
         nuisance = {} if same_link else nuisance
-        return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig)
+        return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig, joints)
 
     for _ in range(singles):
         for size in (1.0, 0.2):
@@ -138,7 +146,7 @@ def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:
 
 def _strength(rng: np.random.Generator, effect: str, size: float) -> float:
     sign = rng.choice([-1.0, 1.0]) if effect in SIGNED else 1.0
-    typical = TYPICAL[effect]
+    typical = TYPICAL_OF_TWO_JOINTS[effect]
     if effect == "current_saturation":  # below a threshold it does nothing at all
         return float(rng.uniform(0.85, 1.05)) * typical
     return float(sign * size * typical * 2 ** rng.uniform(-1, 1))

@@ -20,8 +20,10 @@ SEED: Final = 1
 """Of the trials of identification; the cases draw others."""
 
 
-def plant_of_rig(rig: str, directory: Path) -> Path:
+def plant_of_rig(rig: str, directory: Path, joints: int = 1) -> Path:
     """Plant file of a rig; identified where it is not there yet.
+
+    A plant for two joints is identified on motions of one joint and of both, as the study's.
 
     Parameters
     ----------
@@ -29,11 +31,14 @@ def plant_of_rig(rig: str, directory: Path) -> Path:
         Name of a rig.
     directory : Path
         Of the plant files.
+    joints : int
+        Driven joints, 1 or 2.
     """
-    return plant_for(rig_named(rig), directory / f"{rig}.json")
+    name = f"{rig}.json" if joints == 1 else f"{rig}_{joints}dof.json"
+    return plant_for(rig_named(rig), directory / name, joints)
 
 
-def plant_for(rig: RigParameters, path: Path) -> Path:
+def plant_for(rig: RigParameters, path: Path, joints: int = 1) -> Path:
     """Plant file, identified on trials of a rig where it is not there yet.
 
     Parameters
@@ -42,11 +47,14 @@ def plant_for(rig: RigParameters, path: Path) -> Path:
         Without a hidden effect.
     path : Path
         Of the file.
+    joints : int
+        Driven joints of the robot, 1 or 2.
     """
     if not path.exists():
         trials = TrialSet(
             tuple(
-                run_case(rig, TrialCase(Motion(), payload_kg, trial, SEED))
+                run_case(rig, TrialCase(Motion(dof=dof), payload_kg, trial, SEED))
+                for dof in range(1, joints + 1)
                 for payload_kg in PAYLOADS_KG
                 for trial in (1, 2)
             )
