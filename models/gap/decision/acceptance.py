@@ -111,6 +111,22 @@ class Acceptance:
             self._refuse(fits[0], failing)
         return self._as_given()
 
+    def held_out_left(self, accepted: AcceptedFit) -> float:
+        """Fraction of the held-out errors that an accepted fit leaves.
+
+        Of those without any effect: of the plant as given, or with its nuisance refitted, whichever
+        errs less. An effect that only stands in for a link that changed leaves most of the latter.
+
+        Parameters
+        ----------
+        accepted : AcceptedFit
+            As tested.
+        """
+        if not np.any(accepted.free):
+            return 1.0
+        changed = self._fit(self.result.before, self.search.base)
+        return self._fraction(accepted) / min(1.0, self._fraction(changed))
+
     def without_stand_ins(self, accepted: AcceptedFit, verdict: GapVerdict) -> AcceptedFit:
         """Plant as given in place of a fit whose effects stand in for something else.
 

@@ -87,7 +87,8 @@ def _decision(search: EffectSearch, result: SearchResult, nothing: float) -> Dec
     acceptance = Acceptance(search, result)
     accepted = acceptance.accepted()
     consistencies = consistencies_of_named(search, result)
-    verdict, left = gap_verdict(search, result, consistencies)
+    held_out_left = acceptance.held_out_left(accepted)
+    verdict, left = gap_verdict(search, result, consistencies, held_out_left)
     if verdict in ("not in the catalogue", "no gap"):
         accepted = acceptance.without_stand_ins(accepted, verdict)
         left = left if result.named else float(verdict != "no gap")
