@@ -24,10 +24,10 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from bench.gap.case_run import bench_trials, required_noise_floor
+from bench.gap.case_run import bench_trials
 from bench.gap.cases import NUISANCE
 from bench.gap.pattern_check import pattern_sentence
-from bench.gap.rig_plants import plant_of_rig
+from bench.gap.rig_plants import plant_of_rig, required_noise_floor
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion

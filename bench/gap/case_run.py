@@ -1,24 +1,18 @@
-"""One case of the benchmark: hide, simulate, diagnose, test on another motion.
-
-The sealed trial is that of another motion, which nothing was fitted to.
-"""
+"""One case of the benchmark: hide, simulate, diagnose, test on sealed trials."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from bench.gap.cases import BenchCase
+from bench.gap.cases import PAYLOADS_KG, BenchCase
+from bench.gap.sealed_errors import SealedErrors
 from firmware_py.errors import InputError
-from firmware_py.motion import Kind, Motion
+from firmware_py.motion import Motion
 from models.gap.diagnosis import Diagnosis, diagnose
-from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.noise_floor_fit import noise_floor_of
-from models.gap.residuals.spectrum import Array
-from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
@@ -27,11 +21,6 @@ from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
-PAYLOADS_KG = (0.0, 1.0, 2.0)
-SEALED_CONDITIONS: Final[dict[str, tuple[Kind, float]]] = {
-    "motion": ("multisine", 1.0), "payload": ("sinusoid", 1.5),
-}  # fmt: skip
-"""Motion and payload of the trials that judge the improved plant in SI units."""
 HANGING_RAD = 0.1
 DELAY_OF = {"dead_time": "goal_delay_1_s"}
 """Parameters in which a plant without the effect holds the rig's own."""
@@ -59,8 +48,7 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
     found = diagnose(plant, trials, leave_out=leave_out)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.fitted.parameters
-    hidden = rig.hide(case.hidden)
-    sealed = sealed_trials(hidden, case.seed, case.joints) if found.named else {}
+    sealed = SealedErrors(rig, case) if found.named else None
     return {
         "verdict": found.verdict,
         "named": list(found.named),
@@ -85,8 +73,8 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
             ]
             for effect in found.named
         },
-        "sealed": sealed_errors(rig, case, sealed, [plant, found.improved]),
-        "sealed_rms": sealed_rms(sealed, plant, found.improved),
+        "sealed": sealed and sealed.in_noise_floors(plant, found.improved),
+        "sealed_rms": sealed.rms(plant, found.improved) if sealed else {},
         "unsaid_bounds": unsaid_bounds(found),
         "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
         "strength_consistency": {
@@ -147,98 +135,6 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     return hidden if known else hidden + rig[rig.effects()[effect]]
 
 
-def sealed_trials(rig: RigParameters, seed: int, joints: int) -> dict[str, Trial]:
-    """Trials of another motion and of another payload; without those on which the link folds.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        With the hidden effects.
-    seed : int
-        Of the case.
-    joints : int
-        Driven joints, 1 or 2.
-    """
-    result = {}
-    for what, (kind, payload_kg) in SEALED_CONDITIONS.items():
-        motion = Motion(kind, dof=joints)
-        try:
-            result[what] = run_case(rig, TrialCase(motion, payload_kg, 3, seed))
-        except InputError:  # the link folds
-            continue
-    return result
-
-
-def sealed_errors(
-    rig: RigParameters, case: BenchCase, sealed: Mapping[str, Trial], plants: Sequence[Plant]
-) -> list[float] | None:
-    """Errors on another motion, that of the first plant with nothing hidden; None without it.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Of the case, without the hidden effects.
-    case : BenchCase
-        With the hidden effects.
-    sealed : mapping of str to Trial
-        As `sealed_trials`.
-    plants : sequence of Plant
-        To simulate with; the first is the one as given.
-    """
-    if "motion" not in sealed:
-        return None
-    kind, payload_kg = SEALED_CONDITIONS["motion"]
-    try:
-        motion = Motion(kind, dof=case.joints)
-        plain = run_case(rig, TrialCase(motion, payload_kg, 3, case.seed))
-    except InputError:
-        return None
-    errors = [sealed_error(plant, sealed["motion"]) for plant in plants]
-    return [*errors, sealed_error(plants[0], plain)]
-
-
-def sealed_error(plant: Plant, trial: Trial) -> float:
-    """Error on a trial: root mean square over signals, each in its own noise floor.
-
-    Parameters
-    ----------
-    plant : Plant
-        With a noise floor.
-    trial : Trial
-        That nothing was fitted to.
-    """
-    floor = required_noise_floor(plant, trial.meta.dof)
-    comparison = compare_with_trials(plant, [trial])[0]
-    squares = [
-        np.mean(comparison.error(s) ** 2) / np.mean(floor.noise[s] + floor.model[s])
-        for s in comparison.simulated if s in floor.noise
-    ]  # fmt: skip
-    return float(np.sqrt(np.mean(squares)))
-
-
-def sealed_rms(
-    sealed: Mapping[str, Trial], given: Plant, improved: Plant
-) -> dict[str, dict[str, list[float]]]:
-    """Root mean square errors of both plants in SI units: trial → signal → [given, improved].
-
-    Parameters
-    ----------
-    sealed : mapping of str to Trial
-        As `sealed_trials`.
-    given, improved : Plant
-        Before and after the diagnosis.
-    """
-    result = {}
-    for what, trial in sealed.items():
-        before, after = (compare_with_trials(p, [trial])[0] for p in (given, improved))
-        result[what] = {s: [_rms(before.error(s)), _rms(after.error(s))] for s in before.simulated}
-    return result
-
-
-def _rms(error: Array) -> float:
-    return float(np.sqrt(np.nanmean(error**2)))
-
-
 def unsaid_bounds(found: Diagnosis) -> list[str]:
     """Refitted parameters of the improved plant that are at a bound.
 
@@ -262,27 +158,6 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
         if (name not in given or improved[name].value != given[name].value)
         and improved[name].value in (improved[name].low, improved[name].high)
     )
-
-
-def required_noise_floor(plant: Plant, joints: int = 1) -> NoiseFloor:
-    """Noise floor of a plant for one joint or two.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified on repeated trials.
-    joints : int
-        Driven joints, 1 or 2.
-
-    Raises
-    ------
-    InputError
-        If the plant carries none.
-    """
-    floor = noise_floor_of(plant, joints)
-    if floor is None:
-        raise InputError(plant.name, "carries no noise floor", "identify it on repeated trials")
-    return floor
 
 
 def rig_of(case: BenchCase) -> RigParameters:

@@ -18,6 +18,9 @@ import numpy as np
 
 DEFAULT_RIG: Final = "default"
 
+PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
+"""Payloads of the trials of every case, and of those that a plant is identified on."""
+
 Kind = Literal["single", "null", "pair", "outside"]
 
 TYPICAL: Final[dict[str, float]] = {

@@ -31,9 +31,10 @@ from typing import Any, Final
 import numpy as np
 
 from bench.gap.bench_kind import bench_results
-from bench.gap.case_run import bench_trials, required_noise_floor, rig_of
+from bench.gap.case_run import bench_trials, rig_of
 from bench.gap.cases import BenchCase
 from bench.gap.library import Equation, missing_in_equations
+from bench.gap.rig_plants import required_noise_floor
 from bench.gap.scores.score_summary import peer_comparison
 from firmware_py.console import Progress
 from firmware_py.errors import InputError

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bench.gap.case_run import PAYLOADS_KG
+from bench.gap.cases import PAYLOADS_KG
+from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
 from models.plant.identification.identification import identify
-from models.plant.plant import read_plant
+from models.plant.plant import Plant, read_plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
@@ -65,3 +67,24 @@ def plant_for(rig: RigParameters, path: Path, joints: int = 1) -> Path:
         found.write(fresh)
         fresh.replace(path)
     return path
+
+
+def required_noise_floor(plant: Plant, joints: int = 1) -> NoiseFloor:
+    """Noise floor of a plant for one joint or two.
+
+    Parameters
+    ----------
+    plant : Plant
+        Identified on repeated trials.
+    joints : int
+        Driven joints, 1 or 2.
+
+    Raises
+    ------
+    InputError
+        If the plant carries none.
+    """
+    floor = noise_floor_of(plant, joints)
+    if floor is None:
+        raise InputError(plant.name, "carries no noise floor", "identify it on repeated trials")
+    return floor

@@ -25,6 +25,7 @@ def result(
         "verdict": verdict,
         "sealed_rms": {"motion": {"tip_x_m": list(rms)}},
         "unsaid_bounds": [],
+        "separable": True,
         "estimates": {n: [[0.3, 0.05, 0.0]] for n in named},
         "true": hidden,
         "own": dict.fromkeys(hidden, own),
@@ -111,6 +112,24 @@ def test_a_plant_is_worse_from_five_percent_in_any_signal(after, worse):
     figures = rig_figures([result({"creep": 0.3}, ["creep"], rms=(1.0, after))])
     assert bool(figures["worse"]["fraction"]) is worse
     assert figures["worst_rise"] == pytest.approx(after - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("plain", "worse"), [((), True), ((1.0,), True), ((1.1,), False), ((0.5,), True)]
+)
+def test_the_plants_own_error_where_nothing_is_hidden_may_be_the_larger_one(plain, worse):
+    """It had made up for the hidden effect."""
+    figures = rig_figures([result({"creep": 0.3}, ["creep"], rms=(1.0, 1.1, *plain))])
+    assert figures["worse"]["fraction"] == 1.0
+    assert bool(figures["worse_than_plain"]["fraction"]) is worse
+
+
+def test_of_denied_effects_those_count_that_the_whole_catalogue_tells_from_stand_ins():
+    said = result({"creep": 0.3}, verdict="not in the catalogue", kind="outside")
+    alike = result({"prebend": 0.02}, ["encoder_offset"], kind="outside") | {"separable": False}
+    figures = rig_figures([said, alike])
+    assert right_of(figures["outside_said"]) == (1, 1)
+    assert right_of(figures["outside_said_all"]) == (1, 2)
 
 
 def test_probabilities_are_scored_against_what_was_hidden():

@@ -1,7 +1,8 @@
 """Cases of the gap benchmark with two joints."""
 
-from bench.gap.case_run import bench_trials, sealed_trials
-from bench.gap.cases import draw_cases
+from bench.gap.case_run import bench_trials
+from bench.gap.cases import BenchCase, draw_cases
+from bench.gap.sealed_errors import SealedErrors
 from models.rig.drawn_rig import rig_named
 
 
@@ -16,7 +17,9 @@ def test_only_two_joints_hide_a_coupling_of_the_planes():
 
 def test_trials_and_sealed_trials_drive_as_many_joints_as_the_case():
     rig = rig_named("default")
-    sealed = sealed_trials(rig, 1, 2)
-    for trial in [*bench_trials(rig, 1, 2), *sealed.values()]:
+    case = BenchCase("single", {"dead_time": 0.03}, {}, 1, joints=2)
+    sealed = [t for pair in SealedErrors(rig, case).trials.values() for t in pair]
+    assert len(sealed) == 4
+    for trial in [*bench_trials(rig, 1, 2), *sealed]:
         assert trial.angle_rad.shape[1] == 2
         assert trial.goal_rad[:, 1].any()

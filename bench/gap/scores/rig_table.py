@@ -70,13 +70,17 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         "wrongly_outside": fraction_with_interval([is_said_outside(r) for r in single]),
         "wrong_and_closed": fraction_with_interval([_is_wrong_and_closed(r) for r in single]),
         "strength_covered": fraction_with_interval(covered),
-        "outside_said": fraction_with_interval([is_said_outside(r) for r in outside]),
+        "outside_said": fraction_with_interval(
+            [is_said_outside(r) for r in outside if r["separable"]]
+        ),
+        "outside_said_all": fraction_with_interval([is_said_outside(r) for r in outside]),
         "probable_right": fraction_with_interval(
             [right for probability, right in _said(possible) if probability >= 0.9]
         ),
         "brier": _brier(could_be_named),
         "reliability": reliability_bins(_said(could_be_named)),
         "worse": fraction_with_interval([_is_worse(r) for r in possible]),
+        "worse_than_plain": fraction_with_interval([_is_worse_than_plain(r) for r in possible]),
         "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
         "worst_rise": max((x for r in possible for x in _rises(r)), default=0.0),
     }
@@ -171,10 +175,20 @@ def _rises(r: Result) -> list[float]:
     return [
         after / before - 1.0
         for trial in (r["sealed_rms"] or {}).values()
-        for before, after in trial.values()
+        for before, after, *_ in trial.values()
         if before > 0
     ]
 
 
 def _is_worse(r: Result) -> bool:
     return any(rise > WORSE_FRACTION for rise in _rises(r))
+
+
+def _is_worse_than_plain(r: Result) -> bool:
+    """Whether a signal's error exceeds that before, and that where nothing is hidden."""
+    return any(
+        after > (1 + WORSE_FRACTION) * max([before, *plain])
+        for trial in (r["sealed_rms"] or {}).values()
+        for before, after, *plain in trial.values()
+        if before > 0
+    )

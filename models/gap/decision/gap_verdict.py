@@ -51,9 +51,9 @@ def gap_verdict(
     band to the next, where most of the gap is left, or where the gap went into the variation
     between trials. A stand-in in a residual that the plant's own error reaches says nothing: the
     verdict is "no gap". In such a residual most may well be the plant's own error: what is left
-    does not count there if every named effect stands out clearly or closes the gap in what was left
-    out, nor in any residual if each stands out and the strengths of all of them also agree by χ²:
-    no stand-in's did. Nor does it count where a named
+    does not count there if every named effect stands out clearly, or if they lower the errors on
+    what was left out far enough. In any residual it does not count if each stands out and the
+    strengths of all of them also agree by χ²: no stand-in's did. Nor does it count where a named
     effect takes out of that variation what had gone into it. Without a learned noise floor nobody
     knows what noise is: then neither "no gap" nor "closed" nor "reduced" can be said, and the
     verdict is "no floor".
@@ -82,15 +82,15 @@ def gap_verdict(
         return ("no gap", 0.0) if search.learned else ("no floor", 1.0)
     several = len(result.named) > 1 or any(r.kind == "inconsistent" for r in result.refused)
     fractions = settings.gap_left_limit_fraction, settings.gap_left_limit_fraction_of_several
-    limit = fractions[several]
-    unclosed = left > limit and not relieved
+    unclosed = left > fractions[several] and not relieved
     unclosed = unclosed and search.mean_residual(result.after) > settings.noise_residual
     unclosed = unclosed and not _is_certain(search, result, consistencies)
     differing = not all(c.holds for c in consistencies.values())
     gap = search.has_gap(result.before)
     if biased or (unclosed and gap) or (differing and (gap or not search.learned)):
         return "not in the catalogue", left
-    unclosed = unclosed and held_out_left > limit and not stands_out_clearly(search, result)
+    unclosed = unclosed and not stands_out_clearly(search, result)
+    unclosed = unclosed and held_out_left > settings.held_out_left_limit_fraction
     if search.learned and (differing or unclosed):
         return "no gap", left
     if not search.learned:

@@ -110,13 +110,16 @@ def test_nothing_is_named_where_it_is_likelier_that_nothing_is_missing(monkeypat
         def accepted(self):
             return None
 
+        def held_out_left(self, accepted):
+            return 1.0
+
         def _as_given(self):
             return None
 
     monkeypatch.setattr(decision, "Acceptance", Untested)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda *_: {})
     monkeypatch.setattr(
-        decision, "gap_verdict", lambda search, of, _: ("closed" if of.named else "no gap", 0.0)
+        decision, "gap_verdict", lambda search, of, *_: ("closed" if of.named else "no gap", 0.0)
     )
     search = Search()
     none = Hypothesis((), nothing, 0.0, 0.0, np.zeros(1), np.zeros(1, dtype=bool))

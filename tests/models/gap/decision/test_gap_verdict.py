@@ -13,6 +13,7 @@ from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.null_distribution import NullDistribution
 from models.gap.search.refused_effect import RefusedEffect
+from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS
 
 
@@ -70,6 +71,19 @@ def test_an_effect_that_leaves_most_of_a_usual_residual_says_nothing():
     assert gap_verdict(Search(), result(1.9, 1.85, "stiction"), {})[0] == "no gap"
     assert gap_verdict(Search(), result(1.9, 1.2, "stiction"), {})[0] == "closed"
     assert gap_verdict(Search(), result(4.0, 3.9, "stiction"), {})[0] == "not in the catalogue"
+
+
+@pytest.mark.parametrize(
+    ("held_out_left", "verdict"), [(1.0, "no gap"), (0.9, "no gap"), (0.8, "closed")]
+)
+def test_an_effect_that_lowers_the_errors_on_what_was_left_out_is_named(held_out_left, verdict):
+    """The plant's own error is in the trials that were left out, too."""
+    found = result(1.9, 1.85, "stiction")
+    assert gap_verdict(Search(), found, {}, held_out_left)[0] == verdict
+    differing = {"stiction": StrengthConsistency(0.5, 0.0, 0.25, False)}
+    assert gap_verdict(Search(), found, differing, held_out_left)[0] == "no gap"
+    large = result(4.0, 3.9, "stiction")
+    assert gap_verdict(Search(), large, {}, held_out_left)[0] == "not in the catalogue"
 
 
 def test_an_effect_that_stands_out_clearly_is_named_in_a_usual_residual():
