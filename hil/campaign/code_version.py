@@ -20,7 +20,7 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_bytes
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-NOT_COMPUTING: Final = frozenset({"commands", "report", "__pycache__"})
+NOT_COMPUTING: Final = frozenset({"commands", "report", "scores", "__pycache__"})
 """Folders of a room whose code computes no result."""
 CAMPAIGN: Final = "hil/campaign/"
 KINDS_OF_CASES: Final = "hil/campaign/kinds/"
