@@ -5,7 +5,13 @@ from itertools import pairwise
 import pytest
 
 from bench.gap.scores.fraction_interval import clopper_pearson
-from bench.gap.scores.reliability import EDGES, reliability_bins, reliability_svg, reliability_table
+from bench.gap.scores.reliability import (
+    EDGES,
+    largest_deviation,
+    reliability_bins,
+    reliability_svg,
+    reliability_table,
+)
 
 SAID = [
     (0.001, True), (0.049, False), (0.05, False), (0.1, False), (0.15, True), (0.2, False),
@@ -30,6 +36,15 @@ def test_the_interval_is_that_of_clopper_and_pearson():
     assert clopper_pearson(1, 3) == pytest.approx((0.0084, 0.9057), abs=1e-4)
     assert clopper_pearson(0, 10) == pytest.approx((0.0, 1 - 0.025**0.1))
     assert clopper_pearson(10, 10) == pytest.approx((0.025**0.1, 1.0))
+
+
+def test_the_largest_deviation_is_over_bins_of_twenty_effects_or_more():
+    right = [(0.95, k < 19) for k in range(20)]
+    too_low = [(0.5, k < 12) for k in range(20)]
+    few = [(0.99, False)] * 19
+    assert largest_deviation(reliability_bins(right)) == pytest.approx(0.0)
+    assert largest_deviation(reliability_bins(right + too_low + few)) == pytest.approx(0.1)
+    assert largest_deviation(reliability_bins(few)) is None
 
 
 def test_the_table_has_a_column_for_each_rig_and_none_where_nothing_was_said():

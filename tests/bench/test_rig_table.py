@@ -154,7 +154,7 @@ def test_only_effects_that_could_be_named_count_as_reliable():
     assert highest["mean_probability"] == pytest.approx(1.0)
     assert not any(b["of"] for b in lower)
     table = rig_table_text({"default": figures})
-    assert table.count("reliability") == 0
+    assert table.count("| reliability |") == 0
     assert table.splitlines()[-1] == "| 0.97 to 1 | 2 of 3 |"
 
 

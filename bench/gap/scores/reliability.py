@@ -33,6 +33,9 @@ CAPTION: Final = (
     "probabilities are right; below it they are too high, above it too low."
 )
 
+LEAST_COUNT: Final = 20
+"""Effects of a bin from which its fraction is held against its probability."""
+
 Bins = Sequence[Mapping[str, Any]]
 
 
@@ -58,6 +61,18 @@ def reliability_bins(said: Iterable[tuple[float, bool]]) -> list[dict[str, Any]]
         }
         for low, high, rows in zip(EDGES[:-1], EDGES[1:], members, strict=True)
     ]  # fmt: skip
+
+
+def largest_deviation(bins: Bins) -> float | None:
+    """Largest difference of probability and fraction right, over the bins of enough effects.
+
+    Parameters
+    ----------
+    bins : sequence of dict
+        From `reliability_bins`.
+    """
+    off = [abs(b["mean_probability"] - b["fraction"]) for b in bins if b["of"] >= LEAST_COUNT]
+    return max(off, default=None)
 
 
 def reliability_table(bins: Mapping[str, Bins]) -> str:

@@ -16,7 +16,11 @@ import numpy as np
 
 from bench.gap.bench_kind import bench_results
 from bench.gap.scores.fraction_interval import fraction_with_interval
-from bench.gap.scores.reliability import reliability_bins, reliability_table
+from bench.gap.scores.reliability import (
+    largest_deviation,
+    reliability_bins,
+    reliability_table,
+)
 from bench.gap.scores.result_predicates import (
     Result,
     is_class_right,
@@ -56,6 +60,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
     clear = [r for r in single if is_clear(r)]
     link, servo = _by_group(single, link=True), _by_group(single, link=False)
     covered = [c for r in single if (c := is_strength_covered(r)) is not None]
+    bins = reliability_bins(_said(could_be_named))
     return {
         "cases": len(possible),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in null]),
@@ -78,7 +83,8 @@ def rig_figures(results: Sequence[Result]) -> Figures:
             [right for probability, right in _said(possible) if probability >= 0.9]
         ),
         "brier": _brier(could_be_named),
-        "reliability": reliability_bins(_said(could_be_named)),
+        "reliability": bins,
+        "reliability_off": largest_deviation(bins),
         "worse": fraction_with_interval([_is_worse(r) for r in possible]),
         "worse_than_plain": fraction_with_interval([_is_worse_than_plain(r) for r in possible]),
         "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
