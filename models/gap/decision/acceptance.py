@@ -196,7 +196,7 @@ class Acceptance:
 
         What belongs to the trials stays free: a shift of the mocap frame, and the clock.
         """
-        free = self.search.free(self.result.named)
+        free = self.search.free(self.result.named) & ~self.as_given
         free = free & ~(self.nuisance & self._written(free))
         return self._fit(self._refitted(self.result.after.values, free), free)
 

@@ -1,7 +1,11 @@
 """Choice between the nuisance as refitted beside the named effects and as in the plant as given."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
+from models.gap.decision.acceptance import Acceptance
 from models.gap.decision.accepted_fit import refit_is_earned
 from models.gap.residuals.partial_residuals import SquaredError
 from models.gap.search.held_out_errors import HeldOutErrors
@@ -50,3 +54,16 @@ def test_a_refit_may_repair_a_signal_that_the_effect_alone_makes_worse():
     refitted = errors(tip=(1.9, 1.8, 1.7), angle=(1.1, 1.0, 1.0))
     assert refit_is_earned(undone, refitted, GIVEN, DEFAULT_SETTINGS)
     assert not refit_is_earned(refitted, undone, GIVEN, DEFAULT_SETTINGS)
+
+
+def test_a_refused_value_of_an_effect_stays_as_given_beside_an_undone_nuisance(monkeypatch):
+    """The time of the link through the play of its mount had been written at its bound."""
+    nuisance, refused, strength = np.eye(3, dtype=bool)
+    tests = Acceptance.__new__(Acceptance)
+    tests.search = SimpleNamespace(free=lambda named: np.ones(3, dtype=bool))
+    tests.result = SimpleNamespace(named=["backlash"], after=SimpleNamespace(values=np.ones(3)))
+    tests.nuisance, tests.as_given = nuisance, refused
+    monkeypatch.setattr(tests, "_written", lambda free: nuisance | refused | strength)
+    monkeypatch.setattr(tests, "_refitted", lambda values, free: None)
+    monkeypatch.setattr(tests, "_fit", lambda point, free: free)
+    assert list(tests._nuisance_undone()) == list(strength)
