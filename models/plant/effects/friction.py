@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import casadi as ca
@@ -13,6 +14,9 @@ from models.plant.step_model import Variable
 
 FASTEST_SLIDE_S: Final = 2e-3
 """Shortest time in which sliding breaks the contacts of `Stiction`; two integration steps."""
+
+PEAK_EXPONENT: Final = 1.55
+"""Exponent that joins the limits of `StribeckFriction`'s peak to within 2.1 %, by a scan over both."""
 
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
@@ -94,7 +98,9 @@ class StribeckFriction(Effect):
     """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902].
 
     μ_s, its part per transmitted torque τ (BAM, model M4), is zero unless a plant document frees
-    it; in a gear that slides slowly under load it is the larger part.
+    it; in a gear that slides slowly under load it is the larger part. A smooth sign rises over
+    rates at which the friction already fades: the torque is scaled by what it takes away, so that
+    F_s is the largest extra torque.
     """
 
     name = "stribeck_friction"
@@ -116,7 +122,20 @@ class StribeckFriction(Effect):
             fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
             extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
-            scope.friction[j] += extra * fade * friction_direction(scope, j)
+            scope.friction[j] += extra * fade * friction_direction(scope, j) / _peak(scope, j)
+
+
+def _peak(scope: Scope, joint: int) -> Expr:
+    """Largest value of tanh(q̇/v_0) exp(−(q̇/v_s)²) over rates; 1 with a sign of the drive's own.
+
+    Between its limits, v_s / (v_0 √(2e)) for v_s ≪ v_0 and 1 for v_s ≫ v_0, interpolated by powers.
+    """
+    if joint in scope.friction_direction:
+        return 1
+    fading = scope.p("stribeck_speed_{j}_{angle}_s", joint)
+    rising = scope.p("friction_speed_{j}_{angle}_s", joint)
+    limit = fading / rising / math.sqrt(2 * math.e)
+    return (1 + limit**-PEAK_EXPONENT) ** (-1 / PEAK_EXPONENT)
 
 
 class Stiction(Effect):

@@ -81,7 +81,11 @@ def test_friction_opposes_the_rate_each_in_its_way(bench):
     assert np.polyfit(rate, torque, 1)[0] == pytest.approx(3.0, rel=0.03)
     strength = {"stribeck_friction_1_nm": 4.0, "stribeck_speed_1_rad_s": 0.1}
     torque, rate = friction_nm(bench, "stribeck_friction", strength)
-    assert np.abs(torque[np.abs(rate) > 0.5]).max() < 0.01 < 1.0 < np.abs(torque).max()
+    assert np.abs(torque[np.abs(rate) > 0.5]).max() < 0.01
+    for speed_rad_s in (0.03, 0.1, 0.4):  # the smooth sign rises up to 0.02 rad/s
+        strength["stribeck_speed_1_rad_s"] = speed_rad_s
+        torque, _ = friction_nm(bench, "stribeck_friction", strength)
+        assert np.abs(torque).max() == pytest.approx(4.0, rel=0.06)
 
 
 def test_load_dependent_friction_grows_with_the_payload(bench):
