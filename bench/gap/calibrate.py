@@ -39,7 +39,7 @@ from models.gap.estimation.noise_floor import group_frequencies_hz
 from models.gap.estimation.noise_floor_fit import nuisance_and_variation
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
-from models.gap.search.null_distribution import calibrated_null_distribution
+from models.gap.search.null_distribution import calibrated_null_distribution, null_distributions
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import FIRST_TEST_NUMBER, rig_named
@@ -113,7 +113,7 @@ def pattern_case(rig: int, links: int, directory: str) -> None:
     np.savez(path, rows=rows, noise=noise, **about)
 
 
-def null_case(rig: int, link: int, directory: str) -> None:
+def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
     """Save the d′ of each effect on one link, and the residual without any.
 
     Parameters
@@ -122,11 +122,13 @@ def null_case(rig: int, link: int, directory: str) -> None:
         Numbers of rig and link; the patterns are those of other rigs.
     directory : str
         Of the results.
+    joints : int
+        Driven joints, 1 or 2.
     """
-    path = _null_file(directory, rig, link)
+    path = _null_file(directory, rig, link, joints)
     try:
-        plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants"))
-        trials = bench_trials(drawn_link(rig, link), SEED + 100 * link)
+        plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants", joints))
+        trials = bench_trials(drawn_link(rig, link), SEED + 100 * link, joints)
     except InputError:
         path.write_text("{}")
         return
@@ -162,31 +164,55 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=16, help="drawn rigs for the patterns")
     parser.add_argument("--null", type=int, default=18, help="further rigs for the null")
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
+    parser.add_argument("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     args = parser.parse_args()
     if args.rigs + args.null > FIRST_TEST_NUMBER:
         parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for tests: take fewer")
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
     out, rigs = str(args.out), range(args.rigs)
+    if args.joints == 2:
+        others = range(args.rigs, args.rigs + args.null)
+        write_null_distribution(others, range(args.links), out, 2)
+        return
     _run(pattern_case, [(k, args.links, out) for k in rigs if not _pattern_file(out, k).exists()])
     learn_patterns([_pattern_file(out, k) for k in rigs]).write(PATTERNS)
     others = range(args.rigs, args.rigs + args.null)
-    links = [(k, link) for link in range(1, args.links + 1) for k in others]
-    _run(null_case, [(k, n, out) for k, n in links if not _null_file(out, k, n).exists()])
-    rows = [json.loads(_null_file(out, k, n).read_text()) for k, n in links]
-    rows = [r for r in rows if r]
+    write_null_distribution(others, range(1, args.links + 1), out, args.joints)
+
+
+def write_null_distribution(
+    rigs: Sequence[int], links: Sequence[int], directory: str, joints: int
+) -> None:
+    """Diagnose links without an effect; write the null distribution of a number of joints.
+
+    Parameters
+    ----------
+    rigs, links : sequence of int
+        Numbers; link 0 is the one that the plant knows.
+    directory : str
+        Of the results.
+    joints : int
+        Driven joints, 1 or 2.
+    """
+    work = [(k, n, directory, joints) for n in links for k in rigs]
+    files = [_null_file(directory, k, n, joints) for k, n, *_ in work]
+    _run(null_case, [w for w, f in zip(work, files, strict=True) if not f.exists()])
+    rows = [r for r in (json.loads(f.read_text()) for f in files) if r]
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )
-    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+    tables = {**null_distributions(), str(joints): found}
+    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(msgspec.json.encode(tables), indent=1) + b"\n")
 
 
 def _pattern_file(directory: str, rig: int) -> Path:
     return Path(directory) / f"patterns_{rig}.npz"
 
 
-def _null_file(directory: str, rig: int, link: int) -> Path:
-    return Path(directory) / f"null_{rig}_{link}.json"
+def _null_file(directory: str, rig: int, link: int, joints: int) -> Path:
+    suffix = "" if joints == 1 else f"_{joints}dof"
+    return Path(directory) / f"null_{rig}_{link}{suffix}.json"
 
 
 def _run(job: Callable[..., None], work: Sequence[tuple[Any, ...]]) -> None:

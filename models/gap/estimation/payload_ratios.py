@@ -86,19 +86,35 @@ def payload_ratios(
     """
     if len(parts) < 2 or any(len(rows) < 2 for rows in parts.values()):
         return NO_RATIOS
-    within = {p: np.var(rows, axis=0, ddof=1) for p, rows in parts.items()}
-    standing = {p: np.mean(rows, axis=0) ** 2 for p, rows in parts.items()}
-    at = np.geomspace(hz[1], hz[-1], POINTS)
+    within = {p: smooth_variance(rows) for p, rows in parts.items()}
+    standing = {p: _smooth(np.mean(rows, axis=0) ** 2) for p, rows in parts.items()}
+    at = ratio_frequencies_hz(hz)
     return PayloadRatios(at, _ratios(within, hz, at, signals), _ratios(standing, hz, at, signals))
 
 
+def ratio_frequencies_hz(hz: Array) -> Array:
+    """Frequencies at which ratios are kept, shape (POINTS,), for coefficients at others."""
+    return np.geomspace(hz[1], hz[-1], POINTS)
+
+
+def smooth_variance(repetitions: Array) -> Array:
+    """Variance between repetitions of a trial, smoothed over frequency.
+
+    Parameters
+    ----------
+    repetitions : ndarray, shape (R, signals, K)
+        Residual spectra.
+    """
+    return _smooth(np.var(repetitions, axis=0, ddof=1))
+
+
+def _smooth(power: Array) -> Array:
+    return smoothed_power(power, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
+
+
 def _ratios(
-    power: Mapping[float, Array], hz: Array, at: Array, signals: Sequence[str]
+    smooth: Mapping[float, Array], hz: Array, at: Array, signals: Sequence[str]
 ) -> dict[float, dict[str, Array]]:
-    smooth = {
-        p: smoothed_power(rows, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
-        for p, rows in power.items()
-    }
     common = np.maximum(np.mean(list(smooth.values()), axis=0), np.finfo(float).tiny)
     result: dict[float, dict[str, Array]] = {}
     for p, rows in smooth.items():

@@ -23,6 +23,7 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.link_change import LEAST, link_change
+from models.gap.estimation.measured_floor import with_repeated_trials
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
@@ -74,8 +75,10 @@ class EffectSearch:
     ) -> None:  # fmt: skip
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
-        self.unchanged_null = null_distribution_of(estimator.residuals.plant, self.settings)
-        self.null_distribution = self.unchanged_null
+        residuals = estimator.residuals
+        plant, dof = residuals.plant, residuals.trials[0].meta.dof
+        self.null_distribution = null_distribution_of(plant, dof, self.settings)
+        self.unchanged_null = self.null_distribution
         self.fit_parameters = estimator.residuals.fit_parameters
         self.base = np.array([q.kind != "effect" for q in self.fit_parameters])
         self.of = {
@@ -316,13 +319,17 @@ class EffectSearch:
         return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), here, found)
 
     def _widen(self, point: FitPoint) -> None:
-        """Allow for a fraction of the gap that is left, and for the change of the link."""
+        """Allow for repetitions that differ, a fraction of the gap, and a changed link."""
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values)
-        self.first = GaussNewton(residuals, replace(self.first.floor, link_change=change))
+        measured = residuals.groups, residuals.trials
+        floor = replace(self.first.floor, link_change=change)
+        if point.values.any():  # fitted: variation between trials is taken out
+            floor = with_repeated_trials(floor, *measured, point.rows)
+        self.first = GaussNewton(residuals, floor)
         self.null_distribution = self.unchanged_null.for_link_change(change)
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
-        floor = self.first.floor.widened(residuals.groups, residuals.trials, gap, self.settings)
+        floor = self.first.floor.widened(*measured, gap, self.settings)
         self.estimator = GaussNewton(residuals, floor)
 
     def _flatten(self, found: SearchResult) -> None:

@@ -82,8 +82,15 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return self.threshold * float(np.sqrt(squares))
 
 
+def null_distributions() -> dict[str, NullDistribution]:
+    """Measured null distributions of the link, by number of joints."""
+    if not PATH.exists():
+        return {}
+    return msgspec.json.decode(PATH.read_bytes(), type=dict[str, NullDistribution])
+
+
 def null_distribution_of(
-    plant: Plant, settings: GapSettings = DEFAULT_SETTINGS
+    plant: Plant, dof: int, settings: GapSettings = DEFAULT_SETTINGS
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
 
@@ -91,15 +98,17 @@ def null_distribution_of(
     ----------
     plant : Plant
         As given.
+    dof : int
+        Number of joints of the trials.
     settings : GapSettings
         Tuned numbers.
     """
-    if plant.load != "link" or not PATH.exists():
-        return NullDistribution(
-            threshold=settings.uncalibrated_threshold,
-            explained=settings.uncalibrated_residual_limit,
-        )
-    return msgspec.json.decode(PATH.read_bytes(), type=NullDistribution)
+    measured = null_distributions() if plant.load == "link" else {}
+    assumed = NullDistribution(
+        threshold=settings.uncalibrated_threshold,
+        explained=settings.uncalibrated_residual_limit,
+    )
+    return measured.get(str(dof), assumed)
 
 
 def calibrated_null_distribution(

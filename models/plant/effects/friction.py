@@ -16,7 +16,7 @@ FASTEST_SLIDE_S: Final = 2e-3
 """Shortest time in which sliding breaks the contacts of `Stiction`; two integration steps."""
 
 PEAK_EXPONENT: Final = 1.55
-"""Exponent that joins the limits of `StribeckFriction`'s peak to within 2.1 %, by a scan over both."""
+"""Exponent that joins the limits of `StribeckFriction`'s peak to within 2.1 %, found by a scan."""
 
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
