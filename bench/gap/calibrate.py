@@ -6,8 +6,9 @@ Each rig has its own structure and values (`models.rig.drawn_rig`) and a plant t
 its trials. Then the link's stiffness, mass and damping change a few times, and the nuisance is
 refitted. What is left beyond the plant's mean error gives the patterns of its own error
 (`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
-gives the null distribution of every effect (`models/gap/search/null_distribution.json`). Resumable:
-files by rig. No rig for tests is among them.
+gives the null distribution of every effect (`models/gap/search/null_distribution.json`). With
+--joints 2 only the null distribution of two joints is measured, without patterns, the link that
+the plant knows among the links. Resumable: files by rig. No rig for tests is among them.
 """
 
 from __future__ import annotations
@@ -202,8 +203,8 @@ def write_null_distribution(
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )
-    tables = {**null_distributions(), str(joints): found}
-    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(msgspec.json.encode(tables), indent=1) + b"\n")
+    tables = msgspec.json.encode({**null_distributions(), str(joints): found})
+    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
 
 
 def _pattern_file(directory: str, rig: int) -> Path:

@@ -20,7 +20,7 @@ from models.gap.estimation.payload_ratios import (
     ratio_frequencies_hz,
     smooth_variance,
 )
-from models.gap.residuals.residuals import TrialGroup
+from models.gap.residuals.residuals import Residuals, TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
@@ -120,10 +120,7 @@ def floor_from_residuals(
 
 
 def with_repeated_trials(
-    floor: NoiseFloor,
-    groups: Sequence[TrialGroup],
-    trials: Sequence[Trial],
-    rows: Sequence[Array],
+    floor: NoiseFloor, residuals: Residuals, rows: Sequence[Array]
 ) -> NoiseFloor:
     """Floor whose noise at each payload is pooled with that of repetitions at hand.
 
@@ -134,14 +131,14 @@ def with_repeated_trials(
     ----------
     floor : NoiseFloor
         Of the plant file.
-    groups, trials : sequence
-        Of the residuals.
+    residuals : Residuals
+        Of the trials at hand.
     rows : list of ndarray, shape (trials, signals, K)
-        Residual spectra by group, variation between trials taken out.
+        Their spectra by group, variation between trials taken out.
     """
     if not floor.learned:
         return floor
-    known = floor.ratios
+    known, groups, trials = floor.ratios, residuals.groups, residuals.trials
     at = ratio_frequencies_hz(max((group_frequencies_hz(g, trials) for g in groups), key=len))
     pooled: dict[float, dict[str, list[Array]]] = {}
     for group, residual in zip(groups, rows, strict=True):

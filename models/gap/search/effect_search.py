@@ -38,7 +38,7 @@ from models.gap.search.several_starts import (
     refitted_from_both_signs,
     refitted_from_far_strengths,
 )
-from models.gap.search.strength_consistency import strength_consistency_of
+from models.gap.search.strength_consistency import strengths_hold
 from models.plant.effects import EFFECTS
 
 ReportProgress = Callable[[str, int], None]
@@ -76,10 +76,10 @@ class EffectSearch:
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
         residuals = estimator.residuals
-        plant, dof = residuals.plant, residuals.trials[0].meta.dof
-        self.null_distribution = null_distribution_of(plant, dof, self.settings)
-        self.unchanged_null = self.null_distribution
-        self.fit_parameters = estimator.residuals.fit_parameters
+        robot = residuals.plant, residuals.trials[0].meta.dof
+        self.unchanged_null = null_distribution_of(*robot, self.settings)
+        self.null_distribution = self.unchanged_null
+        self.fit_parameters = residuals.fit_parameters
         self.base = np.array([q.kind != "effect" for q in self.fit_parameters])
         self.of = {
             e: np.array([q.effect == e for q in self.fit_parameters])
@@ -272,21 +272,15 @@ class EffectSearch:
     def _stands_out(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> bool:
         """Whether a candidate passes its limits, also beside the error of earlier equations.
 
-        That does not shift every trial in the same way: a candidate that removes a nuisance bias
-        need not stand out beside it.
+        That shifts no trials alike: beside it, one that removes a nuisance bias need not stand out.
         """
         left = self.mean_residual(candidate.point)
         alone, beside, doubted = beyond_limits(candidate, found, left, self.settings)
         if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
             return alone > 0
-        free = self._free_of(candidate, found)
-        return beside > 0 and (doubted > 0 or self._consistent(candidate, free))
-
-    def _consistent(self, candidate: Candidate, free: Array) -> bool:
-        """Whether each strength of a candidate is the same everywhere."""
-        fit = self.estimator, candidate.point, free
+        fit = self.estimator, candidate.point, self._free_of(candidate, found)
         own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
-        return all(strength_consistency_of(*fit, *row).holds for row in own)
+        return beside > 0 and (doubted > 0 or strengths_hold(*fit, own))
 
     def nuisance_bias(self, point: FitPoint) -> dict[str, float]:
         """Kinds of trial variation that are biased, see `models.gap.estimation.nuisance_bias`."""
@@ -322,15 +316,14 @@ class EffectSearch:
         """Allow for repetitions that differ, a fraction of the gap, and a changed link."""
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values)
-        measured = residuals.groups, residuals.trials
         floor = replace(self.first.floor, link_change=change)
         if point.values.any():  # fitted: variation between trials is taken out
-            floor = with_repeated_trials(floor, *measured, point.rows)
+            floor = with_repeated_trials(floor, residuals, point.rows)
         self.first = GaussNewton(residuals, floor)
         self.null_distribution = self.unchanged_null.for_link_change(change)
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
-        floor = self.first.floor.widened(*measured, gap, self.settings)
-        self.estimator = GaussNewton(residuals, floor)
+        wider = floor.widened(residuals.groups, residuals.trials, gap, self.settings)
+        self.estimator = GaussNewton(residuals, wider)
 
     def _flatten(self, found: SearchResult) -> None:
         """Fit in SI units: once the first effect is named, no spectrum tells what is noise."""

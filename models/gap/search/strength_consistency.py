@@ -14,7 +14,7 @@ is the mean square by which the strengths differ, noise and undetermined directi
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +90,21 @@ def strength_consistency_of(
     differs = float(np.sqrt(max(square, 0.0)))
     holds = differs <= tolerated or probability >= settings.inconsistency_probability
     return StrengthConsistency(differs, probability, tolerated, holds)
+
+
+def strengths_hold(
+    estimator: GaussNewton, point: FitPoint, free: Array, own: Iterable[tuple[Array, str]]
+) -> bool:
+    """Whether the strengths of several effects are the same everywhere.
+
+    Parameters
+    ----------
+    estimator, point, free :
+        As for `strength_consistency_of`.
+    own : iterable of (ndarray of bool, str)
+        Fit parameters and port of each effect.
+    """
+    return all(strength_consistency_of(estimator, point, free, *row).holds for row in own)
 
 
 def _blocks(estimator: GaussNewton, part: Sequence[Array]) -> Iterator[list[Array]]:
