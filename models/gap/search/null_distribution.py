@@ -52,15 +52,18 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     def for_link_change(self, change: float) -> NullDistribution:
         """Distribution for a link that changed by another amount.
 
+        A residual of `GapSettings.noise_residual` is noise on any link.
+
         Parameters
         ----------
         change : float
             Relative to the links that it was measured on
             (`models.gap.estimation.link_change`).
         """
+        explained = self.explained * float(np.exp(self.explained_growth * (change - 1)))
         return msgspec.structs.replace(
             self,
-            explained=self.explained * float(np.exp(self.explained_growth * (change - 1))),
+            explained=max(explained, DEFAULT_SETTINGS.noise_residual),
             standard_deviation={
                 e: float(np.sqrt(1 + change**2 * (s**2 - 1)))
                 for e, s in self.standard_deviation.items()
