@@ -203,7 +203,10 @@ def write_null_distribution(
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )
-    tables = msgspec.json.encode({**null_distributions(), str(joints): found})
+    known = null_distributions()
+    pooled = known[str(joints)].repetitions_pooled  # as in the search that was measured
+    found = msgspec.structs.replace(found, repetitions_pooled=pooled)
+    tables = msgspec.json.encode({**known, str(joints): found})
     NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
 
 

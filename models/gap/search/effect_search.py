@@ -317,7 +317,7 @@ class EffectSearch:
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values)
         floor = replace(self.first.floor, link_change=change)
-        if point.values.any():  # fitted: variation between trials is taken out
+        if self.unchanged_null.repetitions_pooled and point.values.any():  # once fitted
             floor = with_repeated_trials(floor, residuals, point.rows)
         self.first = GaussNewton(residuals, floor)
         self.null_distribution = self.unchanged_null.for_link_change(change)

@@ -38,6 +38,9 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         changed by one.
     explained_growth : float
         Growth of its logarithm with the change of the link.
+    repetitions_pooled : bool
+        Whether it was measured with a floor pooled with repetitions at hand
+        (`models.gap.estimation.measured_floor`); the search then does the same.
     standard_deviation : dict of str to float
         Root mean square of d′ by effect on a link that changed by one, at least 1; 1 for effects
         that are not listed.
@@ -47,6 +50,7 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     threshold: float
     explained: float
     explained_growth: float = 0.0
+    repetitions_pooled: bool = False
     standard_deviation: dict[str, float] = {}
 
     def for_link_change(self, change: float) -> NullDistribution:

@@ -3,6 +3,8 @@
 import pytest
 
 from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.gap.search.null_distribution import null_distribution_of
+from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 
 FRICTION_NM_S_RAD = 4.0
@@ -22,6 +24,15 @@ def test_each_number_of_joints_has_a_floor(two_joints):
     assert "angle_2_rad" in floors["2"].noise
     assert "angle_2_rad" not in floors["1"].noise
     assert not two_joints.for_robot().provenance.noise_floor
+
+
+def test_each_number_of_joints_has_a_null_distribution():
+    one, two = (null_distribution_of(read_plant(), dof) for dof in (1, 2))
+    assert "cross_axis_coupling" not in one.standard_deviation
+    assert two.standard_deviation["cross_axis_coupling"] > 1
+    assert (one.repetitions_pooled, two.repetitions_pooled) == (False, True)
+    for null in (one, two):
+        assert null.for_link_change(0.0).explained >= DEFAULT_SETTINGS.noise_residual
 
 
 @pytest.mark.parametrize(
