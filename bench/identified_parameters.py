@@ -5,7 +5,7 @@
 Each draw varies the rig's stiffness, mass and damping as the benchmark of the gap workflow does
 (`bench.gap.cases.NUISANCE`), runs payloads of 0, 1 and 2 kg with one joint and identifies the
 plant. Parameters that rig and plant both have are compared. One file per draw in OUT; a rerun does
-what is missing, prints all and writes OUT/coverage.json.
+what is missing or of other code, prints all and writes OUT/coverage.json.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from bench.gap.cases import NUISANCE
 from firmware_py.console import Progress
 from firmware_py.motion import Motion
+from hil.campaign.code_version import code_version
 from models.plant.identification.identification import identify
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
@@ -32,6 +33,9 @@ from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
+
+COMPUTING_ROOMS: Final = ("firmware_py", "models")
+"""Rooms of which a change makes a draw's result invalid."""
 
 SAME_AS_IN_RIG: Final = {
     "coulomb_friction_1_nm": "servo.coulomb_friction_nm",
@@ -205,6 +209,26 @@ def summary_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     return "\n".join(lines)
 
 
+def draw_result(out: Path, rig: str, draw: int) -> dict[str, Any]:
+    """Result of a draw: the file in a directory, or where it is missing or of other code a new one.
+
+    Parameters
+    ----------
+    out : Path
+        Directory of the results.
+    rig : str
+        Name of its structure.
+    draw : int
+        Number of the draw.
+    """
+    path, code = out / f"{rig}_{draw}.json", code_version(COMPUTING_ROOMS)
+    result: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    if result.get("code") != code:
+        result = {"code": code, **identify_draw(rig, draw)}
+        path.write_text(json.dumps(result, indent=1))
+    return result
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run what is missing and print the table."""
     parser = argparse.ArgumentParser(
@@ -220,11 +244,8 @@ def main(argv: list[str] | None = None) -> int:
     progress = Progress("bench.identified_parameters", len(wanted))
     results = []
     for draw, rig in wanted:
-        path = args.out / f"{rig}_{draw}.json"
-        if not path.exists():
-            path.write_text(json.dumps(identify_draw(rig, draw), indent=1))
-        results.append(json.loads(path.read_text()))
-        progress.step(path.stem)
+        results.append(draw_result(args.out, rig, draw))
+        progress.step(f"{rig}_{draw}")
     summary = coverage_summary(results)
     (args.out / "coverage.json").write_text(json.dumps(summary, indent=1))
     print(coverage_table(results))

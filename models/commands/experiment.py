@@ -16,6 +16,7 @@ import msgspec
 from firmware_py.config import read_config
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
+from firmware_py.motion import Motion
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import read_rig
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     write_motion(found.design.document, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))
-    best = found.best_fixed
+    best, (motion, payload_kg) = found.best_fixed, found.recommended
     result: dict[str, Any] = {
         "motion": str(args.out),
         "name": found.design.document.name,
@@ -93,11 +94,12 @@ def run(args: argparse.Namespace) -> int:
         ],
         "least_gain": found.least_gain(found.design.pairs),
         "least_gain_of_best_fixed": found.least_gain(best.pairs) if best else None,
+        "recommended": {"motion": motion.name, "payload_kg": payload_kg},
         "together": found.together(),
     }
     text = f"{experiment_in_words(found, args.out)}\n{page}"
     if args.repeat:
-        after, repeated = _repeated(args, plant, inputs, found.design.document, hidden, progress)
+        after, repeated = _repeated(args, plant, inputs, found.recommended, hidden, progress)
         result["after"] = after
         text = f"{text}\n{repeated}"
     progress.step("done", 0)
@@ -120,11 +122,10 @@ def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
 
 
 def _repeated(
-    args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs, motion: Any,
-    hidden: dict[str, float], progress: Progress,
+    args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs,
+    recommended: tuple[Motion, float], hidden: dict[str, float], progress: Progress,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
-    """Run the motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
-    from firmware_py.motion import Motion
+    """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
     from models.gap.experiment.rival import credible_set, rivals_of
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.rig.study_protocol import run_case
@@ -132,7 +133,8 @@ def _repeated(
     from models.trials.trial_files import write_trial
 
     directory = args.out.with_suffix("")
-    case = TrialCase(Motion.designed(motion), motion.payload_kg or 0.0, trial=1, seed=args.seed)
+    motion, payload_kg = recommended
+    case = TrialCase(motion, payload_kg, trial=1, seed=args.seed)
     trial = run_case(read_rig(args.rig).hide(hidden), case)
     own = directory / "trials"
     own.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,14 @@
 """Table of identified parameters beside the truth of a rig."""
 
+import json
+
 import pytest
 
+from bench import identified_parameters
 from bench.identified_parameters import (
     coverage_summary,
     coverage_table,
+    draw_result,
     shared_truth,
     summary_table,
 )
@@ -46,3 +50,17 @@ def test_the_summary_has_the_relative_errors_of_each_rig_and_of_all():
     assert summary["all"]["link_mass_kg within 25 %"] == pytest.approx(2 / 3)
     row = summary_table(summary).splitlines()[2]
     assert row == "| x | 2 | 50% | – | – | 30%, 46%, 50% | 50% |"
+
+
+def test_a_result_of_other_code_is_computed_again(tmp_path, monkeypatch):
+    ran = []
+
+    def identify_draw(rig, draw):
+        ran.append((rig, draw))
+        return {"rig": rig, "draw": draw, "parameters": {}}
+
+    monkeypatch.setattr(identified_parameters, "identify_draw", identify_draw)
+    (tmp_path / "default_3.json").write_text(json.dumps({"code": "0", "rig": "stale"}))
+    first, again = (draw_result(tmp_path, "default", 3) for _ in range(2))
+    assert first == again and first["rig"] == "default"
+    assert ran == [("default", 3)]

@@ -34,6 +34,8 @@ class FixedMotion:
     ----------
     label : str
         Of the menu.
+    motion : Motion
+        With amplitude, period and phase.
     payload_kg : float
         Payload.
     pairs : tuple of PairSeparation
@@ -41,6 +43,7 @@ class FixedMotion:
     """
 
     label: str
+    motion: Motion
     payload_kg: float
     pairs: tuple[PairSeparation, ...]
 
@@ -80,8 +83,33 @@ class Experiment:
 
     @property
     def best_fixed(self) -> FixedMotion | None:
-        """Motion of the menu whose least gain over the separable pairs is largest."""
-        return max(self.fixed, key=lambda f: self.least_gain(f.pairs), default=None)
+        """Motion of the menu that separates most."""
+        return max(self.fixed, key=lambda f: self._separated(f.pairs), default=None)
+
+    @property
+    def better_fixed(self) -> FixedMotion | None:
+        """The best motion of the menu where it separates more than the designed one.
+
+        The plant's own error is known on motions that the plant was identified on, and unknown on a
+        designed one: with another payload such a motion may tell more.
+        """
+        best = self.best_fixed
+        if best is None or self._separated(best.pairs) <= self._separated(self.design.pairs):
+            return None
+        return best
+
+    @property
+    def recommended(self) -> tuple[Motion, float]:
+        """Motion to run, and its payload in kg: the designed one unless a fixed one is better."""
+        if (fixed := self.better_fixed) is not None:
+            return fixed.motion, fixed.payload_kg
+        document = self.design.document
+        return Motion.designed(document), document.payload_kg or 0.0
+
+    def _separated(self, pairs: Sequence[PairSeparation]) -> tuple[int, float]:
+        """How much a motion separates: number of pairs, then the least gain."""
+        count = sum(q.separation >= INSEPARABLE for q in pairs)
+        return count, self.least_gain(pairs)
 
     def least_gain(self, pairs: Sequence[PairSeparation]) -> float:
         """Least d′ that a motion adds to the trials at hand, over the separable pairs."""
@@ -94,8 +122,9 @@ class Experiment:
         return f"{self.rivals[a].label} or {self.rivals[b].label}"
 
     def together(self) -> list[str]:
-        """Pairs that the designed motion leaves together."""
-        pairs = self.design.pairs
+        """Pairs that the recommended motion leaves together."""
+        fixed = self.better_fixed
+        pairs = fixed.pairs if fixed else self.design.pairs
         return [self.label(k) for k, q in enumerate(pairs) if q.separation < INSEPARABLE]
 
 
@@ -193,7 +222,7 @@ def _fixed_motions(
             if (motion.name, payload_kg) in at_hand:
                 continue
             trial = planned_trial(model.like, motion, payload_kg, meta.rest_samples)
-            found.append(FixedMotion(label, payload_kg, tuple(model.separations(trial))))
+            found.append(FixedMotion(label, motion, payload_kg, tuple(model.separations(trial))))
     return tuple(found)
 
 
@@ -230,8 +259,25 @@ def experiment_in_words(found: Experiment, motion: Path) -> str:
             f"it adds a least d′ of {gain:.1f}; the best fixed motion within the limits "
             f"({best.label}, {best.payload_kg:g} kg) adds {rival:.1f}"
         )
-    lines += [f"no motion found separates {pair}" for pair in found.together()]
+    lines += [f"run {better_fixed_in_words(fixed)}" for fixed in (found.better_fixed,) if fixed]
+    lines += [f"it does not separate {pair}" for pair in found.together()]
     return "\n".join(lines)
+
+
+def better_fixed_in_words(fixed: FixedMotion) -> str:
+    """Fixed motion that separates more than the designed one, as an operator sets it.
+
+    Parameters
+    ----------
+    fixed : FixedMotion
+        Of `Experiment.better_fixed`.
+    """
+    motion = fixed.motion
+    return (
+        f"the {fixed.label} with {fixed.payload_kg:g} kg in its place, it separates more: [motion] "
+        f'kind = "{motion.kind}", amplitude_rad = {motion.amplitude_rad:.4f}, '
+        f"period_s = {motion.period_s:g}, phase_2_rad = {motion.phase_2_rad:g} in robot.toml"
+    )
 
 
 def write_motion(document: MotionDocument, path: Path) -> None:

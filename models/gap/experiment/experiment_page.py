@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_py.motion import Motion
-from models.gap.experiment.experiment import Experiment
+from models.gap.experiment.experiment import Experiment, better_fixed_in_words
 from models.gap.experiment.motion_design import INSEPARABLE
 from models.gap.experiment.rival import Rival
 from models.shared.html_page import render_page
@@ -26,14 +26,14 @@ def write_experiment_page(found: Experiment, path: Path) -> Path:
     path : Path
         Page to write; returned.
     """
-    document = found.design.document
-    lead: list[Part] = [
-        Paragraph(
-            f"This motion of {document.duration_s:g} s tells the hypotheses of the diagnosis "
-            f"apart best. Attach {document.payload_kg:g} kg, run it, and diagnose its trial "
-            "together with those at hand."
-        )
-    ]
+    document, fixed = found.design.document, found.better_fixed
+    advice = (
+        f"Run {better_fixed_in_words(fixed)}. Diagnose its trial together with those at hand."
+        if fixed
+        else "Of all motions tried it tells the hypotheses of the diagnosis apart best. Attach "
+        f"{document.payload_kg:g} kg, run it, and diagnose its trial together with those at hand."
+    )
+    lead: list[Part] = [Paragraph(f"A motion of {document.duration_s:g} s was designed. {advice}")]
     sections = [
         Section("motion", "The motion", [_goals(found)]),
         Section("separation", "What it separates", [_bars(found), _table(found)]),
@@ -105,5 +105,5 @@ def _table(found: Experiment) -> Table:
              f"{own.before:.1f}", fixed, f"{own.separation:.1f}"]
         )  # fmt: skip
     head = ["hypothesis", "probability", "or", "probability", "d′ now", "fixed motion", "designed"]
-    note = "; ".join(f"no motion found separates {pair}" for pair in found.together())
+    note = "; ".join(f"it does not separate {pair}" for pair in found.together())
     return Table("", head, rows, note)

@@ -124,6 +124,35 @@ def test_file_page_and_words_name_the_motion(experiment, tmp_path):
     assert "What it separates" in page
 
 
+def separating(pair, separation):
+    return replace(pair, before=1.0, separation=separation)
+
+
+@pytest.mark.parametrize(("fixed", "designed"), [(9.0, 4.0), (4.0, 9.0)])
+def test_the_motion_that_separates_more_is_recommended(experiment, tmp_path, fixed, designed):
+    (pair,) = experiment.design.pairs
+    menu = replace(experiment.fixed[0], pairs=(separating(pair, fixed),))
+    design = replace(experiment.design, pairs=(separating(pair, designed),))
+    found = replace(experiment, fixed=(menu,), design=design)
+    motion, payload_kg = found.recommended
+    words = experiment_in_words(found, tmp_path / "motion.toml")
+    page = write_experiment_page(found, tmp_path / "motion.html").read_text()
+    if fixed > designed:
+        assert (motion, payload_kg) == (menu.motion, menu.payload_kg)
+        assert f'kind = "{motion.kind}"' in words and "it separates more" in page
+    else:
+        assert motion.name == design.document.name and payload_kg == design.document.payload_kg
+        assert "it separates more" not in words and "apart best" in page
+
+
+def test_a_pair_that_the_fixed_motion_separates_is_not_together(experiment):
+    (pair,) = experiment.design.pairs
+    menu = replace(experiment.fixed[0], pairs=(separating(pair, 5.0),))
+    design = replace(experiment.design, pairs=(separating(pair, 1.0),))
+    assert replace(experiment, fixed=(), design=design).together()
+    assert not replace(experiment, fixed=(menu,), design=design).together()
+
+
 @pytest.mark.parametrize(("rivals", "seconds"), [(RIVALS[:1], SECONDS), (RIVALS, 0.5)])
 def test_nothing_to_separate_or_no_time_gives_one_sentence(plant, at_hand, rivals, seconds):
     with pytest.raises(InputError):
