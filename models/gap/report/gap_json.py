@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import msgspec
 
@@ -89,12 +89,25 @@ class RemainingGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Value of a parameter of a named effect, its standard error, and its value before."""
+    """Value of a parameter of a named effect, its standard error, its value before, its bound.
+
+    `bound` is set where the fit ended at a bound of the parameter, or found none of it.
+    """
 
     value: float
     unit: str
     error: float | None
     before: float
+    bound: Literal["lower", "upper"] | None = None
+
+    def __str__(self) -> str:
+        """Value with its error, rounded, without its unit."""
+        return f"{self.value:.4g} ± {self.error or 0:.2g}"
+
+    @property
+    def bound_in_words(self) -> str:
+        """The bound that the value is at, in brackets; empty where it is within."""
+        return f" (at its {self.bound} bound)" if self.bound else ""
 
 
 class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

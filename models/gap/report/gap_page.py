@@ -204,8 +204,7 @@ def _named(document: GapDocument, hidden: Mapping[str, float] | None) -> Part:
         effects = entry.effect.split(" + ")
         meaning = "; ".join(EVERY_EFFECT[e].strength for e in effects if e in EVERY_EFFECT)
         values = Markup("<br>").join(
-            f"{_words(name)} {q.value:.3g} ± {q.error or 0:.2g} {symbol_of(q.unit)}"
-            f" (before: {q.before:.3g})"
+            f"{_words(name)} {q} {symbol_of(q.unit)}{q.bound_in_words} (before: {q.before:.3g})"
             for name, q in entry.parameters.items()
         )
         alike = ", ".join(_words(c.effect) for c in entry.look_alikes) or "none"

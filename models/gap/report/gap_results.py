@@ -35,6 +35,7 @@ from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
+from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 
@@ -183,7 +184,8 @@ def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEff
         kept=inclusion.kept,
         parameters={
             name: FittedValue(
-                q.value, q.unit, q.error, before[name].value if name in before else 0.0
+                q.value, q.unit, q.error, before[name].value if name in before else 0.0,
+                bound_reached(q),
             )
             for direction in found.fit_parameters if direction.effect in inclusion.effects
             for name in direction.parameters if (q := found.fitted.parameters.get(name))

@@ -190,8 +190,7 @@ def gap_in_words(document: GapDocument) -> str:
 def _named_in_words(row: NamedEffect) -> list[str]:
     """An effect with its values, its look-alikes and whether its strength is consistent."""
     values = ", ".join(
-        f"{name} = {q.value:.4g} ± {q.error or 0:.2g} {q.unit}"
-        for name, q in row.parameters.items()
+        f"{name} = {q} {q.unit}{q.bound_in_words}" for name, q in row.parameters.items()
     )
     word = "named" if row.kept else "named, then taken out"
     lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]

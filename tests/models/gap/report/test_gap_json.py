@@ -1,6 +1,7 @@
 """Gap document: its keys, its page, and the refusal of another version."""
 
 import json
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -75,3 +76,17 @@ def test_console_and_page_name_the_effect(document, late, tmp_path):
     assert page.count("<svg") >= 4
     assert "Closed by dead time." in page
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_a_value_at_its_bound_is_said(document, late, tmp_path):
+    found, trials = late
+    (row,) = document.named
+    (name,) = row.parameters
+    assert row.parameters[name].bound is None and "bound)" not in gap_in_words(document)
+    high = found.fitted.parameters[name].high
+    ended = found.fitted.with_values({name: high})
+    said = gap_document(replace(found, fitted=ended), trials)
+    assert said.named[0].parameters[name].bound == "upper"
+    assert f"{high:.4g}" in gap_in_words(said) and "(at its upper bound)" in gap_in_words(said)
+    write_gap_page(said, found.plant, found.improved, trials, tmp_path / "report.html")
+    assert "at its upper bound" in (tmp_path / "report.html").read_text()
