@@ -166,7 +166,8 @@ def coverage_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, dict[str
         groups[result["rig"]].append(result["parameters"])
         groups["all"].append(result["parameters"])
     summary = {}
-    for rig, draws in groups.items():
+    for rig in sorted(groups, key=lambda name: name == "all"):  # the sum comes last
+        draws = groups[rig]
         rows = [row for draw in draws for row in draw.values()]
         inside = [abs(r["value"] - r["truth"]) <= 2 * r["error"] for r in rows]
         own = {"draws": float(len(draws)), "inside": float(np.mean(inside))}

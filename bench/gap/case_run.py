@@ -138,8 +138,7 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
 def unsaid_bounds(found: Diagnosis) -> list[str]:
     """Refitted parameters of the improved plant that are at a bound.
 
-    The workflow is to refuse such a plant, so that none is left. Parameters of a named effect
-    other than its strength do not count: the report says which of them are at a bound.
+    The workflow is to refuse such a plant, so that none is left.
 
     Parameters
     ----------
@@ -151,9 +150,7 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
         name
         for q in found.fit_parameters
         for name in q.parameters
-        if q.trial is None
-        and name in improved
-        and not (q.effect and np.isfinite(q.standard_deviation))
+        if q.trial is None and name in improved
     }
     return sorted(
         name

@@ -59,7 +59,7 @@ PAIRS: Final = (
 )
 """Effect that is hidden, its strength, and the effect that it is mistaken for. The first three were
 declared look-alikes by diagnoses of three trials of the study's motion [chosen before any run]."""
-AT_HAND: Final = 2.0
+LOOK_ALIKE_SEPARATION: Final = 2.0
 """d′ of a pair on the trial at hand, below that of separated pairs."""
 FIT_STEPS: Final = 8
 PAYLOAD_KG: Final = 1.0
@@ -100,11 +100,6 @@ class PairResult:
     fixed_gain: float
     best: str
     verified: float | None
-
-    @property
-    def recommended(self) -> float:
-        """d′ with the motion that is recommended."""
-        return max(self.designed, self.fixed)
 
 
 def fit_of(plant: Plant, trials: Sequence[Trial], effect: str) -> tuple[FitPoint, Rival]:
@@ -180,7 +175,7 @@ def run_pair(
     """
     rig, first, rivals, before = at_hand(plant, effect, strength, rival, seed)
     if before >= INSEPARABLE:
-        strength *= AT_HAND / before
+        strength *= LOOK_ALIKE_SEPARATION / before
         rig, first, rivals, before = at_hand(plant, effect, strength, rival, seed)
     found = design_experiment(rivals, plant, TrialSet((first,)), limits, 10.0, PAYLOADS_KG, seed)
     own, best = found.design.pairs[0], found.best_fixed
@@ -224,11 +219,11 @@ def separation_figures(results: Sequence[PairResult]) -> dict[str, Any]:
     -------
     dict
         Numbers of pairs, of look-alikes and of separable ones; of these the fraction that the
-        designed and the recommended motion separate, the least gains of designed and best fixed
+        designed motion separates, the least gains of designed and best fixed
         motion, and the median ratio of both gains.
     """
     alike = [r for r in results if r.before < INSEPARABLE]
-    separable = [r for r in alike if r.recommended >= INSEPARABLE]
+    separable = [r for r in alike if max(r.designed, r.fixed) >= INSEPARABLE]
     known = {"pairs": len(results), "look_alikes": len(alike), "separable": len(separable)}
     if not separable:
         return known
@@ -236,7 +231,6 @@ def separation_figures(results: Sequence[PairResult]) -> dict[str, Any]:
     least, fixed = min(r.gain for r in separable), min(r.fixed_gain for r in separable)
     return known | {
         "designed_fraction": float(np.mean([r.designed >= INSEPARABLE for r in separable])),
-        "recommended_fraction": float(np.mean([r.recommended >= INSEPARABLE for r in separable])),
         "least_gain": least,
         "least_gain_of_fixed": fixed,
         "least_gain_ratio": least / max(fixed, LEAST_GAIN),
