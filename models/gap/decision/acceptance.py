@@ -25,6 +25,7 @@ written only where other motions were left out and it passed there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import msgspec
@@ -39,17 +40,14 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.held_out_errors import (
-    HeldOutErrors,
-    is_written,
-    lowers_held_out_error,
-)
+from models.gap.search.held_out_errors import HeldOutErrors, is_written, lowers_held_out_error
 from models.gap.search.refused_effect import (
     OffendingValue,
     RefusalKind,
     RefusedEffect,
     impossible_values,
     refusal_of_value,
+    refusals,
     values_at_bounds,
 )
 
@@ -59,6 +57,9 @@ STAND_IN_FOR_ANOTHER: Final = (
 )
 STAND_IN_FOR_OWN_ERROR: Final = (
     "it stands in for the plant's own error, which is as large on a link that changed as much"
+)
+STAND_IN_BESIDE_OTHERS: Final = (
+    "beside the effects that are named it stands in for an effect that the catalogue lacks"
 )
 
 
@@ -143,6 +144,19 @@ class Acceptance:
         reason = STAND_IN_FOR_ANOTHER if outside else STAND_IN_FOR_OWN_ERROR
         return self._without_named("stand-in", reason)
 
+    def with_certain_only(self, certain: Sequence[str]) -> AcceptedFit:
+        """Best fit of the effects that are certain, the others refused as stand-ins.
+
+        Parameters
+        ----------
+        certain : sequence of str
+            Some of the named effects.
+        """
+        rest = [e for e in self.result.named if e not in certain]
+        self.result.refused += refusals(rest, "stand-in", STAND_IN_BESIDE_OTHERS)
+        self._take_out(rest)
+        return self.accepted()
+
     def without_improbable(self, nothing: float) -> AcceptedFit:
         """Plant as given in place of a fit whose effects are less likely than none.
 
@@ -160,12 +174,8 @@ class Acceptance:
     ) -> AcceptedFit:
         """Plant as given, every named effect refused for one reason."""
         earlier = [row for row in self.result.refused if row.kind != "not written"]
-        self.result.refused = earlier + [
-            RefusedEffect(
-                effect=effect, kind=kind, name="", value=value, limit=limit, unit="1", reason=reason
-            )
-            for effect in self.result.named
-        ]
+        named = self.result.named
+        self.result.refused = earlier + refusals(named, kind, reason, value, limit)
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()
 
@@ -272,14 +282,11 @@ class Acceptance:
         for effect in reversed(self.result.named[1:]):
             if effect in consistency and not consistency[effect].holds:
                 differs = consistency[effect].standard_deviation
-                self.result.refused.append(
-                    RefusedEffect(
-                        effect=effect, kind="inconsistent", name="", value=differs, limit=0.0,
-                        unit="1",
-                        reason=f"beside {first} its strength would have to differ by {differs:.0%} "
-                        "between payloads, signals and frequencies",
-                    )
-                )  # fmt: skip
+                reason = (
+                    f"beside {first} its strength would have to differ by {differs:.0%} "
+                    "between payloads, signals and frequencies"
+                )
+                self.result.refused += refusals([effect], "inconsistent", reason, differs)
                 self._take_out([effect])
                 return True
         return False
@@ -296,25 +303,19 @@ class Acceptance:
                 beside = f" beside {rest.replace('_', ' ')}" if rest else ""
                 value = fit.errors.fraction_of(without.errors)
                 value = value if rest else max(value, self._fraction(fit))
-                found.append(
-                    RefusedEffect(
-                        effect=effect, kind="held-out error", name="", value=value, limit=1.0,
-                        unit="1",
-                        reason=f"it does not lower the error on what was left out{beside}: "
-                        f"{value:.1%} of the error without it",
-                    )
-                )  # fmt: skip
+                reason = (
+                    f"it does not lower the error on what was left out{beside}: "
+                    f"{value:.1%} of the error without it"
+                )
+                found += refusals([effect], "held-out error", reason, value, 1.0)
         limit = 1 + self.settings.harm_fraction
         for signal, ratio in fit.errors.ratios(self.held_out.given).items():
             if ratio > limit:
-                found.append(
-                    RefusedEffect(
-                        effect="", kind="rise of a signal", name=signal, value=ratio, limit=limit,
-                        unit="1",
-                        reason=f"the held-out error of {signal} would be {ratio:.1%} of that of "
-                        "the plant as given",
-                    )
-                )  # fmt: skip
+                reason = (
+                    f"the held-out error of {signal} would be {ratio:.1%} of that of the plant "
+                    "as given"
+                )
+                found += refusals([""], "rise of a signal", reason, ratio, limit, signal)
         return found
 
     def _without(self, effect: str, fit: AcceptedFit) -> AcceptedFit:
@@ -333,10 +334,7 @@ class Acceptance:
         worst = min(names, key=lambda e: self._fraction(self._without(e, fit)))
         row = next((r for r in failing if r.effect in ("", worst)), failing[0])
         if not row.effect:
-            row = RefusedEffect(
-                effect=worst, kind=row.kind, reason=row.reason, name=row.name, value=row.value,
-                limit=row.limit, unit=row.unit,
-            )  # fmt: skip
+            row = msgspec.structs.replace(row, effect=worst)
         self.result.refused.append(row)
         self._take_out([worst])
 

@@ -15,7 +15,12 @@ from typing import Final
 
 from models.gap.decision.acceptance import Acceptance
 from models.gap.decision.accepted_fit import AcceptedFit
-from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named, gap_verdict
+from models.gap.decision.gap_verdict import (
+    GapVerdict,
+    certain_effects,
+    consistencies_of_named,
+    gap_verdict,
+)
 from models.gap.decision.posterior import Hypothesis
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
@@ -85,16 +90,28 @@ def decide(
 
 def _decision(search: EffectSearch, result: SearchResult, nothing: float) -> Decision:
     acceptance = Acceptance(search, result)
-    accepted = acceptance.accepted()
-    consistencies = consistencies_of_named(search, result)
-    held_out_left = acceptance.held_out_left(accepted)
-    verdict, left = gap_verdict(search, result, consistencies, held_out_left)
+    tested = _tested(search, result, acceptance, acceptance.accepted())
+    if tested.verdict == "not in the catalogue":
+        certain = certain_effects(search, result, tested.consistencies)
+        if certain and len(certain) < len(result.named):
+            tested = _tested(search, result, acceptance, acceptance.with_certain_only(certain))
+    accepted, verdict, left = tested.accepted, tested.verdict, tested.gap_left_fraction
     if verdict in ("not in the catalogue", "no gap"):
         accepted = acceptance.without_stand_ins(accepted, verdict)
         left = left if result.named else float(verdict != "no gap")
     if result.named and nothing > search.settings.nothing_limit_probability:
         accepted = acceptance.without_improbable(nothing)
         verdict, left = gap_verdict(search, result, {})
+    return Decision(result, accepted, tested.consistencies, verdict, left)
+
+
+def _tested(
+    search: EffectSearch, result: SearchResult, acceptance: Acceptance, accepted: AcceptedFit
+) -> Decision:
+    """Decision on what was accepted, by its strengths and by what is left."""
+    consistencies = consistencies_of_named(search, result)
+    held_out_left = acceptance.held_out_left(accepted)
+    verdict, left = gap_verdict(search, result, consistencies, held_out_left)
     return Decision(result, accepted, consistencies, verdict, left)
 
 

@@ -52,11 +52,11 @@ def gap_verdict(
     between trials. A stand-in in a residual that the plant's own error reaches says nothing: the
     verdict is "no gap". In such a residual most may well be the plant's own error: what is left
     does not count there if every named effect stands out clearly, or if they lower the errors on
-    what was left out far enough. In any residual it does not count if each stands out and the
-    strengths of all of them also agree by χ²: no stand-in's did. Nor does it count where a named
-    effect takes out of that variation what had gone into it. Without a learned noise floor nobody
-    knows what noise is: then neither "no gap" nor "closed" nor "reduced" can be said, and the
-    verdict is "no floor".
+    what was left out far enough. In any residual neither what is left nor that variation counts if
+    every named effect is certain (`certain_effects`); the verdict is then "reduced". Nor does what
+    is left count where a named effect takes out of that variation what had gone into it. Without a
+    learned noise floor nobody knows what noise is: then neither "no gap" nor "closed" nor "reduced"
+    can be said, and the verdict is "no floor".
 
     Parameters
     ----------
@@ -80,26 +80,28 @@ def gap_verdict(
         if biased or search.has_gap(result.before):
             return "not in the catalogue", 1.0
         return ("no gap", 0.0) if search.learned else ("no floor", 1.0)
+    certain = len(certain_effects(search, result, consistencies)) == len(result.named)
     several = len(result.named) > 1 or any(r.kind == "inconsistent" for r in result.refused)
     fractions = settings.gap_left_limit_fraction, settings.gap_left_limit_fraction_of_several
     unclosed = left > fractions[several] and not relieved
     unclosed = unclosed and search.mean_residual(result.after) > settings.noise_residual
-    unclosed = unclosed and not _is_certain(search, result, consistencies)
+    unclosed = unclosed and not certain
     differing = not all(c.holds for c in consistencies.values())
     gap = search.has_gap(result.before)
-    if biased or (unclosed and gap) or (differing and (gap or not search.learned)):
+    hidden = biased and not certain
+    if hidden or (unclosed and gap) or (differing and (gap or not search.learned)):
         return "not in the catalogue", left
-    unclosed = unclosed and not stands_out_clearly(search, result)
+    unclosed = unclosed and len(clear_effects(search, result)) < len(result.named)
     unclosed = unclosed and held_out_left > settings.held_out_left_limit_fraction
     if search.learned and (differing or unclosed):
         return "no gap", left
     if not search.learned:
         return "no floor", left
-    return ("reduced" if search.has_gap(result.after) else "closed"), left
+    return ("reduced" if biased or search.has_gap(result.after) else "closed"), left
 
 
-def stands_out_clearly(search: EffectSearch, result: SearchResult) -> bool:
-    """Whether every named effect exceeds what any effect showed in residuals without one.
+def clear_effects(search: EffectSearch, result: SearchResult) -> list[str]:
+    """Named effects that exceed what any effect showed in residuals without one.
 
     Parameters
     ----------
@@ -110,18 +112,27 @@ def stands_out_clearly(search: EffectSearch, result: SearchResult) -> bool:
     """
     size = np.sqrt(max(search.mean_residual(result.after), 1.0))
     least = search.settings.clear_separation_fraction * size
-    kept = [c for c in result.chosen if set(c.effects) & set(result.named)]
-    return all(c.separation >= least * c.least for c in kept)
+    clear = {e for c in result.chosen if c.separation >= least * c.least for e in c.effects}
+    return [e for e in result.named if e in clear]
 
 
-def _is_certain(
+def certain_effects(
     search: EffectSearch, result: SearchResult, consistencies: Mapping[str, StrengthConsistency]
-) -> bool:
-    """Whether every named effect stands out clearly, with strengths that no χ² tells apart."""
+) -> list[str]:
+    """Named effects that stand out clearly, with strengths that no χ² tells apart.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    consistencies : mapping of str to StrengthConsistency
+        Of the named effects.
+    """
     least = search.settings.inconsistency_probability
-    known = [consistencies[e].probability for e in result.named if e in consistencies]
-    agree = len(known) == len(result.named) and min(known, default=0.0) >= least
-    return agree and stands_out_clearly(search, result)
+    agree = {e for e, c in consistencies.items() if c.probability >= least}
+    return [e for e in clear_effects(search, result) if e in agree]
 
 
 def _power_beyond_noise(search: EffectSearch, rows: Sequence[Array]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -190,3 +190,24 @@ def refusal_of_value(effect: str, kind: RefusalKind, found: OffendingValue) -> R
         effect=effect, kind=kind, reason=found.said, name=found.name, value=found.value,
         limit=found.limit, unit=found.unit,
     )  # fmt: skip
+
+
+def refusals(
+    effects: Iterable[str], kind: RefusalKind, reason: str, value: float = 0.0,
+    limit: float = 0.0, name: str = "",
+) -> list[RefusedEffect]:  # fmt: skip
+    """Refusals of several effects for one reason.
+
+    Parameters
+    ----------
+    effects : iterable of str
+        Names.
+    kind, reason, value, limit, name :
+        See `RefusedEffect`; without a unit.
+    """
+    return [
+        RefusedEffect(
+            effect=e, kind=kind, name=name, value=value, limit=limit, unit="1", reason=reason
+        )
+        for e in effects
+    ]

@@ -127,3 +127,44 @@ def test_nothing_is_named_where_it_is_likelier_that_nothing_is_missing(monkeypat
     assert found.result.named == named
     assert found.verdict == ("closed" if named else "no gap")
     assert [r.kind for r in found.result.refused] == ["improbable"] * (1 - len(named))
+
+
+@pytest.mark.parametrize(
+    ("certain", "named"),
+    [(["prebend"], ["prebend"]), ([], []), (["prebend", "creep"], [])],
+)
+def test_what_is_certain_is_kept_where_another_effect_stands_in_for_something(
+    monkeypatch, certain, named
+):
+    """Two effects together leave too much of the gap; the first one alone may stand."""
+    result = SearchResult(POINT, POINT, ["prebend", "creep"])
+
+    class Tests:
+        def __init__(self, search, found):
+            self.found = found
+
+        def accepted(self):
+            return "both"
+
+        def held_out_left(self, accepted):
+            return 1.0
+
+        def with_certain_only(self, effects):
+            self.found.named = list(effects)
+            return "the first"
+
+        def without_stand_ins(self, accepted, verdict):
+            self.found.named = []
+            return "as given"
+
+    def verdict(search, found, consistencies, held_out_left):
+        return ("not in the catalogue" if len(found.named) > 1 else "reduced"), 0.6
+
+    monkeypatch.setattr(decision, "Acceptance", Tests)
+    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, found: {})
+    monkeypatch.setattr(decision, "certain_effects", lambda *of: certain)
+    monkeypatch.setattr(decision, "gap_verdict", verdict)
+    found = decide(Search(), result, [])
+    assert found.result.named == named
+    assert found.verdict == ("reduced" if named else "not in the catalogue")
+    assert found.accepted == ("the first" if named else "as given")

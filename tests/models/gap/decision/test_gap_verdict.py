@@ -8,7 +8,7 @@ import pytest
 
 from models.gap.decision import acceptance
 from models.gap.decision.acceptance import Acceptance
-from models.gap.decision.gap_verdict import gap_verdict
+from models.gap.decision.gap_verdict import certain_effects, gap_verdict
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.null_distribution import NullDistribution
@@ -121,6 +121,29 @@ def test_a_clear_effect_of_one_strength_explains_a_gap_that_is_mostly_left(
 def test_a_bias_that_is_still_there_is_no_explanation():
     found = result(2.3, 2.2, "sync_offset")
     assert gap_verdict(Search({"sync_s": -14.0}), found, {})[0] == "not in the catalogue"
+
+
+@pytest.mark.parametrize(
+    ("probability", "verdict"), [(0.5, "reduced"), (1e-6, "not in the catalogue")]
+)
+def test_a_bias_beside_an_effect_that_is_certain_is_what_is_left(probability, verdict):
+    """The eccentricity of the payload takes up what the equation of another effect misses."""
+    clear = 1.01 * DEFAULT_SETTINGS.clear_separation_fraction * LEAST * np.sqrt(2.1)
+    found = result(9.0, 2.1, "directional_stiffness", separation=clear)
+    search = Search({"eccentricity_m": -16.0})
+    search.null_distribution = NullDistribution(threshold=4.5, explained=3.0)
+    alike = {"directional_stiffness": SimpleNamespace(holds=True, probability=probability)}
+    assert not search.has_gap(found.after), "the bias alone is left"
+    assert gap_verdict(search, found, alike)[0] == verdict
+
+
+def test_only_effects_of_one_strength_that_stand_out_are_certain():
+    found = result(9.0, 1.0, "stiction", "creep", "backlash", separation=1.6 * LEAST)
+    found.chosen[2] = Candidate(("backlash",), found.after, LEAST**2 / 2, LEAST, LEAST)
+    known = {e: SimpleNamespace(probability=p) for e, p in [("stiction", 0.5), ("creep", 1e-6)]}
+    assert certain_effects(Search(), found, known) == ["stiction"]
+    known["backlash"] = SimpleNamespace(probability=0.5)
+    assert certain_effects(Search(), found, known) == ["stiction"]
 
 
 def test_beside_a_refused_effect_less_of_the_gap_may_be_left():
