@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from bench.gap.cases import PAYLOADS_KG, BenchCase
@@ -27,7 +28,7 @@ DELAY_OF = {"dead_time": "goal_delay_1_s"}
 
 
 def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> dict[str, Any]:
-    """Run a case; return its result.
+    """Run a case; return its result. Long because every result is handed over once.
 
     Parameters
     ----------
@@ -54,7 +55,8 @@ def run_bench_case(case: BenchCase, plant: Plant, times: dict[str, float]) -> di
         "named": list(found.named),
         "chosen": [list(c.effects) for c in found.inclusions],
         "separation": [c.separation for c in found.inclusions],
-        "hypotheses": [[list(h.effects), h.gain, h.least] for h in found.hypotheses],
+        "hypotheses": [[h.effects, h.gain, h.least, h.probability] for h in found.hypotheses],
+        "tested": msgspec.to_builtins(found.tested),
         "bias": found.nuisance_bias,
         "refused": [[r.effect, r.kind, r.name, r.value, r.limit] for r in found.refused],
         "look_alikes": [[list(a.effects) for a in c.look_alikes] for c in found.inclusions],

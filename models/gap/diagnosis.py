@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
-from models.gap.decision.decision import decide
+from models.gap.decision.decision import JudgedNames, decide
 from models.gap.decision.gap_verdict import GapVerdict
 from models.gap.decision.look_alikes import LookAlike, look_alikes_of
 from models.gap.decision.posterior import Hypothesis, posterior_of
@@ -107,6 +107,8 @@ class Diagnosis:
         All of them.
     hypotheses : tuple of Hypothesis
         Sets of effects that may be missing, by their probability.
+    tested : tuple of JudgedNames
+        Effects that were judged together, in turn; the last ones led to the verdict.
     strength_consistency : dict of str to StrengthConsistency
         Of each named effect without a dead zone.
     screened, refitted : dict of str to float
@@ -151,6 +153,7 @@ class Diagnosis:
     named: tuple[str, ...]
     inclusions: tuple[Inclusion, ...]
     hypotheses: tuple[Hypothesis, ...]
+    tested: tuple[JudgedNames, ...]
     strength_consistency: dict[str, StrengthConsistency]
     screened: dict[str, float]
     refitted: dict[str, float]
@@ -207,8 +210,8 @@ def diagnose(
     floor = floor or noise_floor_for(residuals)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
-    hypotheses = posterior_of(search, result)
-    decision = decide(search, result, hypotheses)
+    decision = decide(search, result)
+    hypotheses = posterior_of(search, result, decision.answers, decision.replaced())
     result, accepted = decision.result, decision.accepted
     report("tested on what was left out", 1)
     located, remaining = (
@@ -246,6 +249,7 @@ def diagnose(
         named=tuple(result.named),
         inclusions=_inclusions(result),
         hypotheses=hypotheses,
+        tested=decision.tested,
         strength_consistency=dict(decision.consistencies),
         screened=result.screened,
         refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},

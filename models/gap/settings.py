@@ -235,32 +235,15 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     which Gaussian noise of 25 effects would pass in one of 500 data sets, 4 of 105 without an
     effect were given a name, at 4.25, 4.43, 4.47 and 7.5; of 66 hidden effects none was named below
     4.5."""
-    clear_separation_fraction: float = 1.5
-    """d′ over its least, in roots of the residual, from which an effect stands out clearly.
-    Measured on 36 data sets of drawn rigs without an effect: at most 1.41, in all but one 1.19."""
     uncalibrated_threshold: float = 5.0
     """Least d′ of a named effect for loads without a measured null distribution [assumed]."""
     uncalibrated_residual_limit: float = 1.6
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
-    # Verdict
-    nothing_limit_probability: float = 0.5
-    """Probability that nothing is missing from which no effect is named: it is then likelier than
-    all effects together."""
+    # Certainty
     noise_residual: float = 1.25
     """Mean square up to which what is left resembles noise: 6 % of 190 data sets without an effect
     were above it."""
-    gap_left_limit_fraction: float = 0.75
-    """Largest fraction of a gap (in amplitude) that may be left once one effect is named [assumed].
-    """
-    gap_left_limit_fraction_of_several: float = 0.5
-    """Largest fraction that may be left once several effects are named: two effects that leave more
-    are no explanation [assumed]."""
-    held_out_left_limit_fraction: float = 0.85
-    """Fraction of the held-out errors up to which named effects count beside a usual residual.
-    Measured on ten data sets of drawn rigs without an effect, the link changed: the best three
-    effects of each left 0.83 or more, those that reached their least d′ 0.99 or more. Three rightly
-    named ones left 0.77 to 0.84."""
     strength_error_fraction: float = 0.03
     """Error of an effect's equation as a fraction of its strength: part of the standard error.
     Measured on 24 drawn rigs, 16 of them of other draws than the benchmark's."""

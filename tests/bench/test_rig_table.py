@@ -133,8 +133,8 @@ def test_of_denied_effects_those_count_that_the_whole_catalogue_tells_from_stand
 
 
 def test_probabilities_are_scored_against_what_was_hidden():
-    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0]]}
-    wrong = result({"creep": 0.3}) | {"hypotheses": [[["prebend"], 900.0, 20.0]]}
+    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0, 1.0]]}
+    wrong = result({"creep": 0.3}) | {"hypotheses": [[["prebend"], 900.0, 20.0, 1.0]]}
     denied = result({"creep": 0.3}, kind="outside") | {"hypotheses": right["hypotheses"]}
     figures = rig_figures([right, wrong])
     assert figures["probable_right"] == {**figures["probable_right"], "fraction": 0.5, "of": 2}
@@ -144,7 +144,7 @@ def test_probabilities_are_scored_against_what_was_hidden():
 
 
 def test_only_effects_that_could_be_named_count_as_reliable():
-    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0]]}
+    right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0, 1.0]]}
     null = result({}, kind="null") | {"hypotheses": right["hypotheses"]}
     denied = result({"creep": 0.3}, kind="outside") | {"hypotheses": right["hypotheses"]}
     impossible = {"case": right["case"], "impossible": "the link folds"}

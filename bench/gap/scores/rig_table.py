@@ -33,9 +33,7 @@ from bench.gap.scores.result_predicates import (
     is_said_outside,
     is_strength_covered,
 )
-from models.gap.decision.posterior import set_probabilities
 from models.rig.drawn_rig import rig_purpose
-from models.shared.catalogue import CATALOGUE
 
 WORSE_FRACTION: Final = 0.05
 """Rise of a signal's error on data that nothing was fitted to, from which a plant is worse."""
@@ -130,15 +128,10 @@ def _missing(r: Result) -> list[str]:
 
 def _probabilities(r: Result) -> dict[str, float]:
     """Probability of each effect that it is missing, by the hypotheses of a result."""
-    if not r.get("hypotheses"):
-        return {}
-    sets, gain, least = zip(*r["hypotheses"], strict=True)
-    size = np.array([len(effects) for effects in sets])
-    rows = set_probabilities(size, np.array(gain), np.array(least), len(CATALOGUE))
     found: dict[str, float] = defaultdict(float)
-    for effects, probability in zip(sets, rows, strict=True):
+    for effects, _, _, probability in r.get("hypotheses", ()):
         for effect in effects:
-            found[effect] += float(probability)
+            found[effect] += probability
     return found
 
 

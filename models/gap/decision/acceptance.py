@@ -11,9 +11,10 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
 4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
    as given.
 
-What fails is taken out, the rest is fitted again and tested again, down to the plant as given. An
-effect that passes all but the last test stays named where the noise floor is learned: the plant as
-given may have made up for it in that signal. The plant that is written is then the one as given.
+What fails is taken out, the rest is fitted again and tested again. The last effect that fails only
+the tests on held-out errors stays named where the noise floor is learned: whether it is missing is
+a question of evidence (`models.gap.decision.answers`), and the plant as given may have made up for
+it. The plant that is written is then the one as given.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
 these trials. It is written as refitted where the held-out error falls by as much as would count as
@@ -25,14 +26,14 @@ written only where other motions were left out and it passed there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import msgspec
 import numpy as np
 
 from models.gap.decision.accepted_fit import AcceptedFit, refit_is_earned
-from models.gap.decision.gap_verdict import GapVerdict, consistencies_of_named
+from models.gap.decision.answers import Answers
+from models.gap.decision.gap_verdict import consistencies_of_named
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
 from models.gap.residuals.fit_parameters import plant_with_searched_effects
@@ -51,15 +52,10 @@ from models.gap.search.refused_effect import (
     values_at_bounds,
 )
 
-STAND_IN_FOR_ANOTHER: Final = (
-    "it stands in for an effect that the catalogue lacks, and no other motion was left out that "
-    "could show whether it holds there"
-)
-STAND_IN_FOR_OWN_ERROR: Final = (
-    "it stands in for the plant's own error, which is as large on a link that changed as much"
-)
+STAND_IN: Final = "with a probability of {:.0%} it stands in for an effect that the catalogue lacks"
+NOTHING_MISSING: Final = "with a probability of {:.0%} nothing is missing"
 STAND_IN_BESIDE_OTHERS: Final = (
-    "beside the effects that are named it stands in for an effect that the catalogue lacks"
+    "beside the effects that are named it more probably stands in for something else"
 )
 
 
@@ -87,95 +83,76 @@ class Acceptance:
         self.held_out, self.residuals = search.held_out, search.estimator.residuals
         self.nuisance = np.array([q.kind == "nuisance" for q in search.fit_parameters])
         self.as_given = np.zeros_like(self.nuisance)
+        self.judged = self._as_given()
+        self.withheld: RefusedEffect | None = None
         self._errors: dict[bytes, HeldOutErrors] = {}
         self._refits: dict[bytes, FitPoint] = {}
 
     def accepted(self) -> AcceptedFit:
-        """Best fit that passes."""
+        """Best fit that may be written."""
+        self.withheld = None
         while self.result.named:
             if self._refuses_values() or self._refuses_inconsistent():
                 continue
             fits = self._by_preference(self._nuisance_undone(), self._as_fitted())
-            failing = self._failing(fits[0])
+            self.judged, failing = fits[0], self._failing(fits[0])
             if not failing:
                 return fits[0]
             further = any(row.effect in self.result.named[1:] for row in failing)
             if not further and not self._failing(fits[1]):
+                self.judged = fits[1]
                 return fits[1]
-            only_rises = not any(row.effect for row in failing)
-            if only_rises and len(self.result.named) == 1 and self.search.learned:
-                effect = self.result.named[0]
-                self.result.refused.append(
-                    msgspec.structs.replace(failing[0], effect=effect, kind="not written")
-                )
-                break
+            if len(self.result.named) == 1 and self.search.learned:
+                self.withheld = msgspec.structs.replace(failing[0], effect=self.result.named[0])
+                return self._as_given()
             self._refuse(fits[0], failing)
-        return self._as_given()
+        self.judged = self._as_given()
+        return self.judged
 
-    def held_out_left(self, accepted: AcceptedFit) -> float:
-        """Fraction of the held-out errors that an accepted fit leaves.
+    def held_out_left(self) -> float:
+        """Fraction of the held-out errors that the named effects leave.
 
         Of those without any effect: of the plant as given, or with its nuisance refitted, whichever
         errs less. An effect that only stands in for a link that changed leaves most of the latter.
-
-        Parameters
-        ----------
-        accepted : AcceptedFit
-            As tested.
         """
-        if not np.any(accepted.free):
+        if not np.any(self.judged.free):
             return 1.0
         changed = self._fit(self.result.before, self.search.base)
-        return self._fraction(accepted) / min(1.0, self._fraction(changed))
+        return self._fraction(self.judged) / min(1.0, self._fraction(changed))
 
-    def without_stand_ins(self, accepted: AcceptedFit, verdict: GapVerdict) -> AcceptedFit:
-        """Plant as given in place of a fit whose effects stand in for something else.
+    def without(self, effect: str) -> AcceptedFit:
+        """Best fit without one effect, which is refused as a stand-in.
+
+        Parameters
+        ----------
+        effect : str
+            One of several named ones.
+        """
+        self.result.refused += refusals([effect], "stand-in", STAND_IN_BESIDE_OTHERS)
+        self._take_out([effect])
+        return self.accepted()
+
+    def without_named(self, accepted: AcceptedFit, answers: Answers) -> AcceptedFit:
+        """Plant as given in place of a fit whose effects are not believed.
+
+        A stand-in that passed on other motions is written all the same.
 
         Parameters
         ----------
         accepted : AcceptedFit
             As tested.
-        verdict : {"not in the catalogue", "no gap"}
-            What they stand in for: an effect that the catalogue lacks, or the plant's own error.
+        answers : Answers
+            Of the evidence for its effects.
         """
-        outside = verdict == "not in the catalogue"
-        if not self.search.learned or (outside and "motions" in self.held_out.folds):
-            return accepted
-        reason = STAND_IN_FOR_ANOTHER if outside else STAND_IN_FOR_OWN_ERROR
-        return self._without_named("stand-in", reason)
-
-    def with_certain_only(self, certain: Sequence[str]) -> AcceptedFit:
-        """Best fit of the effects that are certain, the others refused as stand-ins.
-
-        Parameters
-        ----------
-        certain : sequence of str
-            Some of the named effects.
-        """
-        rest = [e for e in self.result.named if e not in certain]
-        self.result.refused += refusals(rest, "stand-in", STAND_IN_BESIDE_OTHERS)
-        self._take_out(rest)
-        return self.accepted()
-
-    def without_improbable(self, nothing: float) -> AcceptedFit:
-        """Plant as given in place of a fit whose effects are less likely than none.
-
-        Parameters
-        ----------
-        nothing : float
-            Probability that nothing is missing.
-        """
-        reason = f"with a probability of {nothing:.0%} nothing is missing"
-        limit = self.settings.nothing_limit_probability
-        return self._without_named("improbable", reason, nothing, limit)
-
-    def _without_named(
-        self, kind: RefusalKind, reason: str, value: float = 0.0, limit: float = 0.0
-    ) -> AcceptedFit:
-        """Plant as given, every named effect refused for one reason."""
-        earlier = [row for row in self.result.refused if row.kind != "not written"]
         named = self.result.named
-        self.result.refused = earlier + refusals(named, kind, reason, value, limit)
+        if answers.outside > answers.nothing:
+            if "motions" in self.held_out.folds and np.any(accepted.free):
+                return accepted
+            reason = STAND_IN.format(answers.outside)
+            self.result.refused += refusals(named, "stand-in", reason, answers.outside)
+        else:
+            reason = NOTHING_MISSING.format(answers.nothing)
+            self.result.refused += refusals(named, "improbable", reason, answers.nothing)
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()
 

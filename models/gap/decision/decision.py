@@ -1,36 +1,64 @@
-"""Decision on a search: what is accepted, its verdict, and what is named in place of what fails.
+"""Decision on a search: what is named, its verdict, and what is tried in place of what fails.
 
-Several effects often explain a gap almost equally well. Where the best one is refused, because its
-value ends at a bound, because it does not lower the held-out error, or because its strength is not
-the same everywhere, another may pass every test: the search goes on from its first round without
-what was refused. Where none passes, the decision on the first one stands. Nothing is named where
-the posterior says that more probably nothing is missing.
+The evidence for what the tests leave gives the probability that it is what is missing, that nothing
+is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where several
+effects are not believed together, the one that stands out least is taken out, and the rest is
+judged anew. Several effects often explain a gap almost equally well: where a test refuses the first
+choice, or its strength is not the same everywhere, the search goes on from its first round without
+it. Where no alternative is believed, the decision on the first choice stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Final
+
+import msgspec
 
 from models.gap.decision.acceptance import Acceptance
 from models.gap.decision.accepted_fit import AcceptedFit
+from models.gap.decision.answers import (
+    CATALOGUE_ONLY,
+    AnswerModel,
+    Answers,
+    read_answer_model,
+)
+from models.gap.decision.evidence import Evidence, clearness_by_effect, evidence_of
 from models.gap.decision.gap_verdict import (
     GapVerdict,
-    certain_effects,
     consistencies_of_named,
+    gap_left_fraction,
     gap_verdict,
 )
-from models.gap.decision.posterior import Hypothesis
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.refused_effect import RefusalKind
+from models.gap.search.refused_effect import RefusalKind, RefusedEffect
 from models.gap.search.strength_consistency import StrengthConsistency
 
 OF_THE_EFFECT: Final[frozenset[RefusalKind]] = frozenset(
     {"at a bound", "impossible", "held-out error", "rise of a signal"}
 )
 """Refusals that speak against one effect, not against every effect of the catalogue."""
+
+
+@dataclass(frozen=True)
+class JudgedNames:
+    """Effects that passed the tests together, and what the evidence says of them.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names; none where nothing passed.
+    evidence : Evidence
+        For them.
+    answers : Answers
+        Probabilities of the evidence.
+    """
+
+    effects: tuple[str, ...]
+    evidence: Evidence
+    answers: Answers
 
 
 @dataclass(frozen=True)
@@ -43,8 +71,12 @@ class Decision:
         Of the search; `named` holds what was accepted.
     accepted : AcceptedFit
         Fit that the improved plant is written from.
+    failed : RefusedEffect or None
+        Test on held-out errors that the last effect failed.
     consistencies : dict of str to StrengthConsistency
         Of the effects that the tests left.
+    tested : tuple of JudgedNames
+        What was judged, that of refused alternatives first; the last one led to the verdict.
     verdict : str
         See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
@@ -53,14 +85,38 @@ class Decision:
 
     result: SearchResult
     accepted: AcceptedFit
+    failed: RefusedEffect | None
     consistencies: Mapping[str, StrengthConsistency]
+    tested: tuple[JudgedNames, ...]
     verdict: GapVerdict
     gap_left_fraction: float
 
+    @property
+    def answers(self) -> Answers:
+        """Probabilities that led to the verdict."""
+        return self.tested[-1].answers
 
-def decide(
-    search: EffectSearch, result: SearchResult, hypotheses: Sequence[Hypothesis]
-) -> Decision:
+    def replaced(self) -> list[set[str]]:
+        """Sets of effects that fit better than what is named, and that a test refused."""
+        named, result = set(self.result.named), self.result
+        if not named:
+            return []
+        rows = [set(r.effect.split(" + ")) for r in result.refused if r.kind in OF_THE_EFFECT]
+        before: set[str] = set()
+        for chosen, candidates in zip(result.chosen, result.rounds, strict=False):
+            rows += [before | set(c.effects) for c in candidates if c.score > chosen.score]
+            before |= set(chosen.effects)
+        return [row for row in rows if row != {""} and not row <= named]
+
+    def withheld(self) -> list[RefusedEffect]:
+        """Refusal of the effect that failed; of its plant alone where it is named all the same."""
+        if self.failed is None:
+            return []
+        kind = "not written" if self.result.named else self.failed.kind
+        return [msgspec.structs.replace(self.failed, kind=kind)]
+
+
+def decide(search: EffectSearch, result: SearchResult) -> Decision:
     """Decision on a search and, where its first choice was refused, on its alternatives.
 
     Parameters
@@ -69,60 +125,63 @@ def decide(
         After its run.
     result : SearchResult
         Of that run.
-    hypotheses : sequence of Hypothesis
-        Of that run: no effect is named where "nothing is missing" is likelier than all others.
     """
-    nothing = sum(h.probability for h in hypotheses if not h.effects)
-    first = decision = _decision(search, result, nothing)
+    model = read_answer_model()
+    decisions = [_decision(search, result, model)]
     excluded: set[str] = set()
     for _ in range(search.settings.most_alternatives):
-        if not search.learned or not _first_choice_refused(decision):
+        if not search.learned or not _leaves_room(decisions[-1]):
             break
-        excluded |= set(decision.result.chosen[0].effects)
-        decision = _decision(search, search.search_without(result, excluded), nothing)
-        refused = [*first.result.refused, *decision.result.refused]
-        if decision.result.named:
-            decision.result.refused = refused
-            return decision
-        first.result.refused = refused
-    return first
+        excluded |= set(decisions[-1].result.chosen[0].effects)
+        decisions.append(_decision(search, search.search_without(result, excluded), model))
+    kept = decisions[-1] if decisions[-1].result.named else decisions[0]
+    others = [d for d in decisions if d is not kept]
+    kept.result.refused = [row for d in decisions for row in (*d.result.refused, *d.withheld())]
+    return replace(kept, tested=(*(t for d in others for t in d.tested), *kept.tested))
 
 
-def _decision(search: EffectSearch, result: SearchResult, nothing: float) -> Decision:
+def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) -> Decision:
     acceptance = Acceptance(search, result)
-    tested = _tested(search, result, acceptance, acceptance.accepted())
-    if tested.verdict == "not in the catalogue":
-        certain = certain_effects(search, result, tested.consistencies)
-        if certain and len(certain) < len(result.named):
-            tested = _tested(search, result, acceptance, acceptance.with_certain_only(certain))
-    accepted, verdict, left = tested.accepted, tested.verdict, tested.gap_left_fraction
-    if verdict in ("not in the catalogue", "no gap"):
-        accepted = acceptance.without_stand_ins(accepted, verdict)
-        left = left if result.named else float(verdict != "no gap")
-    if result.named and nothing > search.settings.nothing_limit_probability:
-        accepted = acceptance.without_improbable(nothing)
-        verdict, left = gap_verdict(search, result, {})
-    return Decision(result, accepted, tested.consistencies, verdict, left)
+    accepted, tested = acceptance.accepted(), []
+    while True:
+        consistencies = consistencies_of_named(search, result)
+        tested.append(_tested(search, acceptance, consistencies, model))
+        if tested[-1].answers.believed or len(result.named) < 2:
+            break
+        clearness = clearness_by_effect(result)
+        accepted = acceptance.without(min(result.named, key=lambda e: clearness[e]))
+    answers = tested[-1].answers
+    verdict, left = gap_verdict(search, result, consistencies, answers), 1.0
+    if result.named:
+        left = gap_left_fraction(search, result)
+        if search.learned and not answers.believed:
+            accepted = acceptance.without_named(accepted, answers)
+    if not result.named:
+        left = float(verdict != "no gap")
+    failed = acceptance.withheld
+    return Decision(result, accepted, failed, consistencies, tuple(tested), verdict, left)
 
 
 def _tested(
-    search: EffectSearch, result: SearchResult, acceptance: Acceptance, accepted: AcceptedFit
-) -> Decision:
-    """Decision on what was accepted, by its strengths and by what is left."""
-    consistencies = consistencies_of_named(search, result)
-    held_out_left = acceptance.held_out_left(accepted)
-    verdict, left = gap_verdict(search, result, consistencies, held_out_left)
-    return Decision(result, accepted, consistencies, verdict, left)
+    search: EffectSearch,
+    acceptance: Acceptance,
+    consistencies: Mapping[str, StrengthConsistency],
+    model: AnswerModel,
+) -> JudgedNames:
+    """What the evidence says of the effects that the tests left."""
+    result, errors = acceptance.result, acceptance.judged.errors
+    evidence = evidence_of(search, result, consistencies, acceptance.held_out_left(), errors)
+    answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
+    return JudgedNames(tuple(result.named), evidence, answers)
 
 
-def _first_choice_refused(decision: Decision) -> bool:
-    """Whether the tests speak against the first choice itself, and nothing else is named."""
+def _leaves_room(decision: Decision) -> bool:
+    """Whether the tests speak against the first choice itself: another effect may fit better."""
     result = decision.result
     if result.named or not result.chosen:
         return False
-    effects = set(result.chosen[0].effects)
-    if any(not c.holds for e, c in decision.consistencies.items() if e in effects):
+    if any(not c.holds for c in decision.consistencies.values()):
         return True
-    return any(
-        r.kind in OF_THE_EFFECT and set(r.effect.split(" + ")) & effects for r in result.refused
-    )
+    effects = set(result.chosen[0].effects)
+    rows = [r for r in (*result.refused, *decision.withheld()) if r.kind in OF_THE_EFFECT]
+    return any(set(r.effect.split(" + ")) & effects for r in rows)

@@ -8,6 +8,8 @@ from typing import ClassVar, Literal
 import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
+from models.gap.decision.answers import Answers
+from models.gap.decision.decision import JudgedNames
 from models.gap.decision.gap_verdict import GapVerdict
 from models.gap.decision.rejected_effects import RejectedEffect
 from models.gap.estimation.curve_transfer import Knowledge
@@ -253,8 +255,10 @@ class GapDocument(Document, frozen=True):
     hypotheses : tuple of HypothesisRecord
         Sets of effects that may be missing, by their probability.
     effect_probabilities : dict of str to float
-        Probability of each effect that it is among those missing, given that they are in the
-        catalogue; those below 1 % are left out.
+        Probability of each effect that it is among those missing; those below 1 % are left out.
+    tested : tuple of JudgedNames
+        Effects that were judged together, in turn, with the evidence for them and the probabilities
+        of the answers; the last ones led to the verdict. None without a learned noise floor.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; none in documents of earlier versions.
     unexplained_fraction : float
@@ -286,7 +290,13 @@ class GapDocument(Document, frozen=True):
     unexplained_fraction: float | None = None
     hypotheses: tuple[HypothesisRecord, ...] = ()
     effect_probabilities: dict[str, float] = msgspec.field(default_factory=dict)
+    tested: tuple[JudgedNames, ...] = ()
     inputs: DiagnosisInputs | None = None
+
+    @property
+    def answers(self) -> Answers | None:
+        """Probabilities that led to the verdict; none without a learned noise floor."""
+        return self.tested[-1].answers if self.tested else None
 
 
 def read_gap_document(path: Path) -> GapDocument:

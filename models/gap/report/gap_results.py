@@ -50,7 +50,7 @@ LISTED_PROBABILITY: Final = 0.01
 def gap_document(
     found: Diagnosis, trials: TrialSet, waterfall: Sequence[tuple[str, float]] = ()
 ) -> GapDocument:
-    """Document of a diagnosis.
+    """Document of a diagnosis. Long because every result is handed over once.
 
     Parameters
     ----------
@@ -106,6 +106,7 @@ def gap_document(
         unexplained_fraction=round(found.unexplained_fraction, 4),
         hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
         effect_probabilities=_listed(effect_probabilities(found.hypotheses)),
+        tested=found.tested if found.floor.learned else (),
     )  # fmt: skip
 
 

@@ -101,16 +101,25 @@ def is_plant_as_given(document: GapDocument) -> bool:
 
 
 def probabilities_in_words(document: GapDocument) -> str:
-    """Effects that may be missing, with their probabilities; empty where no name was given."""
-    likely = {
-        effect: probability
+    """Probabilities of the three answers, and of each effect; empty without a noise floor."""
+    answers = document.answers
+    if answers is None:
+        return ""
+    rows = ", ".join(
+        f"{effect.replace('_', ' ')} {_percent(probability)}"
         for effect, probability in document.effect_probabilities.items()
         if probability > 1 - DECIDED
-    }
-    if not likely or not any(row.kept for row in document.named):
-        return ""
-    rows = ", ".join(f"{e.replace('_', ' ')} {min(p, 0.99):.0%}" for e, p in likely.items())
-    return f"Probability of being missing, if what is missing is in the catalogue: {rows}."
+    )
+    return (
+        f"Probabilities: nothing is missing {_percent(answers.nothing)}; effects of the catalogue "
+        f"are {_percent(answers.catalogue)}{rows and f' ({rows})'}; something else is "
+        f"{_percent(answers.outside)}."
+    )
+
+
+def _percent(probability: float) -> str:
+    """Probability as a person reads it: no finite number of trials gives 0 or 100 %."""
+    return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"
 
 
 def next_step_in_words(document: GapDocument) -> str:
@@ -123,13 +132,13 @@ def next_step_in_words(document: GapDocument) -> str:
             "one file (models/plant/effects)."
         )
     if not any(row.kept for row in document.named):
-        likely = [e for e, p in document.effect_probabilities.items() if p >= DECIDED]
-        if not likely:
+        answers = document.answers
+        if answers is None or answers.nothing >= DECIDED:
             return "Nothing: the plant explains these trials."
-        names = " and ".join(e.replace("_", " ") for e in likely)
         return (
-            f"Record another motion or payload: {names} would explain these trials better, but a "
-            "test refuses it (see the effects not named)."
+            "Record another motion or payload, or more repetitions: with a probability of "
+            f"{_percent(1 - answers.nothing)} something is missing that these trials show too "
+            "faintly to be named."
         )
     undecided = [
         effect.replace("_", " ")

@@ -138,11 +138,11 @@ RefusalKind = Literal[
     "at a bound", "impossible", "inconsistent", "held-out error", "rise of a signal", "not written",
     "stand-in", "improbable",
 ]  # fmt: skip
-"""A value ended at a bound; a sum that no real body has; the effect does not lower the held-out
-error; some signal's held-out error would rise by more than `GapSettings.harm_fraction`; the same,
-but the effect lowers the held-out errors together: it is named and not written; the effect
-stands in for one that the catalogue lacks, and was tested on one motion alone; it is more probable
-that nothing is missing."""
+"""A value ended at a bound; a sum that no real body has; the strength of a further effect differs;
+the effect does not lower the held-out error; some signal's held-out error would rise by more than
+`GapSettings.harm_fraction`; one of these two, but the effect is believed: it is named and not
+written; it is more probable that the effect stands in for something else; or that nothing is
+missing."""
 
 
 class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,13 +1,14 @@
-"""What is tried in place of an effect that was refused."""
+"""What is tried in place of an effect that was refused, and what is kept."""
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from models.gap.decision import decision
-from models.gap.decision.decision import Decision, decide
-from models.gap.decision.posterior import Hypothesis
+from models.gap.decision.answers import Answers
+from models.gap.decision.decision import Decision, JudgedNames, decide
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.refused_effect import RefusedEffect
@@ -16,9 +17,10 @@ from models.gap.settings import DEFAULT_SETTINGS
 
 POINT = FitPoint(np.zeros(1), 0.0, [])
 ORDER = ["prebend", "encoder_offset", "marker_frame_tilt", "payload_offset"]
+BELIEVED, DOUBTED = Answers(0.05, 0.9, 0.05), Answers(0.1, 0.2, 0.7)
 
 
-def refusal(effect, kind):
+def refusal(effect, kind="held-out error"):
     return RefusedEffect(
         effect=effect, kind=kind, name="", value=1.1, limit=1.0, unit="1", reason=""
     )
@@ -35,136 +37,166 @@ class Search:
     def search(self, excluded=()):
         chosen = next(e for e in ORDER if e not in excluded)
         self.tried.append(chosen)
-        return SearchResult(
-            POINT, POINT, [chosen], chosen=[Candidate((chosen,), POINT, 1.0, 1.0, 1.0)]
-        )
+        candidate = Candidate((chosen,), POINT, 1.0, 1.0, 1.0)
+        return SearchResult(POINT, POINT, [chosen], chosen=[candidate])
 
     def search_without(self, earlier, effects):
         return replace(self.search(effects), before=earlier.before)
 
 
+@dataclass
+class Outcome:
+    """What the tests of one effect say: refusal, not written, strength that differs, belief."""
+
+    refused: str = ""
+    failed: bool = False
+    differs: bool = False
+    catalogue: float = 0.9
+
+
 @pytest.fixture
 def decided(monkeypatch):
-    """Function (refused effects with their kind) -> decision, effects that were tried."""
+    """Function ({effect: Outcome}, learned) -> decision, search."""
 
-    def run(refused, learned=True, inconsistent=()):
-        def tested(search, result, nothing):
+    def run(outcomes, learned=True):
+        def tested(search, result, model):
             effect = result.named[0]
-            differs = {effect: StrengthConsistency(0.5, 0.0, 0.25, effect not in inconsistent)}
-            if effect in refused or effect in inconsistent:
-                result.named = []
-                result.refused = [refusal(effect, refused.get(effect, "stand-in"))]
-            return Decision(result, None, differs, "closed" if result.named else "no gap", 0.0)
+            outcome = outcomes.get(effect, Outcome())
+            differs = {effect: StrengthConsistency(0.5, 0.0, 0.25, not outcome.differs)}
+            if outcome.refused:
+                result.named, result.refused = [], [refusal(effect, outcome.refused)]
+            answers = Answers(0.0, outcome.catalogue, 1.0 - outcome.catalogue)
+            judged = (JudgedNames((effect,), None, answers),)
+            failed = refusal(effect) if outcome.failed else None
+            verdict = "closed" if result.named else "no gap"
+            return Decision(result, None, failed, differs, judged, verdict, 0.0)
 
         monkeypatch.setattr(decision, "_decision", tested)
         search = Search(learned)
-        return decide(search, search.search(), []), search.tried
+        return decide(search, search.search()), search
 
     return run
 
 
 def test_what_passes_is_not_searched_again(decided):
-    found, tried = decided({})
+    found, search = decided({})
     assert found.result.named == ORDER[:1]
-    assert tried == ORDER[:1]
+    assert search.tried == ORDER[:1]
 
 
-@pytest.mark.parametrize("kind", ["at a bound", "impossible", "held-out error", "rise of a signal"])
+@pytest.mark.parametrize("kind", ["at a bound", "impossible"])
 def test_the_next_effect_is_named_in_place_of_one_that_a_test_refuses(decided, kind):
-    found, tried = decided({"prebend": kind})
+    found, search = decided({"prebend": Outcome(kind)})
     assert found.result.named == ["encoder_offset"]
     assert [r.effect for r in found.result.refused] == ["prebend"], "and the page says which"
-    assert tried == ORDER[:2]
+    assert search.tried == ORDER[:2]
 
 
 def test_the_next_effect_is_named_in_place_of_one_that_differs_from_payload_to_payload(decided):
-    found, _ = decided({}, inconsistent=("prebend",))
+    found, _ = decided({"prebend": Outcome("stand-in", differs=True)})
     assert found.result.named == ["encoder_offset"]
 
 
 def test_weak_evidence_speaks_against_every_effect(decided):
-    found, tried = decided({"prebend": "stand-in"})
+    found, search = decided({"prebend": Outcome("improbable")})
     assert found.result.named == []
-    assert tried == ORDER[:1]
+    assert search.tried == ORDER[:1]
 
 
 def test_the_first_decision_stands_where_no_alternative_passes(decided):
-    found, tried = decided(dict.fromkeys(ORDER, "held-out error"))
+    found, search = decided(dict.fromkeys(ORDER, Outcome("at a bound")))
     assert found.verdict == "no gap"
     assert found.result.chosen[0].effects == (ORDER[0],)
-    assert tried == ORDER[: 1 + DEFAULT_SETTINGS.most_alternatives]
-    assert [r.effect for r in found.result.refused] == tried, "every refusal is said"
+    assert search.tried == ORDER[: 1 + DEFAULT_SETTINGS.most_alternatives]
+    assert [r.effect for r in found.result.refused] == search.tried, "every refusal is said"
+
+
+def test_an_effect_that_is_believed_is_named_although_its_plant_is_not_written(decided):
+    found, search = decided({"prebend": Outcome(failed=True)})
+    assert found.result.named == ["prebend"] and search.tried == ORDER[:1]
+    assert [(r.effect, r.kind) for r in found.result.refused] == [("prebend", "not written")]
+
+
+def test_an_effect_that_fails_on_held_out_errors_and_is_not_believed_is_replaced(decided):
+    found, _ = decided({"prebend": Outcome("stand-in", failed=True)})
+    assert found.result.named == ["encoder_offset"]
+    kinds = [(r.effect, r.kind) for r in found.result.refused]
+    assert kinds == [("prebend", "stand-in"), ("prebend", "held-out error")]
+
+
+def test_what_was_judged_last_led_to_the_verdict(decided):
+    found, _ = decided({"prebend": Outcome("at a bound", catalogue=0.1)})
+    assert [t.effects for t in found.tested] == [("prebend",), ("encoder_offset",)]
+    assert found.answers.catalogue == 0.9
 
 
 def test_without_a_learned_floor_nothing_is_tried_again(decided):
-    _, tried = decided({"prebend": "held-out error"}, learned=False)
-    assert tried == ORDER[:1]
+    _, search = decided({"prebend": Outcome("at a bound")}, learned=False)
+    assert search.tried == ORDER[:1]
 
 
-@pytest.mark.parametrize(("nothing", "named"), [(0.4, ["prebend"]), (0.6, [])])
-def test_nothing_is_named_where_it_is_likelier_that_nothing_is_missing(monkeypatch, nothing, named):
-    class Untested(decision.Acceptance):
-        def __init__(self, search, result):
-            self.search, self.result, self.settings = search, result, search.settings
+class PassingTests:
+    """Acceptance that passes everything, and takes out what it is told to."""
 
-        def accepted(self):
-            return None
+    def __init__(self, search, result):
+        self.result, self.withheld = result, None
+        self.judged = SimpleNamespace(errors=None)
 
-        def held_out_left(self, accepted):
-            return 1.0
+    def accepted(self):
+        return " + ".join(self.result.named)
 
-        def _as_given(self):
-            return None
+    def held_out_left(self):
+        return 0.5
 
-    monkeypatch.setattr(decision, "Acceptance", Untested)
-    monkeypatch.setattr(decision, "consistencies_of_named", lambda *_: {})
-    monkeypatch.setattr(
-        decision, "gap_verdict", lambda search, of, *_: ("closed" if of.named else "no gap", 0.0)
-    )
-    search = Search()
-    none = Hypothesis((), nothing, 0.0, 0.0, np.zeros(1), np.zeros(1, dtype=bool))
-    found = decide(search, search.search(), [none, replace(none, effects=("prebend",))])
-    assert found.result.named == named
-    assert found.verdict == ("closed" if named else "no gap")
-    assert [r.kind for r in found.result.refused] == ["improbable"] * (1 - len(named))
+    def without(self, effect):
+        self.result.named = [e for e in self.result.named if e != effect]
+        return self.accepted()
+
+    def without_named(self, accepted, answers):
+        self.result.named = []
+        return "as given"
 
 
 @pytest.mark.parametrize(
-    ("certain", "named"),
-    [(["prebend"], ["prebend"]), ([], []), (["prebend", "creep"], [])],
+    ("believed", "named"),
+    [
+        ([("prebend", "creep")], ["prebend", "creep"]),
+        ([("prebend",)], ["prebend"]),
+        ([], []),
+    ],
 )
-def test_what_is_certain_is_kept_where_another_effect_stands_in_for_something(
-    monkeypatch, certain, named
+def test_of_several_effects_that_are_not_believed_the_clearest_may_stand(
+    monkeypatch, believed, named
 ):
-    """Two effects together leave too much of the gap; the first one alone may stand."""
-    result = SearchResult(POINT, POINT, ["prebend", "creep"])
-
-    class Tests:
-        def __init__(self, search, found):
-            self.found = found
-
-        def accepted(self):
-            return "both"
-
-        def held_out_left(self, accepted):
-            return 1.0
-
-        def with_certain_only(self, effects):
-            self.found.named = list(effects)
-            return "the first"
-
-        def without_stand_ins(self, accepted, verdict):
-            self.found.named = []
-            return "as given"
-
-    def verdict(search, found, consistencies, held_out_left):
-        return ("not in the catalogue" if len(found.named) > 1 else "reduced"), 0.6
-
-    monkeypatch.setattr(decision, "Acceptance", Tests)
-    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, found: {})
-    monkeypatch.setattr(decision, "certain_effects", lambda *of: certain)
-    monkeypatch.setattr(decision, "gap_verdict", verdict)
-    found = decide(Search(), result, [])
+    chosen = [
+        Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
+    ]  # fmt: skip
+    result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
+    model = SimpleNamespace(answers=lambda evidence: BELIEVED if evidence in believed else DOUBTED)
+    monkeypatch.setattr(decision, "Acceptance", PassingTests)
+    monkeypatch.setattr(decision, "read_answer_model", lambda: model)
+    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
+    monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
+    monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[3].believed else "no")
+    monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
+    found = decide(Search(), result)
     assert found.result.named == named
-    assert found.verdict == ("reduced" if named else "not in the catalogue")
-    assert found.accepted == ("the first" if named else "as given")
+    assert found.accepted == (" + ".join(named) or "as given")
+    assert [t.effects for t in found.tested] == (
+        [("prebend", "creep")] if len(named) > 1 else [("prebend", "creep"), ("prebend",)]
+    )
+
+
+def test_better_fits_that_a_test_refused_are_told_apart_from_what_is_named():
+    creep, drag, tilt = (
+        Candidate((e,), POINT, gain, 1.0, 1.0)
+        for e, gain in (("creep", 10.0), ("aerodynamic_drag", 30.0), ("marker_frame_tilt", 5.0))
+    )
+    result = SearchResult(
+        POINT, POINT, ["creep"], [[drag, creep, tilt]], chosen=[creep],
+        refused=[refusal("backlash"), refusal("", "at a bound"), refusal("prebend", "stand-in")],
+    )  # fmt: skip
+    found = Decision(result, None, None, {}, (), "closed", 0.0)
+    assert found.replaced() == [{"backlash"}, {"aerodynamic_drag"}]
+    result.named = []
+    assert found.replaced() == []

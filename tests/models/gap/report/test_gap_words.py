@@ -4,14 +4,16 @@ from types import SimpleNamespace
 
 import pytest
 
+from models.gap.decision.answers import Answers
 from models.gap.report.gap_words import next_step_in_words, probabilities_in_words
 
 
-def document(verdict, *named, **probabilities):
+def document(verdict, *named, answers=None, **probabilities):
     return SimpleNamespace(
         verdict=verdict,
         named=[SimpleNamespace(kept=True, effect=effect) for effect in named],
         effect_probabilities=probabilities,
+        answers=answers,
         refused=[],
     )
 
@@ -24,16 +26,25 @@ def document(verdict, *named, **probabilities):
         (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: python -m"),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
         (document("no gap"), "Nothing"),
-        (document("no gap", hysteresis=0.6), "Nothing"),
-        (document("no gap", hysteresis=0.95), "motion or payload: hysteresis would explain"),
+        (document("no gap", answers=Answers(0.95, 0.04, 0.01)), "Nothing"),
+        (document("no gap", answers=Answers(0.7, 0.2, 0.1)), "a probability of 30% something"),
     ],
 )
 def test_the_next_step_follows_from_what_is_undecided(found, words):
     assert words in next_step_in_words(found)
 
 
-def test_only_effects_that_may_be_missing_are_listed():
-    found = document("closed", "dead_time", dead_time=0.97, creep=0.2, prebend=0.05)
+def test_every_answer_has_its_probability_and_likely_effects_are_listed():
+    answers = Answers(nothing=0.003, catalogue=0.96, outside=0.037)
+    found = document(
+        "closed", "dead_time", answers=answers, dead_time=0.8, creep=0.15, prebend=0.01
+    )
     said = probabilities_in_words(found)
-    assert "dead time 97%" in said and "creep 20%" in said and "prebend" not in said
-    assert probabilities_in_words(document("no gap", creep=0.95)) == "", "the verdict decides"
+    assert "nothing is missing <1%" in said and "something else is 4%" in said
+    assert "96% (dead time 80%, creep 15%)" in said and "prebend" not in said
+    assert probabilities_in_words(document("no floor", creep=0.95)) == ""
+
+
+def test_no_probability_is_said_to_be_certain():
+    said = probabilities_in_words(document("closed", answers=Answers(0.0, 1.0, 0.0)))
+    assert "99%" in said and "100%" not in said

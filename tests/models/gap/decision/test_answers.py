@@ -1,0 +1,88 @@
+"""Probabilities of the answers: they follow the evidence in the direction that it speaks."""
+
+import msgspec
+import pytest
+
+from models.gap.decision.answers import ANSWERS, Answers, read_answer_model
+from models.gap.decision.evidence import FEATURES, Evidence, clearness_of
+from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.search.candidate import Candidate, SearchResult
+
+NOISE = Evidence(
+    named=0.0, gap=-0.5, left=-0.5, clearness=-1.0, difference=0.0, contradiction=0.0,
+    held_out=0.0, rise=0.0, bias=0.5,
+)  # fmt: skip
+"""Of trials without a gap."""
+
+EXPLAINED = Evidence(
+    named=1.0, gap=1.0, left=-0.4, clearness=2.0, difference=0.05, contradiction=0.0,
+    held_out=-0.8, rise=0.0, bias=0.5,
+)  # fmt: skip
+"""Of an effect that stands out, with one strength, and leaves noise."""
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Function (evidence, changes of it) -> answers of the model in use."""
+    model = read_answer_model()
+    return lambda evidence, **changed: model.answers(msgspec.structs.replace(evidence, **changed))
+
+
+def test_the_model_in_use_is_of_the_evidence_as_it_is_now():
+    model = read_answer_model()
+    assert model.features == FEATURES
+    assert set(model.intercept) == set(model.coefficient) == set(ANSWERS)
+    assert all(len(row) == len(FEATURES) for row in model.coefficient.values())
+
+
+@pytest.mark.parametrize("evidence", [NOISE, EXPLAINED])
+def test_probabilities_add_up_to_one(answers, evidence):
+    found = answers(evidence)
+    assert sum(msgspec.structs.astuple(found)) == pytest.approx(1.0)
+    assert min(msgspec.structs.astuple(found)) > 0
+
+
+def test_noise_is_nothing_and_a_clear_effect_of_one_strength_is_believed(answers):
+    assert answers(NOISE).nothing > 0.5 and not answers(NOISE).believed
+    assert answers(EXPLAINED).believed
+
+
+def test_an_effect_is_believed_the_more_the_clearer_it_stands_out(answers):
+    rows = [answers(EXPLAINED, clearness=c).nothing for c in (0.1, 0.7, 1.5, 3.0)]
+    assert rows == sorted(rows, reverse=True)
+
+
+def test_a_strength_that_differs_speaks_for_something_else(answers):
+    differing = answers(EXPLAINED, difference=0.6, contradiction=12.0)
+    assert differing.outside > answers(EXPLAINED).outside
+
+
+def test_what_stays_left_speaks_for_something_else(answers):
+    rows = [answers(EXPLAINED, gap=2.5, left=left).outside for left in (-0.5, 0.5, 2.3)]
+    assert rows == sorted(rows)
+
+
+def test_a_gap_that_nothing_explains_is_not_nothing(answers):
+    unexplained = answers(NOISE, gap=1.5, left=1.5, bias=3.0)
+    assert unexplained.nothing < answers(NOISE).nothing
+    assert unexplained.outside > answers(NOISE).outside
+
+
+@pytest.mark.parametrize(("row", "believed"), [((0.1, 0.6, 0.3), True), ((0.3, 0.4, 0.3), False)])
+def test_believed_is_what_is_likelier_than_all_else(row, believed):
+    assert Answers(*row).believed is believed
+
+
+def test_the_effect_that_stands_out_least_counts():
+    point = FitPoint([], 0.0, [])
+    chosen = [
+        Candidate(("stiction",), point, 30.0**2 / 2, 10.0, 10.0),
+        Candidate(("creep",), point, 30.0**2 / 2, 20.0, 20.0),
+    ]
+    named = SearchResult(point, point, named=["stiction", "creep"], chosen=chosen)
+    assert clearness_of(named) == pytest.approx(1.5)
+    alone = SearchResult(point, point, named=["stiction"], chosen=chosen)
+    assert clearness_of(alone) == pytest.approx(3.0)
+    none = SearchResult(point, point, rounds=[[chosen[1]]])
+    assert clearness_of(none) == pytest.approx(1.5), "the best candidate counts"
+    assert clearness_of(SearchResult(point, point)) == 0.0
