@@ -4,9 +4,9 @@
     python -m bench.gap.calibrate_answers build/tuning_same …
 
 Each result of `bench.gap` tells what its diagnosis judged and with which evidence
-(`models.gap.decision.evidence`), and what was hidden. A multinomial logistic regression of the
-truth on the evidence gives `models/gap/decision/answers.json`. Printed is how it does on each rig
-when that rig is left out. No rig for tests may be among them.
+(`models.gap.decision.evidence`), and what was hidden. Logistic regressions of the truth on the
+evidence give `models/gap/decision/answers.json`. Printed is how they do on each rig when that rig
+is left out. No rig for tests may be among them.
 """
 
 from __future__ import annotations
@@ -19,16 +19,21 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 from sklearn.linear_model import LogisticRegression
-from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from bench.gap.bench_kind import bench_results
-from models.gap.decision.answers import ANSWERS, PATH, Answer, AnswerModel
+from models.gap.decision.answers import (
+    ANSWERS,
+    OF_A_GAP,
+    PATH,
+    Answer,
+    AnswerModel,
+    Regression,
+)
 from models.gap.decision.evidence import FEATURES, Evidence
-from models.gap.residuals.spectrum import Array
 from models.rig.drawn_rig import rig_purpose
 
-INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Of the regression's coefficients; the one with the least loss on rigs left out is taken."""
 
 KIND_WEIGHT: Final = {"single": 0.6, "pair": 0.1, "null": 0.2, "outside": 0.1}
@@ -38,7 +43,7 @@ KIND_WEIGHT: Final = {"single": 0.6, "pair": 0.1, "null": 0.2, "outside": 0.1}
 class LabelledEvidence(msgspec.Struct, frozen=True):
     """Evidence of one test, the true answer, its weight and the rig."""
 
-    row: tuple[float, ...]
+    evidence: Evidence
     answer: Answer
     weight: float
     rig: str
@@ -48,18 +53,20 @@ def labelled(results: Sequence[dict[str, Any]]) -> list[LabelledEvidence]:
     """Evidence of every test of some results with the true answer.
 
     Names that are wrong stand in for something else: to these the answer is "outside". Where
-    nothing was left to name, an effect of the catalogue may be there all the same.
+    nothing was left to name, an effect of the catalogue may be there all the same. A denied effect
+    that the whole catalogue does not tell from its stand-in has no true answer.
 
     Parameters
     ----------
     results : sequence of dict
         Of `bench.gap.case_run`, with their cases.
     """
-    kinds = [r["case"]["kind"] for r in results if r.get("tested")]
+    possible = [r for r in results if r.get("tested") and r["separable"]]
+    kinds = [r["case"]["kind"] for r in possible]
     found = []
-    for result in results:
+    for result in possible:
         case = result["case"]
-        for test in result.get("tested", ()):
+        for test in result["tested"]:
             if case["kind"] in ("null", "outside"):
                 answer: Answer = "nothing" if case["kind"] == "null" else "outside"
             elif set(test["effects"]) <= set(case["hidden"]) | _alike(result):
@@ -67,13 +74,14 @@ def labelled(results: Sequence[dict[str, Any]]) -> list[LabelledEvidence]:
             else:
                 answer = "outside"
             share = KIND_WEIGHT[case["kind"]] / kinds.count(case["kind"])
-            row = tuple(test["evidence"][name] for name in FEATURES)
-            found.append(LabelledEvidence(row, answer, share / len(result["tested"]), case["rig"]))
+            weight = share / len(result["tested"])
+            evidence = Evidence(**test["evidence"])
+            found.append(LabelledEvidence(evidence, answer, weight, case["rig"]))
     return found
 
 
 def fitted_model(rows: Sequence[LabelledEvidence], inverse_penalty: float) -> AnswerModel:
-    """Regression of the answers on the evidence.
+    """Regressions of the answers on the evidence.
 
     Parameters
     ----------
@@ -82,19 +90,27 @@ def fitted_model(rows: Sequence[LabelledEvidence], inverse_penalty: float) -> An
     inverse_penalty : float
         Of the coefficients of standardised evidence.
     """
-    features, answers, weight = _arrays(rows)
-    scaler, regression = StandardScaler(), LogisticRegression(C=inverse_penalty, max_iter=2000)
-    make_pipeline(scaler, regression).fit(
-        features, answers, logisticregression__sample_weight=weight * len(weight)
-    )
-    slope = regression.coef_ / scaler.scale_
-    intercept = regression.intercept_ - slope @ scaler.mean_
-    order = {a: list(regression.classes_).index(a) for a in ANSWERS}
+    others = [row for row in rows if row.answer != "catalogue"]
     return AnswerModel(
         sets=len(rows),
-        features=FEATURES,
-        intercept={a: round(float(intercept[k]), 4) for a, k in order.items()},
-        coefficient={a: tuple(np.round(slope[k], 4).tolist()) for a, k in order.items()},
+        catalogue=_regression(rows, "catalogue", FEATURES, inverse_penalty),
+        outside=_regression(others, "outside", OF_A_GAP, inverse_penalty),
+    )
+
+
+def _regression(
+    rows: Sequence[LabelledEvidence], answer: Answer, names: Sequence[str], inverse_penalty: float
+) -> Regression:
+    """Regression of one answer on some evidence; its coefficients are not standardised."""
+    features = np.array([[getattr(row.evidence, name) for name in names] for row in rows])
+    weight = np.array([row.weight for row in rows])
+    scaler, fit = StandardScaler(), LogisticRegression(C=inverse_penalty, max_iter=2000)
+    scaled = scaler.fit_transform(features)
+    fit.fit(scaled, [row.answer == answer for row in rows], weight / weight.mean())
+    slope = fit.coef_[0] / scaler.scale_
+    return Regression(
+        intercept=round(float(fit.intercept_[0] - slope @ scaler.mean_), 4),
+        coefficient={n: round(float(c), 4) for n, c in zip(names, slope, strict=True)},
     )
 
 
@@ -152,19 +168,10 @@ def _left_out(
         model = fitted_model([row for row in rows if row.rig != rig], inverse_penalty)
         for row in rows:
             if row.rig == rig:
-                answers = model.answers(Evidence(*row.row))
+                answers = model.answers(row.evidence)
                 probability = {a: float(getattr(answers, a)) for a in ANSWERS}
                 found.append((probability, row.answer, row.weight))
     return found
-
-
-def _arrays(rows: Sequence[LabelledEvidence]) -> tuple[Array, Array, Array]:
-    """Evidence (n, features), answers (n,) and weights (n,)."""
-    return (
-        np.array([row.row for row in rows]),
-        np.array([row.answer for row in rows]),
-        np.array([row.weight for row in rows]),
-    )
 
 
 def _alike(result: dict[str, Any]) -> set[str]:

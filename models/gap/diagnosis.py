@@ -211,8 +211,8 @@ def diagnose(
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     decision = decide(search, result)
-    hypotheses = posterior_of(search, result, decision.answers, decision.replaced())
     result, accepted = decision.result, decision.accepted
+    hypotheses = posterior_of(search, result, decision.answers)
     report("tested on what was left out", 1)
     located, remaining = (
         locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)

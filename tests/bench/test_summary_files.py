@@ -18,7 +18,7 @@ def result(rig, hidden, named, kind="single"):
         "named": named, "chosen": [[n] for n in named], "look_alikes": [[] for _ in named],
         "verdict": "closed" if named else "no gap", "largest": 1.0, "separable": True,
         "own": dict.fromkeys(hidden, 20.0), "null_standard_deviation": dict.fromkeys(hidden, 1.0),
-        "hypotheses": [[named, 900.0, 20.0]] if named else [],
+        "hypotheses": [[named, 900.0, 20.0, 1.0]] if named else [],
         "estimates": {n: [[0.3, 0.05, 0.0]] for n in named}, "true": dict.fromkeys(hidden, 0.3),
         "sealed": None, "sealed_rms": None, "unsaid_bounds": [],
     }  # fmt: skip

@@ -109,17 +109,6 @@ class Acceptance:
         self.judged = self._as_given()
         return self.judged
 
-    def held_out_left(self) -> float:
-        """Fraction of the held-out errors that the named effects leave.
-
-        Of those without any effect: of the plant as given, or with its nuisance refitted, whichever
-        errs less. An effect that only stands in for a link that changed leaves most of the latter.
-        """
-        if not np.any(self.judged.free):
-            return 1.0
-        changed = self._fit(self.result.before, self.search.base)
-        return self._fraction(self.judged) / min(1.0, self._fraction(changed))
-
     def without(self, effect: str) -> AcceptedFit:
         """Best fit without one effect, which is refused as a stand-in.
 
@@ -323,3 +312,4 @@ class Acceptance:
             self.result.after = self.result.before
             return
         self.result.after = self._refitted(self.result.after.values, free)
+        self.result.explore(self.result.named, self.result.after)

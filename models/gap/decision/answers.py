@@ -1,8 +1,10 @@
 """Answers to what is missing: nothing, effects of the catalogue, or something outside of it.
 
-Each answer has a probability by multinomial logistic regression on the evidence of a tested search
-(`models.gap.decision.evidence`). Its coefficients are fitted to diagnoses of rigs for tuning, whose
-hidden effects are known (`python -m bench.gap.calibrate_answers`); `answers.json` holds them.
+Two logistic regressions on the evidence of a tested search (`models.gap.decision.evidence`) give
+the probabilities: whether the named effects are what is missing, and if not, whether anything is.
+A name that does not fit says nothing about the latter: where nothing is missing, the plant's own
+error bears names that fit as badly. The coefficients are fitted to diagnoses of rigs for tuning,
+whose hidden effects are known (`python -m bench.gap.calibrate_answers`); `answers.json` holds them.
 """
 
 from __future__ import annotations
@@ -11,15 +13,17 @@ from pathlib import Path
 from typing import Final, Literal, get_args
 
 import msgspec
-import numpy as np
+from scipy.special import expit
 
-from models.gap.decision.evidence import FEATURES, Evidence
-from models.gap.residuals.spectrum import Array
+from models.gap.decision.evidence import Evidence
 
 PATH: Final = Path(__file__).with_name("answers.json")
 
 Answer = Literal["nothing", "catalogue", "outside"]
 ANSWERS: Final = get_args(Answer)
+
+OF_A_GAP: Final = ("gap", "clearness", "bias")
+"""Evidence that tells something outside of the catalogue from nothing."""
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,25 +53,49 @@ CATALOGUE_ONLY: Final = Answers(0.0, 1.0, 0.0)
 """Without a learned noise floor nothing tells noise from something outside of the catalogue."""
 
 
+class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Logistic regression on the evidence.
+
+    Attributes
+    ----------
+    intercept : float
+        Logarithm of the odds where all evidence is zero.
+    coefficient : dict of str to float
+        By name of the evidence.
+    """
+
+    intercept: float
+    coefficient: dict[str, float]
+
+    def probability(self, evidence: Evidence) -> float:
+        """Probability of what was fitted.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            Of a tested search.
+        """
+        rows = self.coefficient.items()
+        log_odds = self.intercept + sum(c * getattr(evidence, name) for name, c in rows)
+        return float(expit(log_odds))
+
+
 class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Coefficients of the regression; the content of `answers.json`.
+    """Regressions in use; the content of `answers.json`.
 
     Attributes
     ----------
     sets : int
-        Data sets that it was fitted to.
-    features : tuple of str
-        Names of the evidence.
-    intercept : dict of str to float
-        By answer.
-    coefficient : dict of str to tuple of float
-        By answer, one for each feature.
+        Tests that they were fitted to.
+    catalogue : Regression
+        Of the answer "catalogue", on all evidence.
+    outside : Regression
+        Of "outside" where the answer is not "catalogue", on what exceeds noise (`OF_A_GAP`).
     """
 
     sets: int
-    features: tuple[str, ...]
-    intercept: dict[str, float]
-    coefficient: dict[str, tuple[float, ...]]
+    catalogue: Regression
+    outside: Regression
 
     def answers(self, evidence: Evidence) -> Answers:
         """Probabilities of the answers.
@@ -77,17 +105,11 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         evidence : Evidence
             Of a tested search.
         """
-        row = features_of(evidence)
-        score = np.array([self.intercept[a] + np.dot(self.coefficient[a], row) for a in ANSWERS])
-        weight = np.exp(score - score.max())
-        return Answers(*(weight / weight.sum()).tolist())
-
-
-def features_of(evidence: Evidence) -> Array:
-    """Numbers of the evidence, shape (n,)."""
-    return np.array([getattr(evidence, name) for name in FEATURES])
+        catalogue = self.catalogue.probability(evidence)
+        outside = (1 - catalogue) * self.outside.probability(evidence)
+        return Answers(1 - catalogue - outside, catalogue, outside)
 
 
 def read_answer_model() -> AnswerModel:
-    """Regression in use."""
+    """Regressions in use."""
     return msgspec.json.decode(PATH.read_bytes(), type=AnswerModel)

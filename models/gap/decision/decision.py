@@ -96,18 +96,6 @@ class Decision:
         """Probabilities that led to the verdict."""
         return self.tested[-1].answers
 
-    def replaced(self) -> list[set[str]]:
-        """Sets of effects that fit better than what is named, and that a test refused."""
-        named, result = set(self.result.named), self.result
-        if not named:
-            return []
-        rows = [set(r.effect.split(" + ")) for r in result.refused if r.kind in OF_THE_EFFECT]
-        before: set[str] = set()
-        for chosen, candidates in zip(result.chosen, result.rounds, strict=False):
-            rows += [before | set(c.effects) for c in candidates if c.score > chosen.score]
-            before |= set(chosen.effects)
-        return [row for row in rows if row != {""} and not row <= named]
-
     def withheld(self) -> list[RefusedEffect]:
         """Refusal of the effect that failed; of its plant alone where it is named all the same."""
         if self.failed is None:
@@ -169,8 +157,8 @@ def _tested(
     model: AnswerModel,
 ) -> JudgedNames:
     """What the evidence says of the effects that the tests left."""
-    result, errors = acceptance.result, acceptance.judged.errors
-    evidence = evidence_of(search, result, consistencies, acceptance.held_out_left(), errors)
+    result = acceptance.result
+    evidence = evidence_of(search, result, consistencies, acceptance.judged.errors)
     answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
     return JudgedNames(tuple(result.named), evidence, answers)
 

@@ -43,8 +43,6 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         frequencies, as a fraction of the strength.
     contradiction : float
         Largest −log10 of the probability that χ² gives to these differences.
-    held_out : float
-        Logarithm of the fraction of the held-out errors that is left.
     rise : float
         Logarithm of the largest ratio of a signal's held-out error to that of the plant as given.
     bias : float
@@ -58,7 +56,6 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clearness: float
     difference: float
     contradiction: float
-    held_out: float
     rise: float
     bias: float
 
@@ -71,7 +68,6 @@ def evidence_of(
     search: EffectSearch,
     result: SearchResult,
     consistencies: Mapping[str, StrengthConsistency],
-    held_out_left: float,
     errors: HeldOutErrors,
 ) -> Evidence:
     """Evidence of a tested search.
@@ -84,8 +80,6 @@ def evidence_of(
         Of that run; `named` holds what the tests left.
     consistencies : mapping of str to StrengthConsistency
         Of the named effects.
-    held_out_left : float
-        Fraction of the held-out errors that the named effects leave.
     errors : HeldOutErrors
         Of the fit with the named effects.
     """
@@ -100,7 +94,6 @@ def evidence_of(
         clearness=_logarithm(clearness_of(result)),
         difference=max((c.standard_deviation for c in consistencies.values()), default=0.0),
         contradiction=-float(np.log10(max(probability, LEAST_PROBABILITY))),
-        held_out=_logarithm(held_out_left),
         rise=_logarithm(max(ratios.values(), default=1.0)),
         bias=float(np.log1p(max((abs(z) for z in biases.values()), default=0.0))),
     )

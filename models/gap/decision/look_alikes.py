@@ -2,7 +2,7 @@
 
 What one turn of the search could have included instead, by the posterior: the weights of all
 candidates that were refitted in that turn, an error in the named one's own equation allowed for by
-the temperature (`models.gap.decision.posterior`). A name and its look-alikes together hold 95 %.
+the temperature (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.decision.posterior import set_weights
+from models.gap.decision.set_weights import set_weights
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 

@@ -1,43 +1,27 @@
 """Posterior probabilities of what is missing, over the sets of effects that the search has fitted.
 
-The evidence says how probable it is that nothing is missing, that effects of the catalogue are, or
-that something else is (`models.gap.decision.answers`). What the catalogue holds is shared among the
-sets: the weight of one is exp(score / 2T), its score the fall of twice the cost, less what its
-effects reach where nothing is missing (`models.gap.search.null_distribution`). Sets that a test
-refused, where others are named in their place, have no part. The temperature T keeps the errors of
-the equations in: an equation that misses a fraction of the gap shifts the score of every set by a
-fraction of the gap's own, so T grows with the best score.
-
-Before the trials the number of missing effects is Poisson distributed with mean one, and every set
-of one number is equally likely: in a large catalogue of N effects each effect of a set then counts
-1/N. Without such a prior the many sets that add a useless effect to the right one outweigh it.
-
-The two temperatures were fitted to 32 data sets of ten rigs of drawn structure (`drawn_24` to
-`drawn_33`) by their logarithmic score; figures on rigs for testing stand in docs/gap.md.
+The evidence says how probable it is that nothing is missing, that what is named is, or that
+something else is (`models.gap.decision.answers`). What the second answer holds is shared by weight
+(`models.gap.decision.set_weights`) among the named effects, their look-alikes, and sets that add
+effects to those named; without a name among all sets. The probability of something else is not
+among the hypotheses: they add up to the rest.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from models.gap.decision.answers import Answers
+from models.gap.decision.look_alikes import look_alikes_of
+from models.gap.decision.set_weights import set_weights
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-
-LEAST_TEMPERATURE: Final = 1.5
-"""Temperature without a gap: a difference of d′ = 3 counts 20 to 1
-(`GapSettings.indistinguishable_separation`)."""
-
-TEMPERATURE_OF_GAP: Final = 1 / 15
-"""Growth of the temperature with the square of d′. Of 1/60, 1/30, 1/20, 1/15, 1/10 and 1/7 those
-from 1/15 on gave one Brier score; with less, an effect that corrects the first one's equation
-counted as missing in 4 of 32 data sets."""
 
 LEAST_PROBABILITY: Final = 1e-3
 """Hypotheses below this are not listed."""
@@ -70,10 +54,7 @@ class Hypothesis:
 
 
 def posterior_of(
-    search: EffectSearch,
-    result: SearchResult,
-    answers: Answers,
-    refused: Sequence[Collection[str]] = (),
+    search: EffectSearch, result: SearchResult, answers: Answers
 ) -> tuple[Hypothesis, ...]:
     """Hypotheses in order of their probability; that of something outside is not among them.
 
@@ -82,16 +63,14 @@ def posterior_of(
     search : EffectSearch
         After its run.
     result : SearchResult
-        Of that run.
+        Of that run; `named` holds what was accepted.
     answers : Answers
         Probabilities of the decision.
-    refused : sequence of collection of str
-        Sets of effects that a test refused where others were named in their place.
     """
     points = {
         tuple(sorted(effects)): point
         for effects, point in result.explored.items()
-        if effects and not any(effects >= set(row) for row in refused)
+        if effects and _may_be_meant(effects, result)
     }
     hypotheses = []
     if search.learned or not points:
@@ -116,21 +95,14 @@ def posterior_of(
     return tuple(sorted(listed, key=lambda h: -h.probability))
 
 
-def set_weights(size: Array, score: Array, catalogue: int) -> Array:
-    """Weight of each of some sets that are not empty, relative to the heaviest, shape (n,).
-
-    Parameters
-    ----------
-    size : ndarray of int, shape (n,)
-        Effects in each set.
-    score : ndarray, shape (n,)
-        Fall of twice the cost, less what it must reach.
-    catalogue : int
-        Effects that could be missing.
-    """
-    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
-    logarithm = score / (2 * temperature) - size * np.log(max(catalogue, 1))
-    return np.asarray(np.exp(logarithm - logarithm.max()))
+def _may_be_meant(effects: frozenset[str], result: SearchResult) -> bool:
+    """Whether a set holds the named effects, or nothing but them and their look-alikes."""
+    named = set(result.named)
+    if not named:
+        return True
+    turns = [k for k, c in enumerate(result.chosen) if named & set(c.effects)]
+    alike = {e for k in turns for a in look_alikes_of(result, k) for e in a.effects}
+    return effects >= named or effects <= named | alike
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:

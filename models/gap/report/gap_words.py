@@ -152,8 +152,8 @@ def next_step_in_words(document: GapDocument) -> str:
         )
     if is_plant_as_given(document):
         return (
-            "Identify the plant again on these trials, or record another motion or payload: the "
-            "plant as given has made up for the effect in the signal that would get worse."
+            "Identify the plant again on these trials, or record another motion or payload: with "
+            "the effect alone the plant as given would not err less on what was left out."
         )
     return "Use the improved plant: train a bundle with it (python -m models train --plant)."
 

@@ -3,20 +3,20 @@
 import msgspec
 import pytest
 
-from models.gap.decision.answers import ANSWERS, Answers, read_answer_model
+from models.gap.decision.answers import OF_A_GAP, Answers, read_answer_model
 from models.gap.decision.evidence import FEATURES, Evidence, clearness_of
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 
 NOISE = Evidence(
     named=0.0, gap=-0.5, left=-0.5, clearness=-1.0, difference=0.0, contradiction=0.0,
-    held_out=0.0, rise=0.0, bias=0.5,
+    rise=0.0, bias=0.5,
 )  # fmt: skip
 """Of trials without a gap."""
 
 EXPLAINED = Evidence(
     named=1.0, gap=1.0, left=-0.4, clearness=2.0, difference=0.05, contradiction=0.0,
-    held_out=-0.8, rise=0.0, bias=0.5,
+    rise=0.0, bias=0.5,
 )  # fmt: skip
 """Of an effect that stands out, with one strength, and leaves noise."""
 
@@ -30,9 +30,8 @@ def answers():
 
 def test_the_model_in_use_is_of_the_evidence_as_it_is_now():
     model = read_answer_model()
-    assert model.features == FEATURES
-    assert set(model.intercept) == set(model.coefficient) == set(ANSWERS)
-    assert all(len(row) == len(FEATURES) for row in model.coefficient.values())
+    assert tuple(model.catalogue.coefficient) == FEATURES
+    assert tuple(model.outside.coefficient) == OF_A_GAP
 
 
 @pytest.mark.parametrize("evidence", [NOISE, EXPLAINED])
@@ -57,9 +56,13 @@ def test_a_strength_that_differs_speaks_for_something_else(answers):
     assert differing.outside > answers(EXPLAINED).outside
 
 
-def test_what_stays_left_speaks_for_something_else(answers):
-    rows = [answers(EXPLAINED, gap=2.5, left=left).outside for left in (-0.5, 0.5, 2.3)]
-    assert rows == sorted(rows)
+def test_held_out_errors_that_rise_speak_against_a_name(answers):
+    assert answers(EXPLAINED, rise=0.9).catalogue < answers(EXPLAINED).catalogue
+
+
+def test_a_name_that_does_not_fit_says_nothing_of_whether_anything_is_missing(answers):
+    good, bad = answers(EXPLAINED), answers(EXPLAINED, difference=0.6, rise=0.9)
+    assert bad.outside / bad.nothing == pytest.approx(good.outside / good.nothing)
 
 
 def test_a_gap_that_nothing_explains_is_not_nothing(answers):

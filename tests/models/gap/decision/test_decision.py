@@ -145,9 +145,6 @@ class PassingTests:
     def accepted(self):
         return " + ".join(self.result.named)
 
-    def held_out_left(self):
-        return 0.5
-
     def without(self, effect):
         self.result.named = [e for e in self.result.named if e != effect]
         return self.accepted()
@@ -185,18 +182,3 @@ def test_of_several_effects_that_are_not_believed_the_clearest_may_stand(
     assert [t.effects for t in found.tested] == (
         [("prebend", "creep")] if len(named) > 1 else [("prebend", "creep"), ("prebend",)]
     )
-
-
-def test_better_fits_that_a_test_refused_are_told_apart_from_what_is_named():
-    creep, drag, tilt = (
-        Candidate((e,), POINT, gain, 1.0, 1.0)
-        for e, gain in (("creep", 10.0), ("aerodynamic_drag", 30.0), ("marker_frame_tilt", 5.0))
-    )
-    result = SearchResult(
-        POINT, POINT, ["creep"], [[drag, creep, tilt]], chosen=[creep],
-        refused=[refusal("backlash"), refusal("", "at a bound"), refusal("prebend", "stand-in")],
-    )  # fmt: skip
-    found = Decision(result, None, None, {}, (), "closed", 0.0)
-    assert found.replaced() == [{"backlash"}, {"aerodynamic_drag"}]
-    result.named = []
-    assert found.replaced() == []

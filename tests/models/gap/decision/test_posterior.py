@@ -8,7 +8,7 @@ import pytest
 from models.gap.decision.answers import Answers
 from models.gap.decision.posterior import effect_probabilities, posterior_of
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.search.candidate import SearchResult
+from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.null_distribution import NullDistribution
 
 
@@ -36,13 +36,13 @@ def point(cost):
 CATALOGUE = Answers(nothing=0.0, catalogue=1.0, outside=0.0)
 
 
-def found(none, answers=CATALOGUE, refused=(), **costs):
+def found(none, answers=CATALOGUE, **costs):
     """Probabilities of single effects, by their d′."""
     before = point(none)
     result = SearchResult(before, before)
     for effect, separation in costs.items():
         result.explore([effect], point(none - separation**2 / 2))
-    return {h.effects: h.probability for h in posterior_of(Search(), result, answers, refused)}
+    return {h.effects: h.probability for h in posterior_of(Search(), result, answers)}
 
 
 def test_probabilities_follow_the_answers_and_the_separation():
@@ -57,9 +57,25 @@ def test_without_a_set_of_effects_the_catalogue_has_nothing_to_hold():
     assert found(500.0, Answers(0.5, 0.3, 0.2)) == {(): pytest.approx(0.8)}
 
 
-def test_what_a_test_refused_has_no_part():
-    rows = found(500.0, refused=[{"creep"}], creep=12.0, hysteresis=11.0)
-    assert ("creep",) not in rows and rows["hysteresis",] == pytest.approx(1.0)
+def test_a_name_shares_with_its_look_alikes_and_with_what_adds_to_it_alone():
+    """The answer is about the names: a better fit that the tests refused is something else."""
+    before = point(5000.0)
+    fits = {
+        ("creep",): 40.0, ("hysteresis",): 39.0, ("aerodynamic_drag",): 60.0,
+        ("creep", "backlash"): 41.0, ("aerodynamic_drag", "hysteresis"): 61.0,
+    }  # fmt: skip
+    result = SearchResult(before, before, named=["creep"])
+    for effects, separation in fits.items():
+        result.explore(effects, point(5000.0 - separation**2 / 2))
+    chosen, alike = (
+        Candidate((e,), point(0.0), separation**2 / 2, 4.5, 4.5)
+        for e, separation in (("creep", 40.0), ("hysteresis", 39.0))
+    )
+    result.chosen, result.rounds = [chosen], [[chosen, alike]]
+    rows = {h.effects: h.probability for h in posterior_of(Search(), result, CATALOGUE)}
+    assert set(rows) - {()} <= {("creep",), ("hysteresis",), ("backlash", "creep")}
+    assert sum(rows.values()) == pytest.approx(1.0, abs=0.01)
+    assert rows["creep",] > rows["hysteresis",] > 0.1
 
 
 @pytest.mark.parametrize("separation", [8.0, 30.0, 100.0])
