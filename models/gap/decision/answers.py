@@ -48,6 +48,10 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Whether what is named is likelier than everything else together."""
         return self.catalogue > self.nothing + self.outside
 
+    def without_nothing(self) -> Answers:
+        """The same where something is known to be missing."""
+        return Answers(0.0, self.catalogue, self.outside + self.nothing)
+
 
 CATALOGUE_ONLY: Final = Answers(0.0, 1.0, 0.0)
 """Without a learned noise floor nothing tells noise from something outside of the catalogue."""

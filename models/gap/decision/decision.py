@@ -156,10 +156,16 @@ def _tested(
     consistencies: Mapping[str, StrengthConsistency],
     model: AnswerModel,
 ) -> JudgedNames:
-    """What the evidence says of the effects that the tests left."""
+    """What the evidence says of the effects that the tests left.
+
+    A deviation that all trials share beyond its limit is never nothing: no set of those that the
+    regressions were fitted to has one with an ordinary residual.
+    """
     result = acceptance.result
     evidence = evidence_of(search, result, consistencies, acceptance.judged.errors)
     answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
+    if search.nuisance_bias(result.after):
+        answers = answers.without_nothing()
     return JudgedNames(tuple(result.named), evidence, answers)
 
 

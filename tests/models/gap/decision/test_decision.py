@@ -31,6 +31,7 @@ class Search:
     """Search that chooses the first of `ORDER` that is not excluded."""
 
     learned: bool = True
+    bias: bool = False
     tried: list = field(default_factory=list)
     settings = DEFAULT_SETTINGS
 
@@ -39,6 +40,9 @@ class Search:
         self.tried.append(chosen)
         candidate = Candidate((chosen,), POINT, 1.0, 1.0, 1.0)
         return SearchResult(POINT, POINT, [chosen], chosen=[candidate])
+
+    def nuisance_bias(self, point):
+        return {"eccentricity_m": 31.0} if self.bias else {}
 
     def search_without(self, earlier, effects):
         return replace(self.search(effects), before=earlier.before)
@@ -182,3 +186,15 @@ def test_of_several_effects_that_are_not_believed_the_clearest_may_stand(
     assert [t.effects for t in found.tested] == (
         [("prebend", "creep")] if len(named) > 1 else [("prebend", "creep"), ("prebend",)]
     )
+
+
+def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):
+    model = SimpleNamespace(answers=lambda evidence: Answers(0.9, 0.04, 0.06))
+    monkeypatch.setattr(decision, "Acceptance", PassingTests)
+    monkeypatch.setattr(decision, "read_answer_model", lambda: model)
+    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
+    monkeypatch.setattr(decision, "evidence_of", lambda *of: None)
+    found = decide(Search(bias=True), SearchResult(POINT, POINT))
+    assert found.verdict == "not in the catalogue"
+    assert found.answers == Answers(0.0, 0.04, pytest.approx(0.96))
+    assert decide(Search(bias=False), SearchResult(POINT, POINT)).verdict == "no gap"
