@@ -50,8 +50,10 @@ def gap_verdict(
 
     What is named is believed where that is likelier than all else. The verdict is then "closed", or
     "reduced" where more is left than noise explains. Else it is the likelier one of "no gap" and
-    "not in the catalogue". Without a learned noise floor nobody knows what noise is: the verdict is
-    "no floor", or "not in the catalogue" where strengths differ or all trials deviate alike.
+    "not in the catalogue"; the latter only where something exceeds what noise reaches: the
+    residual, a deviation that all trials share, or the d′ of an effect. Without a learned noise
+    floor nobody knows what noise is: the verdict is "no floor", or "not in the catalogue" where
+    strengths differ or all trials deviate alike.
 
     Parameters
     ----------
@@ -71,7 +73,9 @@ def gap_verdict(
         return "not in the catalogue" if biased or differing or unlike_noise else "no floor"
     if result.named and answers.believed:
         return "reduced" if biased or search.has_gap(result.after) else "closed"
-    return "not in the catalogue" if answers.outside > answers.nothing else "no gap"
+    beyond_noise = biased or search.has_gap(result.before) or bool(result.chosen)
+    outside = beyond_noise and answers.outside > answers.nothing
+    return "not in the catalogue" if outside else "no gap"
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:

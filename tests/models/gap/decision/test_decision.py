@@ -44,6 +44,9 @@ class Search:
     def nuisance_bias(self, point):
         return {"eccentricity_m": 31.0} if self.bias else {}
 
+    def has_gap(self, point):
+        return False
+
     def search_without(self, earlier, effects):
         return replace(self.search(effects), before=earlier.before)
 

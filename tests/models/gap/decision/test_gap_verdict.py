@@ -66,6 +66,22 @@ def test_what_is_not_believed_leaves_the_likelier_one_of_the_other_answers(named
     assert gap_verdict(Search(), found, {}, nothing) == "no gap"
 
 
+@pytest.mark.parametrize(
+    ("before", "bias", "chosen", "verdict"),
+    [
+        (1.5, False, [], "no gap"),
+        (2.5, False, [], "not in the catalogue"),
+        (1.5, True, [], "not in the catalogue"),
+        (1.5, False, ["a candidate"], "not in the catalogue"),
+    ],
+)
+def test_something_else_is_missing_only_where_something_exceeds_noise(
+    before, bias, chosen, verdict
+):
+    found = SearchResult(point(before), point(before), chosen=chosen)
+    assert gap_verdict(Search(bias), found, {}, Answers(0.1, 0.3, 0.6)) == verdict
+
+
 def test_without_a_name_an_effect_of_the_catalogue_may_be_too_faint_to_name():
     faint = Answers(nothing=0.3, catalogue=0.6, outside=0.1)
     assert gap_verdict(Search(), result(1.5, 1.5), {}, faint) == "no gap"
