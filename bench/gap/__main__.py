@@ -35,7 +35,11 @@ from models.rig.rig_structure import named_structures
 
 
 def run_benchmark(
-    cases: Iterable[BenchCase], plant: Path | None, out: Path, engine: Engine | None = None
+    cases: Iterable[BenchCase],
+    plant: Path | None,
+    out: Path,
+    engine: Engine | None = None,
+    sealed: bool = True,
 ) -> RunCounts:
     """Run cases that have no valid result.
 
@@ -49,13 +53,15 @@ def run_benchmark(
         Directory of the results.
     engine : Engine, optional
         Of `hil.campaign.engines`; two processes by default.
+    sealed : bool
+        Whether improved plants are tested on sealed trials.
     """
     wanted, store = list(cases), ResultStore(out)
     robots = sorted({(c.rig, c.joints) for c in wanted})
     plants = {(r, joints): plant or plant_of_rig(r, out / "plants", joints) for r, joints in robots}
     maker = CaseMaker(KIND, MODULE, store.shared)
     made = maker.cases(
-        (bench_configuration(c, plants[c.rig, c.joints]) for c in wanted), "bench.gap"
+        (bench_configuration(c, plants[c.rig, c.joints], sealed) for c in wanted), "bench.gap"
     )
     made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
     with store.locked():
@@ -86,6 +92,7 @@ def main() -> None:
     add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
+    add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
     add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
     args = parser.parse_args()
     if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
@@ -100,7 +107,7 @@ def main() -> None:
         from hil.campaign.engines.dask_engine import DaskEngine
 
         engine = DaskEngine(args.scheduler)
-    counts = run_benchmark(_cases(args), args.plant, args.out, engine)
+    counts = run_benchmark(_cases(args), args.plant, args.out, engine, not args.no_sealed)
     if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
         print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
     figures, by_rig = write_bench_summary(args.out)

@@ -24,10 +24,13 @@ class BenchConfig(CaseConfig, frozen=True, kw_only=True):
         Identified without effects.
     case : BenchCase
         The case.
+    sealed : bool
+        Whether the improved plant is tested on sealed trials.
     """
 
     plant: str
     case: BenchCase
+    sealed: bool = True
 
 
 class BenchKind(CaseKind[BenchConfig]):
@@ -48,7 +51,8 @@ class BenchKind(CaseKind[BenchConfig]):
         from bench.gap.case_run import run_bench_case  # loads CasADi and MuJoCo
         from models.plant.plant import read_plant
 
-        return run_bench_case(config.case, read_plant(config.plant), context.parts_s)
+        plant = read_plant(config.plant)
+        return run_bench_case(config.case, plant, context.parts_s, config.sealed)
 
 
 KIND = BenchKind()
@@ -92,7 +96,7 @@ def cases_of_run(directory: Path) -> list[BenchCase]:
     return [BenchCase(**r["case"]) for r in bench_results(directory).values()]
 
 
-def bench_configuration(case: BenchCase, plant: Path) -> dict[str, Any]:
+def bench_configuration(case: BenchCase, plant: Path, sealed: bool = True) -> dict[str, Any]:
     """Plain configuration of a case.
 
     Parameters
@@ -101,5 +105,7 @@ def bench_configuration(case: BenchCase, plant: Path) -> dict[str, Any]:
         The case.
     plant : Path
         Its plant.
+    sealed : bool
+        Whether the improved plant is tested on sealed trials.
     """
-    return {"plant": str(plant), "case": asdict(case)}
+    return {"plant": str(plant), "case": asdict(case), "sealed": sealed}

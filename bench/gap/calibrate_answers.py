@@ -1,6 +1,6 @@
 """Probabilities of the answers to what is missing, fitted to diagnoses of rigs for tuning.
 
-    python -m bench.gap --rigs drawn_110 … --same-link --out build/tuning_same
+    python -m bench.gap --rigs drawn_118 … --same-link --no-sealed --out build/tuning_same
     python -m bench.gap.calibrate_answers build/tuning_same …
 
 Each result of `bench.gap` tells what its diagnosis judged and with which evidence

@@ -11,10 +11,11 @@ trials that no value was fitted to, by simulation (`models.gap.search.held_out_e
 4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
    as given.
 
-What fails is taken out, the rest is fitted again and tested again. The last effect that fails only
-the tests on held-out errors stays named where the noise floor is learned: whether it is missing is
-a question of evidence (`models.gap.decision.answers`), and the plant as given may have made up for
-it. The plant that is written is then the one as given.
+What fails is taken out, the rest is fitted again and tested again. Effects that fail only a test on
+held-out errors stay named where the noise floor is learned and no single one of them is to blame:
+the last one, or several of which each lowers the error. Whether they are missing is a question of
+evidence (`models.gap.decision.answers`), and the plant as given may have made up for them. The
+plant that is written is then the one as given.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
 these trials. It is written as refitted where the held-out error falls by as much as would count as
@@ -52,7 +53,7 @@ from models.gap.search.refused_effect import (
     values_at_bounds,
 )
 
-STAND_IN: Final = "with a probability of {:.0%} it stands in for an effect that the catalogue lacks"
+STAND_IN: Final = "with a probability of {:.0%} it stands in for something else"
 NOTHING_MISSING: Final = "with a probability of {:.0%} nothing is missing"
 STAND_IN_BESIDE_OTHERS: Final = (
     "beside the effects that are named it more probably stands in for something else"
@@ -102,8 +103,10 @@ class Acceptance:
             if not further and not self._failing(fits[1]):
                 self.judged = fits[1]
                 return fits[1]
-            if len(self.result.named) == 1 and self.search.learned:
-                self.withheld = msgspec.structs.replace(failing[0], effect=self.result.named[0])
+            none_to_blame = not any(row.effect for row in failing) or len(self.result.named) == 1
+            if none_to_blame and self.search.learned:
+                together = " + ".join(self.result.named)
+                self.withheld = msgspec.structs.replace(failing[0], effect=together)
                 return self._as_given()
             self._refuse(fits[0], failing)
         self.judged = self._as_given()

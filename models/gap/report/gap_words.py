@@ -86,7 +86,8 @@ def refusals_in_words(document: GapDocument) -> list[str]:
     for row in document.refused:
         if row.kind == "not written":
             effect = row.effect.replace("_", " ")
-            result.append(f"{effect} is named, but its plant is not written: {row.reason}.")
+            named = "are named, but their" if " + " in effect else "is named, but its"
+            result.append(f"{effect} {named} plant is not written: {row.reason}.")
         elif row.effect:
             result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
         else:

@@ -1,4 +1,4 @@
-"""An effect whose plant makes one signal worse is named, and the plant as given is written."""
+"""Effects whose plant makes one signal worse are named, and the plant as given is written."""
 
 import numpy as np
 import pytest
@@ -9,19 +9,39 @@ from models.gap.report.gap_words import gap_in_words, next_step_in_words
 from models.gap.search.refused_effect import RefusedEffect
 
 HIDDEN_S = 0.02
+HIDDEN_BIAS_A = 0.3
+
+RISE = RefusedEffect(
+    effect="", kind="rise of a signal", name="current_1_a", value=1.5, limit=1.05, unit="1",
+    reason="the held-out error of current_1_a would be 150.0% of that of the plant as given",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def withheld(plant, hidden, diagnosed):
-    """Diagnosis of a dead time with which the current's held-out error would rise, its trials."""
-    rise = RefusedEffect(
-        effect="", kind="rise of a signal", name="current_1_a", value=1.5, limit=1.05, unit="1",
-        reason="the held-out error of current_1_a would be 150.0% of that of the plant as given",
-    )  # fmt: skip
-    trials = hidden(dead_time_1_s=HIDDEN_S)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Acceptance, "_failing", lambda self, fit: [rise])
-        return diagnosed(plant, trials), trials
+def with_a_rise(plant, hidden, diagnosed):
+    """Diagnosis of hidden effects with which the current's held-out error would rise, trials."""
+
+    def diagnosis(**effects):
+        trials = hidden(**effects)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Acceptance, "_failing", lambda self, fit: [RISE])
+            return diagnosed(plant, trials), trials
+
+    return diagnosis
+
+
+@pytest.fixture(scope="module")
+def withheld(with_a_rise):
+    """Of a dead time alone."""
+    return with_a_rise(dead_time_1_s=HIDDEN_S)
+
+
+def test_of_two_effects_none_is_to_blame_for_a_rise_that_both_cause(with_a_rise):
+    found, trials = with_a_rise(dead_time_1_s=HIDDEN_S, current_bias_1_a=HIDDEN_BIAS_A)
+    assert set(found.named) == {"dead_time", "current_bias"}
+    assert found.improved.parameters == found.plant.parameters
+    text = gap_in_words(gap_document(found, trials))
+    assert "are named, but their plant is not written: the held-out error of current_1_a" in text
 
 
 def test_the_effect_is_named_with_its_strength(withheld):
