@@ -27,6 +27,7 @@ written only where other motions were left out and it passed there.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import msgspec
@@ -112,17 +113,21 @@ class Acceptance:
         self.judged = self._as_given()
         return self.judged
 
-    def without(self, effect: str) -> AcceptedFit:
-        """Best fit without one effect, which is refused as a stand-in.
+    def without(self, effect: str) -> Acceptance:
+        """Tests of the same result without one effect, which is refused as a stand-in.
 
         Parameters
         ----------
         effect : str
             One of several named ones.
         """
-        self.result.refused += refusals([effect], "stand-in", STAND_IN_BESIDE_OTHERS)
-        self._take_out([effect])
-        return self.accepted()
+        named, refused = list(self.result.named), list(self.result.refused)
+        rest = Acceptance(self.search, replace(self.result, named=named, refused=refused))
+        rest.as_given = self.as_given.copy()
+        rest._errors, rest._refits = self._errors, self._refits
+        rest.result.refused += refusals([effect], "stand-in", STAND_IN_BESIDE_OTHERS)
+        rest._take_out([effect])
+        return rest
 
     def without_named(self, accepted: AcceptedFit, answers: Answers) -> AcceptedFit:
         """Plant as given in place of a fit whose effects are not believed.

@@ -2,8 +2,8 @@
 
 The evidence for what the tests leave gives the probability that it is what is missing, that nothing
 is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where several
-effects are not believed together, the one that stands out least is taken out, and the rest is
-judged anew. Several effects often explain a gap almost equally well: where a test refuses the first
+effects are not believed together, each is left out in turn, and the rest that is believed most is
+kept. Several effects often explain a gap almost equally well: where a test refuses the first
 choice, or its strength is not the same everywhere, the search goes on from its first round without
 it. Where no alternative is believed, the decision on the first choice stands.
 """
@@ -24,7 +24,7 @@ from models.gap.decision.answers import (
     Answers,
     read_answer_model,
 )
-from models.gap.decision.evidence import Evidence, clearness_by_effect, evidence_of
+from models.gap.decision.evidence import Evidence, evidence_of
 from models.gap.decision.gap_verdict import (
     GapVerdict,
     consistencies_of_named,
@@ -59,6 +59,28 @@ class JudgedNames:
     effects: tuple[str, ...]
     evidence: Evidence
     answers: Answers
+
+
+@dataclass(frozen=True)
+class JudgedAcceptance:
+    """Tests of a result with what they left, as judged.
+
+    Attributes
+    ----------
+    acceptance : Acceptance
+        Of the result.
+    accepted : AcceptedFit
+        Best fit that may be written.
+    consistencies : dict of str to StrengthConsistency
+        Of the effects that the tests left.
+    tested : JudgedNames
+        These effects.
+    """
+
+    acceptance: Acceptance
+    accepted: AcceptedFit
+    consistencies: Mapping[str, StrengthConsistency]
+    tested: JudgedNames
 
 
 @dataclass(frozen=True)
@@ -129,44 +151,39 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
 
 
 def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) -> Decision:
-    acceptance = Acceptance(search, result)
-    accepted, tested = acceptance.accepted(), []
-    while True:
-        consistencies = consistencies_of_named(search, result)
-        tested.append(_tested(search, acceptance, consistencies, model))
-        if tested[-1].answers.believed or len(result.named) < 2:
-            break
-        clearness = clearness_by_effect(result)
-        accepted = acceptance.without(min(result.named, key=lambda e: clearness[e]))
-    answers = tested[-1].answers
-    verdict, left = gap_verdict(search, result, consistencies, answers), 1.0
+    kept = _judged(Acceptance(search, result), model)
+    tested = [kept.tested]
+    while len(kept.tested.effects) > 1 and not kept.tested.answers.believed:
+        fewer = [_judged(kept.acceptance.without(e), model) for e in kept.tested.effects]
+        fewer.sort(key=lambda judged: judged.tested.answers.catalogue)
+        kept = fewer[-1]
+        tested += [judged.tested for judged in fewer]
+    result, answers, accepted = kept.acceptance.result, kept.tested.answers, kept.accepted
+    verdict, left = gap_verdict(search, result, kept.consistencies, answers), 1.0
     if result.named:
         left = gap_left_fraction(search, result)
         if search.learned and not answers.believed:
-            accepted = acceptance.without_named(accepted, answers)
+            accepted = kept.acceptance.without_named(accepted, answers)
     if not result.named:
         left = float(verdict != "no gap")
-    failed = acceptance.withheld
+    failed, consistencies = kept.acceptance.withheld, kept.consistencies
     return Decision(result, accepted, failed, consistencies, tuple(tested), verdict, left)
 
 
-def _tested(
-    search: EffectSearch,
-    acceptance: Acceptance,
-    consistencies: Mapping[str, StrengthConsistency],
-    model: AnswerModel,
-) -> JudgedNames:
-    """What the evidence says of the effects that the tests left.
+def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
+    """Tests of a result, and what the evidence says of the effects that they left.
 
     A deviation that all trials share beyond its limit is never nothing: no set of those that the
     regressions were fitted to has one with an ordinary residual.
     """
-    result = acceptance.result
+    accepted, search, result = acceptance.accepted(), acceptance.search, acceptance.result
+    consistencies = consistencies_of_named(search, result)
     evidence = evidence_of(search, result, consistencies, acceptance.judged.errors)
     answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
     if search.nuisance_bias(result.after):
         answers = answers.without_nothing()
-    return JudgedNames(tuple(result.named), evidence, answers)
+    tested = JudgedNames(tuple(result.named), evidence, answers)
+    return JudgedAcceptance(acceptance, accepted, consistencies, tested)
 
 
 def _leaves_room(decision: Decision) -> bool:
