@@ -13,7 +13,6 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
-from models.plant.effects import EFFECTS
 
 GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
 
@@ -32,9 +31,7 @@ def consistencies_of_named(
     """
     free = search.free(result.named)
     return {
-        effect: strength_consistency_of(
-            search.estimator, result.after, free, search.of[effect], EFFECTS[effect].port
-        )
+        effect: strength_consistency_of(search.estimator, result.after, free, search.of[effect])
         for effect in result.named
         if effect not in result.unexcited
     }

@@ -39,7 +39,6 @@ from models.gap.search.several_starts import (
     refitted_from_far_strengths,
 )
 from models.gap.search.strength_consistency import strengths_hold
-from models.plant.effects import EFFECTS
 
 ReportProgress = Callable[[str, int], None]
 """Function that is called after each part of the work: a phrase, and how many follow at least."""
@@ -279,7 +278,7 @@ class EffectSearch:
         if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
             return alone > 0
         fit = self.estimator, candidate.point, self._free_of(candidate, found)
-        own = [(self.of[e], EFFECTS[e].port) for e in candidate.effects]
+        own = [self.of[e] for e in candidate.effects]
         return beside > 0 and (doubted > 0 or strengths_hold(*fit, own))
 
     def nuisance_bias(self, point: FitPoint) -> dict[str, float]:

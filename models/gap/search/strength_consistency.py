@@ -49,7 +49,7 @@ class StrengthConsistency:
 
 
 def strength_consistency_of(
-    estimator: GaussNewton, point: FitPoint, free: Array, own: Array, port: str
+    estimator: GaussNewton, point: FitPoint, free: Array, own: Array
 ) -> StrengthConsistency:
     """Consistency of the strength of one effect.
 
@@ -63,13 +63,9 @@ def strength_consistency_of(
         Fit parameters that were fitted.
     own : ndarray of bool, shape (p,)
         Those of the effect.
-    port : str
-        Where the effect acts.
     """
     settings = estimator.settings
-    tolerated = settings.tolerated_difference_fraction_by_port.get(
-        port, settings.tolerated_difference_fraction
-    )
+    tolerated = settings.tolerated_difference_fraction
     least = settings.least_block_information
     values = point.values.copy()
     values[own] = 0.0
@@ -93,7 +89,7 @@ def strength_consistency_of(
 
 
 def strengths_hold(
-    estimator: GaussNewton, point: FitPoint, free: Array, own: Iterable[tuple[Array, str]]
+    estimator: GaussNewton, point: FitPoint, free: Array, own: Iterable[Array]
 ) -> bool:
     """Whether the strengths of several effects are the same everywhere.
 
@@ -101,10 +97,10 @@ def strengths_hold(
     ----------
     estimator, point, free :
         As for `strength_consistency_of`.
-    own : iterable of (ndarray of bool, str)
-        Fit parameters and port of each effect.
+    own : iterable of ndarray of bool
+        Fit parameters of each effect.
     """
-    return all(strength_consistency_of(estimator, point, free, *row).holds for row in own)
+    return all(strength_consistency_of(estimator, point, free, row).holds for row in own)
 
 
 def _blocks(estimator: GaussNewton, part: Sequence[Array]) -> Iterator[list[Array]]:

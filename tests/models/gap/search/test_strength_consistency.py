@@ -16,12 +16,9 @@ from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.residuals.residuals import Residuals, TrialGroup
 from models.gap.search.strength_consistency import strength_consistency_of
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.effects import EFFECTS as CATALOGUE
 
 EFFECTS = ("dead_time", "viscous_friction", "current_bias", "unmodelled_payload")
-STRICT = msgspec.structs.replace(
-    DEFAULT_SETTINGS, tolerated_difference_fraction=0.0, tolerated_difference_fraction_by_port={}
-)
+STRICT = msgspec.structs.replace(DEFAULT_SETTINGS, tolerated_difference_fraction=0.0)
 """No difference of the strengths is tolerated: the probability is that of noise alone."""
 
 SIZE, SIGNALS, PAYLOADS_KG = 64, ("x", "y"), (0.0, 1.0, 2.0)
@@ -83,7 +80,7 @@ def linear(make_trial):
         estimator = GaussNewton(LinearResiduals(trials, rows, effect, settings), unit)
         free = np.array([True])
         point = estimator.fit(estimator.start(), free)
-        return strength_consistency_of(estimator, point, free, free, "command")
+        return strength_consistency_of(estimator, point, free, free)
 
     return run
 
@@ -147,7 +144,7 @@ def fitted(plant, trials_of):
         own = np.array([q.effect == named for q in parameters])
         free = own | np.array([q.kind != "effect" for q in parameters])
         point = estimator.fit(estimator.start(), free)
-        return strength_consistency_of(estimator, point, free, own, CATALOGUE[named].port)
+        return strength_consistency_of(estimator, point, free, own)
 
     return fit
 
