@@ -9,7 +9,7 @@ pendulum and each record of the flexible link left out in turn, and judged on th
 fits treated alike.
 
 Writes OUT/real.json, OUT/real.html and the plants OUT/SYSTEM/plant.json; exit 1 if a limit is
-missed. Steps that are done are not repeated.
+missed. Steps that the same code did are not repeated.
 
     python -m bench.real DATA --out build/bench_real
 """
@@ -41,6 +41,8 @@ from bench.measured_systems import (
 )
 from bench.real_page import write_real_page
 from firmware_py.console import DONE, NEGATIVE, Progress
+from firmware_py.errors import InputError
+from hil.campaign.code_version import code_version
 from models.__main__ import main as models
 from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.time_blocks import in_time_blocks
@@ -54,6 +56,9 @@ EXAMPLES: Final = Path(__file__).parents[1] / "models/plant/examples"
 
 DIFFERS_BY_DIRECTION: Final = frozenset({"directional_friction", "load_offset"})
 """Effects of which one must be named on the EMPS; on all speeds but one they differ."""
+
+ROOMS: Final = ("firmware_py", "models")
+"""Rooms whose code computes the steps."""
 
 ROUNDS: Final = 4
 """Most times that the gap is looked for and the plant identified again."""
@@ -282,6 +287,31 @@ def _ratio(system: dict[str, Any], reference: str, what: str) -> float:
     return float(fits[FOUND]["left_out_by"][what] / fits[reference]["left_out_by"][what])
 
 
+def keep_steps_of_this_code(directory: Path, version: str) -> None:
+    """Delete what other code left in the directory of a system: it is computed anew.
+
+    Parameters
+    ----------
+    directory : Path
+        Of one system; made where it is not there.
+    version : str
+        Of the code that is about to run (`hil.campaign.code_version`).
+
+    Raises
+    ------
+    InputError
+        If the directory exists and this benchmark did not make it.
+    """
+    file = directory / "code.txt"
+    if directory.exists():
+        if not file.exists():
+            raise InputError(directory, "holds files of unknown code", "delete it or change --out")
+        if file.read_text(encoding="utf-8") != version:
+            shutil.rmtree(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    file.write_text(version, encoding="utf-8")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the systems, judge, write."""
     parser = argparse.ArgumentParser(prog="python -m bench.real", description=__doc__)
@@ -294,6 +324,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     for system in chosen:
         if not any((args.data / system.folder).glob(system.pattern)):
             parser.error(f"{args.data / system.folder} holds no {system.pattern}")
+        try:
+            keep_steps_of_this_code(args.out / system.name, code_version(ROOMS))
+        except InputError as error:
+            parser.error(str(error))
     progress, result = Progress("real", 0), {}
     for left, system in zip(reversed(range(len(chosen))), chosen, strict=True):
         step = partial(progress.step, further=left + 1)
