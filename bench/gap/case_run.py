@@ -14,6 +14,7 @@ from bench.gap.sealed_errors import SealedErrors
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from models.gap.diagnosis import Diagnosis, diagnose
+from models.gap.equation_error import read_equation_error
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
@@ -79,6 +80,7 @@ def run_bench_case(
             ]
             for effect in found.named
         },
+        "equation_error": {e: read_equation_error().fraction(e) for e in found.named},
         "sealed": sealed and sealed.in_noise_floors(plant, found.improved),
         "sealed_rms": sealed.rms(plant, found.improved) if sealed else {},
         "unsaid_bounds": unsaid_bounds(found),

@@ -8,12 +8,12 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
+from models.gap.equation_error import read_equation_error
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_searched_effects
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 from models.plant.provenance import Provenance
 from models.trials.trial import TrialSet
@@ -106,19 +106,15 @@ def _standard_errors(
     full: Plant, search: EffectSearch, point: FitPoint, free: Array
 ) -> dict[str, float]:
     """Standard error of every such parameter."""
-    values, settings = point.values, search.settings
+    values, equation_error = point.values, read_equation_error()
     errors = np.zeros(len(values))
     covariance = search.estimator.covariance(point, free)
     dispersion = np.sqrt(search.dispersion(point))
     errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * dispersion
     uncertain: dict[str, float] = {}
     for k, name, weight in _moved(full, search.fit_parameters, free):
-        missed, effect = 0.0, search.fit_parameters[k].effect
-        if effect:
-            by_port, general = (
-                settings.strength_error_fraction_by_port, settings.strength_error_fraction
-            )  # fmt: skip
-            missed = by_port.get(EFFECTS[effect].port, general) * values[k]
+        effect = search.fit_parameters[k].effect
+        missed = equation_error.fraction(effect) * values[k] if effect else 0.0
         parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
         uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
     return uncertain

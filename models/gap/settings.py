@@ -16,8 +16,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`) were measured with
     the default values. Whoever changes those of the residuals, the noise floor or the estimation
-    measures them again (`python -m bench.gap.calibrate`). A fraction is of the quantity named.
-    Residuals and d′ are in standard deviations of the noise floor, costs in their squares.
+    measures them again (`python -m bench.gap.calibration.plant_error`). A fraction is of the
+    quantity named. Residuals and d′ are in standard deviations of the noise floor, costs in their
+    squares.
 
     Examples
     --------
@@ -87,8 +88,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Least half width, in coefficients [assumed]."""
     model_error_left_fraction: float = 0.35
     """Fraction of the plant's own error (in amplitude) that neither its mean curve nor the patterns
-    of `models.gap.estimation.model_discrepancy` take away; measured by bench.gap.calibrate on rigs
-    left out (see `discrepancy_patterns`)."""
+    of `models.gap.estimation.model_discrepancy` take away; measured by
+    `bench.gap.calibration.plant_error` on rigs left out (see `discrepancy_patterns`)."""
     equation_error_fraction: float = 0.1
     """Fraction of a named effect's contribution that its equation may miss; measured: the plant
     reproduces the link itself to 6 to 10 %."""
@@ -101,9 +102,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Least noise, as a fraction of a signal's largest variance: keeps matrices regular
     [assumed]."""
     discrepancy_patterns: int = 16
-    """Patterns of the plant's own error. Measured by bench.gap.calibrate on 48 links of 16 rigs of
-    drawn structure, each rig left out in turn: they take the median of the mean squared residual
-    from 1.69 to 0.96 floors, its 90th percentile from 2.32 to 1.78."""
+    """Patterns of the plant's own error. Measured by `bench.gap.calibration.plant_error` on 48
+    links of 16 rigs of drawn structure, each rig left out in turn: they take the median of the mean
+    squared residual from 1.69 to 0.96 floors, its 90th percentile from 2.32 to 1.78."""
 
     # Estimation
     converged_cost_fall: float = 0.3
@@ -239,18 +240,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     noise_residual: float = 1.25
     """Mean square up to which what is left resembles noise: 6 % of 190 data sets without an effect
     were above it."""
-    strength_error_fraction: float = 0.03
-    """Error of an effect's equation as a fraction of its strength: part of the standard error.
-    Measured on 24 drawn rigs, 16 of them of other draws than the benchmark's."""
-    strength_error_fraction_by_port: dict[str, float] = msgspec.field(
-        default_factory=lambda: {
-            "stiffness": 0.3, "bend_torque": 0.3, "servo_torque": 0.12, "mass": 0.1,
-            "joint_torque": 0.06,
-        }
-    )  # fmt: skip
-    """`strength_error_fraction` by port: two hinges a plane stand for a whole beam. On those rigs
-    strengths were off by 31 to 35 %, 2 to 44 %, 0.4 to 21 %, 1 to 22 % and 4 to 7 %, others mostly
-    up to 3 %."""
 
     # Localisation
     location_bands_hz: tuple[float, ...] = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)

@@ -113,6 +113,14 @@ class Acceptance:
         self.judged = self._as_given()
         return self.judged
 
+    def copy(self) -> Acceptance:
+        """The same tests, whose outcome leaves this result as it is; fits are shared."""
+        named, refused = list(self.result.named), list(self.result.refused)
+        other = Acceptance(self.search, replace(self.result, named=named, refused=refused))
+        other.as_given = self.as_given.copy()
+        other._errors, other._refits = self._errors, self._refits
+        return other
+
     def without(self, effect: str) -> Acceptance:
         """Tests of the same result without one effect, which is refused as a stand-in.
 
@@ -121,10 +129,7 @@ class Acceptance:
         effect : str
             One of several named ones.
         """
-        named, refused = list(self.result.named), list(self.result.refused)
-        rest = Acceptance(self.search, replace(self.result, named=named, refused=refused))
-        rest.as_given = self.as_given.copy()
-        rest._errors, rest._refits = self._errors, self._refits
+        rest = self.copy()
         rest.result.refused += refusals([effect], "stand-in", STAND_IN_BESIDE_OTHERS)
         rest._take_out([effect])
         return rest

@@ -4,7 +4,8 @@ Two logistic regressions on the evidence of a tested search (`models.gap.decisio
 the probabilities: whether the named effects are what is missing, and if not, whether anything is.
 A name that does not fit says nothing about the latter: where nothing is missing, the plant's own
 error bears names that fit as badly. The coefficients are fitted to diagnoses of rigs for tuning,
-whose hidden effects are known (`python -m bench.gap.calibrate_answers`); `answers.json` holds them.
+whose hidden effects are known (`python -m bench.gap.calibration.answer_model`); `answers.json`
+holds them.
 """
 
 from __future__ import annotations

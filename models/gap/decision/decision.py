@@ -1,11 +1,11 @@
 """Decision on a search: what is named, its verdict, and what is tried in place of what fails.
 
 The evidence for what the tests leave gives the probability that it is what is missing, that nothing
-is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where several
-effects are not believed together, each is left out in turn, and the rest that is believed most is
-kept. Several effects often explain a gap almost equally well: where a test refuses the first
-choice, or its strength is not the same everywhere, the search goes on from its first round without
-it. Where no alternative is believed, the decision on the first choice stands.
+is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where what the
+tests leave of several effects is not believed, each of them is left out in turn, and the set that
+is believed most is kept. Several effects often explain a gap almost equally well: where a test
+refuses the first choice, or its strength is not the same everywhere, the search goes on from its
+first round without it. Where no alternative is believed, the decision on the first choice stands.
 """
 
 from __future__ import annotations
@@ -82,6 +82,16 @@ class JudgedAcceptance:
     consistencies: Mapping[str, StrengthConsistency]
     tested: JudgedNames
 
+    @property
+    def believed(self) -> bool:
+        """Whether these effects are named."""
+        return bool(self.tested.effects) and self.tested.answers.believed
+
+    @property
+    def order(self) -> tuple[bool, float]:
+        """Grows with the belief in these effects."""
+        return self.believed, self.tested.answers.catalogue
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -151,13 +161,8 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
 
 
 def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) -> Decision:
-    kept = _judged(Acceptance(search, result), model)
-    tested = [kept.tested]
-    while len(kept.tested.effects) > 1 and not kept.tested.answers.believed:
-        fewer = [_judged(kept.acceptance.without(e), model) for e in kept.tested.effects]
-        fewer.sort(key=lambda judged: judged.tested.answers.catalogue)
-        kept = fewer[-1]
-        tested += [judged.tested for judged in fewer]
+    judged = _judged_sets(Acceptance(search, result), model)
+    kept, tested = judged[-1], tuple(j.tested for j in judged)
     result, answers, accepted = kept.acceptance.result, kept.tested.answers, kept.accepted
     verdict, left = gap_verdict(search, result, kept.consistencies, answers), 1.0
     if result.named:
@@ -167,7 +172,32 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
     if not result.named:
         left = float(verdict != "no gap")
     failed, consistencies = kept.acceptance.withheld, kept.consistencies
-    return Decision(result, accepted, failed, consistencies, tuple(tested), verdict, left)
+    return Decision(result, accepted, failed, consistencies, tested, verdict, left)
+
+
+def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
+    """Sets of the effects that were found, as tested and judged, the most believed one last.
+
+    All effects together first. Where what the tests leave of them is not believed each is left out
+    in turn, of the most believed rest again. Where that does not help either, the tests may have
+    taken out the right effect: the same begins with all effects, and a rest with one that was taken
+    out counts where it fits the trials better than what the tests left.
+    """
+    found = [_judged(acceptance.copy(), model)]
+    first = found[0].acceptance.copy()
+    left = set(first.result.named)
+    for whole in (first, acceptance):
+        while len(whole.result.named) > 1 and not any(j.believed for j in found):
+            rests = [whole.without(e) for e in whole.result.named]
+            judged = [_judged(rest.copy(), model) for rest in rests]
+            whole = max(zip(judged, rests, strict=True), key=lambda row: row[0].order)[1]
+            for row in judged:
+                result, known = row.acceptance.result, {j.tested.effects for j in found}
+                fits = set(result.named) <= left or result.after.cost < first.result.after.cost
+                if fits and row.tested.effects not in known:
+                    found.append(row)
+    best = max(found, key=lambda j: j.order)
+    return [*(j for j in found if j is not best), best]
 
 
 def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:

@@ -2,8 +2,8 @@
 
 The plant's own error resembles some effects more than others, and it grows with the change of the
 link since the plant was identified. How much was measured on rigs without any hidden effect, their
-link changed: `null_distribution.json`, written by `python -m bench.gap.calibrate`. An effect is
-named only beyond that.
+link changed: `null_distribution.json`, written by `python -m bench.gap.calibration.plant_error`. An
+effect is named only beyond that.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from bench.gap import calibrate
 from bench.gap.bench_kind import bench_configuration, bench_results, cases_of_run
+from bench.gap.calibration import plant_error
 from bench.gap.cases import BenchCase, draw_cases, mixed_cases
 from bench.gap.scores.result_predicates import is_link_effect
 from bench.gap.scores.rig_table import figures_by_rig, rig_figures, rig_table_text
@@ -172,10 +172,10 @@ def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):
 
 
 def test_nothing_is_calibrated_on_a_rig_for_tests(tmp_path, monkeypatch, capsys):
-    command = ["calibrate", "--out", str(tmp_path / "out"), "--rigs", "880", "--null", "21"]
+    command = ["plant_error", "--out", str(tmp_path / "out"), "--rigs", "880", "--null", "21"]
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit):
-        calibrate.main()
+        plant_error.main()
     assert "drawn_900" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

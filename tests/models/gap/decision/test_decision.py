@@ -142,15 +142,28 @@ def test_without_a_learned_floor_nothing_is_tried_again(decided):
     assert search.tried == ORDER[:1]
 
 
+COST = {"prebend": 9.0, "creep": 1.0}
+"""Cost that each effect takes away."""
+
+
 class PassingTests:
-    """Acceptance that passes everything, and takes out what it is told to."""
+    """Acceptance that passes everything, but for one effect beside others."""
+
+    blamed = None
 
     def __init__(self, search, result):
         self.search, self.result, self.withheld = search, result, None
         self.judged = SimpleNamespace(errors=None)
 
     def accepted(self):
+        if len(self.result.named) > 1:
+            self.result.named = [e for e in self.result.named if e != self.blamed]
+        cost = sum(COST[e] for e in COST if e not in self.result.named)
+        self.result.after = SimpleNamespace(cost=cost)
         return " + ".join(self.result.named)
+
+    def copy(self):
+        return PassingTests(self.search, replace(self.result, named=list(self.result.named)))
 
     def without(self, effect):
         named = [e for e in self.result.named if e != effect]
@@ -159,6 +172,22 @@ class PassingTests:
     def without_named(self, accepted, answers):
         self.result.named = []
         return "as given"
+
+
+def decide_with(monkeypatch, believed):
+    """Decision on two effects, where some sets of them are believed."""
+    chosen = [
+        Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
+    ]  # fmt: skip
+    result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
+    model = SimpleNamespace(answers=lambda evidence: BELIEVED if evidence in believed else DOUBTED)
+    monkeypatch.setattr(decision, "Acceptance", PassingTests)
+    monkeypatch.setattr(decision, "read_answer_model", lambda: model)
+    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
+    monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
+    monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[3].believed else "no")
+    monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
+    return decide(Search(), result)
 
 
 @pytest.mark.parametrize(
@@ -173,24 +202,24 @@ class PassingTests:
 def test_of_several_effects_that_are_not_believed_the_most_believed_may_stand(
     monkeypatch, believed, named
 ):
-    chosen = [
-        Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
-    ]  # fmt: skip
-    result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
-    model = SimpleNamespace(answers=lambda evidence: BELIEVED if evidence in believed else DOUBTED)
-    monkeypatch.setattr(decision, "Acceptance", PassingTests)
-    monkeypatch.setattr(decision, "read_answer_model", lambda: model)
-    monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
-    monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
-    monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[3].believed else "no")
-    monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
-    found = decide(Search(), result)
+    found = decide_with(monkeypatch, believed)
     assert found.result.named == named
     assert found.accepted == (" + ".join(named) or "as given")
     tested = [t.effects for t in found.tested]
-    assert tested[0] == ("prebend", "creep")
-    assert sorted(tested[1:]) == ([] if len(named) > 1 else [("creep",), ("prebend",)])
+    rests = [] if len(named) > 1 else [("creep",), ("prebend",)]
+    assert sorted(tested) == sorted([("prebend", "creep"), *rests])
     assert not named or tested[-1] == tuple(named), "the last one led to the verdict"
+
+
+@pytest.mark.parametrize(("blamed", "named"), [("prebend", ["prebend"]), ("creep", [])])
+def test_what_the_tests_took_out_is_named_where_it_fits_better_than_the_rest(
+    monkeypatch, blamed, named
+):
+    monkeypatch.setattr(PassingTests, "blamed", blamed)
+    found = decide_with(monkeypatch, [(blamed,)])
+    assert found.result.named == named
+    first = ("creep",) if blamed == "prebend" else ("prebend",)
+    assert [t.effects for t in found.tested] == [first, *([(blamed,)] if named else [])]
 
 
 def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):

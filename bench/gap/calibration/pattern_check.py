@@ -21,7 +21,7 @@ def left_out_residuals(rigs: Sequence[Mapping[str, Any]], patterns: int) -> Arra
     Parameters
     ----------
     rigs : sequence of mapping
-        Files of `bench.gap.calibrate.pattern_case`: rows and noise relative to the own error.
+        Files of `plant_error.pattern_case`: rows and noise relative to the own error.
     patterns : int
         Number of patterns; zero for none.
     """

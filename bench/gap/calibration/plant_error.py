@@ -1,6 +1,6 @@
 """Calibration of the gap workflow on rigs of drawn structure, without a gap.
 
-    python -m bench.gap.calibrate --out build/calibrate
+    python -m bench.gap.calibration.plant_error --out build/calibrate
 
 Each rig has its own structure and values (`models.rig.drawn_rig`) and a plant that is identified on
 its trials. Then the link's stiffness, mass and damping change a few times, and the nuisance is
@@ -25,9 +25,9 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from bench.gap.calibration.pattern_check import pattern_sentence
 from bench.gap.case_run import bench_trials
 from bench.gap.cases import NUISANCE
-from bench.gap.pattern_check import pattern_sentence
 from bench.gap.rig_plants import plant_of_rig, required_noise_floor
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
@@ -221,7 +221,7 @@ def _null_file(directory: str, rig: int, link: int, joints: int) -> Path:
 
 def _run(job: Callable[..., None], work: Sequence[tuple[Any, ...]]) -> None:
     """Do what is missing, on two processors."""
-    progress = Progress("bench.gap.calibrate", len(work))
+    progress = Progress("bench.gap.calibration.plant_error", len(work))
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         futures = [pool.submit(job, *arguments) for arguments in work]
         for future in as_completed(futures):

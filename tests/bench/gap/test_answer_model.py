@@ -6,12 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from bench.gap import calibrate_answers
-from bench.gap.calibrate_answers import fitted_model, labelled, loss_left_out
-from models.gap.decision.answers import Answers
+from bench.gap.calibration import answer_model, answer_tests
+from bench.gap.calibration.answer_model import fitted_model, left_out, loss
+from bench.gap.calibration.answer_tests import labelled, read_answer_tests, weights
+from models.gap.decision.answers import Answers, read_answer_model
 from models.gap.decision.evidence import Evidence
 
 KINDS = ("single", "null", "outside")
+IN_USE = answer_tests.PATH
 RIGS = ("drawn_1", "drawn_2", "drawn_3")
 
 
@@ -30,14 +32,17 @@ def evidence(kind, rng):
 def result(kind, rig, rng, hidden="creep", named="creep", separable=True, alike=()):
     effects = [] if kind == "null" else [named]
     return {
-        "case": {"kind": kind, "hidden": {} if kind == "null" else {hidden: 0.3}, "rig": rig},
+        "case": {
+            "kind": kind, "hidden": {} if kind == "null" else {hidden: 0.3}, "rig": rig,
+            "nuisance": {}, "seed": int(rng.integers(2**31)),
+        },
         "named": effects,
         "look_alikes": [[[e] for e in alike]],
         "separable": separable,
         "tested": [
             {"effects": effects, "evidence": msgspec.structs.asdict(evidence(kind, rng))},
         ],
-    }
+    }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +65,8 @@ def test_the_fitted_model_tells_the_kinds_apart(results):
 
 
 def test_a_rig_that_is_left_out_is_predicted_better_than_by_chance(results):
-    assert loss_left_out(labelled(results), 1.0) < np.log(3)
+    tests = labelled(results)
+    assert loss(tests, left_out(tests, 1.0)) < np.log(3)
 
 
 @pytest.mark.parametrize(
@@ -88,27 +94,46 @@ def test_tests_of_one_data_set_weigh_as_much_as_one_of_another():
     rng = np.random.default_rng(0)
     twice, once = (result("single", "drawn_1", rng) for _ in range(2))
     twice["tested"] *= 2
-    rows = labelled([twice, once])
-    assert rows[0].weight + rows[1].weight == pytest.approx(rows[2].weight)
+    first, second, third = weights(labelled([twice, once]))
+    assert first + second == pytest.approx(third) == pytest.approx(0.5)
 
 
-def test_rigs_for_tests_are_refused_and_nothing_is_written(monkeypatch, tmp_path, capsys):
-    file, rng = tmp_path / "answers.json", np.random.default_rng(0)
-    found = {"a": result("single", "drawn_900", rng)}
-    monkeypatch.setattr(calibrate_answers, "bench_results", lambda run: found)
-    monkeypatch.setattr(calibrate_answers, "PATH", file)
-    monkeypatch.setattr("sys.argv", ["calibrate_answers", str(tmp_path)])
+@pytest.fixture
+def files(monkeypatch, tmp_path):
+    """Files that the command writes, in place of the project's."""
+    monkeypatch.setattr(answer_model, "PATH", tmp_path / "answers.json")
+    monkeypatch.setattr(answer_tests, "PATH", tmp_path / "answer_tests.jsonl")
+    return tmp_path
+
+
+def calibrate(monkeypatch, results, *options):
+    monkeypatch.setattr(answer_model, "bench_results", lambda run: dict(enumerate(results)))
+    monkeypatch.setattr("sys.argv", ["answer_model", *options])
+    answer_model.main()
+
+
+def test_rigs_for_tests_are_refused_and_nothing_is_written(monkeypatch, files, capsys):
+    rng = np.random.default_rng(0)
     with pytest.raises(SystemExit):
-        calibrate_answers.main()
+        calibrate(monkeypatch, [result("single", "drawn_900", rng)], "run")
     assert "drawn_900 is for tests" in capsys.readouterr().err
-    assert not file.exists()
+    assert not list(files.iterdir())
 
 
-def test_what_was_fitted_is_written_and_its_quality_is_told(monkeypatch, tmp_path, capsys, results):
-    file = tmp_path / "answers.json"
-    monkeypatch.setattr(calibrate_answers, "bench_results", lambda run: dict(enumerate(results)))
-    monkeypatch.setattr(calibrate_answers, "PATH", file)
-    monkeypatch.setattr("sys.argv", ["calibrate_answers", str(tmp_path)])
-    calibrate_answers.main()
-    assert json.loads(file.read_text())["sets"] == len(results)
-    assert "nothing    said to be nothing 24" in capsys.readouterr().out
+def test_what_was_fitted_is_written_where_that_is_asked_for(monkeypatch, files, capsys, results):
+    calibrate(monkeypatch, results, "run")
+    assert not (files / "answers.json").exists()
+    assert len(read_answer_tests()) == len(results)
+    calibrate(monkeypatch, [], "--write")
+    assert json.loads((files / "answers.json").read_text())["sets"] == len(results)
+    assert "nothing    said to be nothing 24" in capsys.readouterr().out.split("other rigs")[-1]
+
+
+def test_the_coefficients_in_use_hold_on_rigs_that_they_were_not_fitted_to(monkeypatch):
+    monkeypatch.setattr(answer_tests, "PATH", IN_USE)
+    tests, model = read_answer_tests(), read_answer_model()
+    said = [msgspec.structs.asdict(model.answers(test.evidence)) for test in tests]
+    sure = [max(own, key=own.get) == t.answer for own, t in zip(said, tests, strict=True)
+            if max(own.values()) > 0.9]  # fmt: skip
+    assert len(sure) > 100 and np.mean(sure) > 0.9
+    assert loss(tests, [model.answers(test.evidence) for test in tests]) < 0.45
