@@ -46,6 +46,11 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def believed(self) -> bool:
+        """Whether what is named is likelier than either other answer."""
+        return self.catalogue > max(self.nothing, self.outside)
+
+    @property
+    def settled(self) -> bool:
         """Whether what is named is likelier than everything else together."""
         return self.catalogue > self.nothing + self.outside
 

@@ -88,6 +88,11 @@ class JudgedAcceptance:
         return bool(self.tested.effects) and self.tested.answers.believed
 
     @property
+    def settled(self) -> bool:
+        """Whether no other set of effects is looked for."""
+        return bool(self.tested.effects) and self.tested.answers.settled
+
+    @property
     def order(self) -> tuple[bool, float]:
         """Grows with the belief in these effects."""
         return self.believed, self.tested.answers.catalogue
@@ -178,7 +183,7 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
 def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
     """Sets of the effects that were found, as tested and judged, the most believed one last.
 
-    All effects together first. Where what the tests leave of them is not believed each is left out
+    All effects together first. Where what the tests leave of them is not settled each is left out
     in turn, of the most believed rest again. Where that does not help either, the tests may have
     taken out the right effect: the same begins with all effects, and a rest with one that was taken
     out counts where it fits the trials better than what the tests left.
@@ -187,7 +192,7 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
     first = found[0].acceptance.copy()
     left = set(first.result.named)
     for whole in (first, acceptance):
-        while len(whole.result.named) > 1 and not any(j.believed for j in found):
+        while len(whole.result.named) > 1 and not any(j.settled for j in found):
             rests = [whole.without(e) for e in whole.result.named]
             judged = [_judged(rest.copy(), model) for rest in rests]
             whole = max(zip(judged, rests, strict=True), key=lambda row: row[0].order)[1]

@@ -45,7 +45,7 @@ def gap_verdict(
 ) -> GapVerdict:
     """Verdict on a tested search.
 
-    What is named is believed where that is likelier than all else. The verdict is then "closed", or
+    What is named is believed where that is the likeliest answer. The verdict is then "closed", or
     "reduced" where more is left than noise explains. Else it is the likelier one of "no gap" and
     "not in the catalogue"; the latter only where something exceeds what noise reaches: the
     residual, a deviation that all trials share, or the d′ of an effect. Without a learned noise

@@ -51,6 +51,9 @@ def verdict_in_words(document: GapDocument) -> str:
         return (f"Reduced by {names}. " if names else "Nothing was named. ") + unexplained_in_words(
             document
         )
+    answers = document.answers
+    if answers is not None and answers.catalogue < DECIDED:
+        names += f" (probability {_percent(answers.catalogue)})" if names else ""
     return {
         "no gap": "No gap.",
         "closed": f"Closed by {names}.",

@@ -71,9 +71,19 @@ def test_a_gap_that_nothing_explains_is_not_nothing(answers):
     assert unexplained.outside > answers(NOISE).outside
 
 
-@pytest.mark.parametrize(("row", "believed"), [((0.1, 0.6, 0.3), True), ((0.3, 0.4, 0.3), False)])
-def test_believed_is_what_is_likelier_than_all_else(row, believed):
-    assert Answers(*row).believed is believed
+@pytest.mark.parametrize(
+    ("row", "believed", "settled"),
+    [
+        ((0.1, 0.6, 0.3), True, True),
+        ((0.3, 0.4, 0.3), True, False),
+        ((0.2, 0.4, 0.4), False, False),
+    ],
+)
+def test_believed_is_the_likeliest_answer_and_settled_what_is_likelier_than_all_else(
+    row, believed, settled
+):
+    answers = Answers(*row)
+    assert (answers.believed, answers.settled) == (believed, settled)
 
 
 def test_the_effect_that_stands_out_least_counts():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from models.gap.decision.answers import Answers
-from models.gap.report.gap_words import next_step_in_words, probabilities_in_words
+from models.gap.report.gap_words import next_step_in_words, probabilities_in_words, verdict_in_words
 
 
 def document(verdict, *named, answers=None, **probabilities):
@@ -48,3 +48,12 @@ def test_every_answer_has_its_probability_and_likely_effects_are_listed():
 def test_no_probability_is_said_to_be_certain():
     said = probabilities_in_words(document("closed", answers=Answers(0.0, 1.0, 0.0)))
     assert "99%" in said and "100%" not in said
+
+
+@pytest.mark.parametrize(
+    ("catalogue", "words"),
+    [(0.95, "Closed by creep."), (0.41, "Closed by creep (probability 41%).")],
+)
+def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
+    answers = Answers(0.95 - catalogue, catalogue, 0.05)
+    assert verdict_in_words(document("closed", "creep", answers=answers)) == words
