@@ -81,6 +81,7 @@ def run_bench_case(
             for effect in found.named
         },
         "equation_error": {e: read_equation_error().fraction(e) for e in found.named},
+        "sealed_tested": with_sealed,
         "sealed": sealed and sealed.in_noise_floors(plant, found.improved),
         "sealed_rms": sealed.rms(plant, found.improved) if sealed else {},
         "unsaid_bounds": unsaid_bounds(found),

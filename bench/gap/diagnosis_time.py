@@ -4,15 +4,13 @@
     python -m bench.gap.diagnosis_time --plant build/plant.json --out build/diagnosis_time
 
 Five payloads, two repetitions of each, with one joint and with two; nothing hidden, a clear effect,
-a faint one, and a pair. Wall time with the start of the interpreter, so it is told beside the
-load of the machine: `idle_fraction` is the part of the cores that nothing else used before.
+a faint one, and a pair. It is wall time with the start of the interpreter: run nothing beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import time
@@ -72,8 +70,7 @@ def main() -> None:
     parser.add_argument("--plant", type=Path, required=True, help="identified on the rig")
     parser.add_argument("--out", type=Path, required=True, help="directory of trials and results")
     args = parser.parse_args()
-    cores = os.cpu_count() or 1
-    figures: dict[str, object] = {"idle_fraction": max(1 - os.getloadavg()[0] / cores, 0.0)}
+    figures: dict[str, object] = {}
     progress = Progress("bench.gap.diagnosis_time", 2 * len(HIDDEN))
     for joints in (1, 2):
         times_s = {}

@@ -54,6 +54,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
     null = [r for r in possible if r["case"]["kind"] == "null"]
     pairs = [r for r in possible if r["case"]["kind"] == "pair"]
     outside = [r for r in possible if r["case"]["kind"] == "outside"]
+    sealed = [r for r in possible if r.get("sealed_tested", True)]
     could_be_named = [r for r in possible if r["case"]["kind"] != "outside"]
     clear = [r for r in single if is_clear(r)]
     link, servo = _by_group(single, link=True), _by_group(single, link=False)
@@ -83,8 +84,8 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         "brier": _brier(could_be_named),
         "reliability": bins,
         "reliability_off": largest_deviation(bins),
-        "worse": fraction_with_interval([_is_worse(r) for r in possible]),
-        "worse_than_plain": fraction_with_interval([_is_worse_than_plain(r) for r in possible]),
+        "worse": fraction_with_interval([_is_worse(r) for r in sealed]),
+        "worse_than_plain": fraction_with_interval([_is_worse_than_plain(r) for r in sealed]),
         "unsaid_bounds": fraction_with_interval([bool(r["unsaid_bounds"]) for r in possible]),
         "worst_rise": max((x for r in possible for x in _rises(r)), default=0.0),
     }

@@ -114,6 +114,12 @@ def test_a_plant_is_worse_from_five_percent_in_any_signal(after, worse):
     assert figures["worst_rise"] == pytest.approx(after - 1.0)
 
 
+def test_a_plant_that_no_sealed_trial_tested_is_not_counted_as_no_worse():
+    rows = [result({"creep": 0.3}, ["creep"], rms=(1.0, 2.0)) for _ in range(2)]
+    figures = rig_figures([rows[0], rows[1] | {"sealed_tested": False, "sealed_rms": {}}])
+    assert right_of(figures["worse"]) == (1, 1)
+
+
 @pytest.mark.parametrize(
     ("plain", "worse"), [((), True), ((1.0,), True), ((1.1,), False), ((0.5,), True)]
 )
