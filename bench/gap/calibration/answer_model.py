@@ -4,11 +4,11 @@
     python -m bench.gap.calibration.answer_model build/tuning_same …
 
 Each result of `bench.gap` tells what its diagnosis judged and with which evidence
-(`models.gap.decision.evidence`), and what was hidden. The tests of the runs replace those in
-`answer_tests.jsonl`; without a run these are taken. Logistic regressions of the truth on the
-evidence give the probabilities. Printed is how the coefficients in use do on the tests, and how new
-ones do on each rig when that rig is left out. With --write the new ones replace those in use
-(`models/gap/decision/answers.json`). No rig for tests may be among them.
+(`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
+`answer_tests.jsonl`; of a data set that is there already the new ones count. Logistic regressions
+of the truth on the evidence give the probabilities. Printed is how the coefficients in use do on
+the tests, and how new ones do on each rig when that rig is left out. With --write the new ones
+replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from bench.gap.calibration.answer_tests import (
     labelled,
     read_answer_tests,
     weights,
+    with_new,
     write_answer_tests,
 )
 from models.gap.decision.answers import (
@@ -129,8 +130,8 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="*", help="directories of bench.gap --out")
     parser.add_argument("--write", action="store_true", help="use the new coefficients")
     args = parser.parse_args()
-    tests = labelled(r for run in args.runs for r in bench_results(run).values())
-    tests = tests if args.runs else read_answer_tests()
+    new = labelled(r for run in args.runs for r in bench_results(run).values())
+    tests = with_new(read_answer_tests(), new)
     for rig in sorted({test.rig for test in tests}):
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for tests: nothing is set on it")

@@ -104,6 +104,18 @@ def weights(tests: Sequence[AnswerTest]) -> list[float]:
     return [KIND_WEIGHT[t.kind] / whole / sets[t.kind] / of_set[t.rig, t.data_set] for t in tests]
 
 
+def with_new(known: Sequence[AnswerTest], new: Sequence[AnswerTest]) -> list[AnswerTest]:
+    """Known tests and new ones; those of a data set that was diagnosed again are replaced.
+
+    Parameters
+    ----------
+    known, new : sequence of AnswerTest
+        Of the table, and of some results.
+    """
+    again = {(t.rig, t.data_set) for t in new}
+    return [*(t for t in known if (t.rig, t.data_set) not in again), *new]
+
+
 def read_answer_tests() -> list[AnswerTest]:
     """Tests of the table."""
     return msgspec.json.Decoder(AnswerTest).decode_lines(PATH.read_bytes())

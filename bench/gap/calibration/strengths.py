@@ -9,7 +9,7 @@ maximum likelihood for all effects, for those of a port, and for each effect; ea
 the more general one. The differences have more far outliers than a normal distribution: they are
 taken to follow Student's, and what is written is scaled so that 1.96 standard errors hold 95 %.
 
-The strengths of the runs replace those in `strengths.jsonl`; without a run these are fitted again.
+The strengths of the runs are added to those in `strengths.jsonl`; the same one found again counts.
 Written is `models/gap/equation_error.json`. Printed is how many strengths lie in their
 95 % interval when their rig is left out. No rig for tests may be among them.
 """
@@ -71,6 +71,11 @@ class FoundStrength(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     found: float
     hidden: float
     chance_error: float
+
+    @property
+    def hidden_in(self) -> tuple[str, str, float]:
+        """Rig, effect and hidden strength: no two data sets share them."""
+        return self.rig, self.effect, self.hidden
 
     @property
     def difference(self) -> float:
@@ -202,10 +207,10 @@ def main() -> None:
     )
     parser.add_argument("runs", type=Path, nargs="*", help="directories of bench.gap --out")
     args = parser.parse_args()
-    if args.runs:
-        strengths = found_strengths(r for run in args.runs for r in bench_results(run).values())
-    else:
-        strengths = msgspec.json.Decoder(FoundStrength).decode_lines(TABLE.read_bytes())
+    known = msgspec.json.Decoder(FoundStrength).decode_lines(TABLE.read_bytes())
+    new = found_strengths(r for run in args.runs for r in bench_results(run).values())
+    again = {s.hidden_in for s in new}
+    strengths = [*(s for s in known if s.hidden_in not in again), *new]
     for rig in sorted({s.rig for s in strengths}):
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for tests: nothing is set on it")

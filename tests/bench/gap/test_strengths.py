@@ -74,6 +74,7 @@ def files(monkeypatch, tmp_path):
     """Files that the command writes, in place of the project's."""
     monkeypatch.setattr(strengths, "PATH", tmp_path / "equation_error.json")
     monkeypatch.setattr(strengths, "TABLE", tmp_path / "strengths.jsonl")
+    (tmp_path / "strengths.jsonl").touch()
     return tmp_path
 
 
@@ -83,7 +84,8 @@ def test_rigs_for_tests_are_refused_and_nothing_is_written(monkeypatch, files, c
     with pytest.raises(SystemExit):
         strengths.main()
     assert "drawn_900 is for tests" in capsys.readouterr().err
-    assert not list(files.iterdir())
+    assert not (files / "equation_error.json").exists()
+    assert not (files / "strengths.jsonl").read_bytes()
 
 
 def test_the_errors_in_use_are_those_of_the_table(monkeypatch, files):
@@ -92,3 +94,15 @@ def test_the_errors_in_use_are_those_of_the_table(monkeypatch, files):
     strengths.main()
     written = (files / "equation_error.json").read_bytes()
     assert msgspec.json.decode(written, type=EquationError) == read_equation_error()
+
+
+def test_strengths_are_added_to_those_that_are_known_and_replace_the_same(monkeypatch, files):
+    for rigs in (("drawn_1", "drawn_2"), ("drawn_2", "drawn_3")):
+        found = {rig: result(rig) for rig in rigs}
+        monkeypatch.setattr(strengths, "bench_results", lambda run, found=found: found)
+        monkeypatch.setattr("sys.argv", ["strengths", "run"])
+        strengths.main()
+    rows = msgspec.json.Decoder(FoundStrength).decode_lines(
+        (files / "strengths.jsonl").read_bytes()
+    )
+    assert [row.rig for row in rows] == ["drawn_1", "drawn_2", "drawn_3"]
