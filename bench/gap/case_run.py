@@ -61,6 +61,7 @@ def run_bench_case(
         "chosen": [list(c.effects) for c in found.inclusions],
         "separation": [c.separation for c in found.inclusions],
         "hypotheses": [[h.effects, h.gain, h.least, h.probability] for h in found.hypotheses],
+        "effects": len(found.screened),
         "tested": msgspec.to_builtins(found.tested),
         "bias": found.nuisance_bias,
         "refused": [[r.effect, r.kind, r.name, r.value, r.limit] for r in found.refused],

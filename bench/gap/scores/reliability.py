@@ -28,9 +28,9 @@ WORDS: Final = {"tuning": "rigs for tuning", "test": "rigs for testing"}
 
 CAPTION: Final = (
     "Each point: effects that were said to be missing with a probability in one bin, and the\n"
-    "fraction of them that was hidden in the rig; cases in which the catalogue lacks the effect\n"
-    "do not count. Bars: 95 % intervals (Clopper–Pearson). Numbers: effects. Dashed: where the\n"
-    "probabilities are right; below it they are too high, above it too low."
+    "fraction of them that was hidden in the rig. A denied effect that nothing tells from its\n"
+    "stand-in does not count. Bars: 95 % intervals (Clopper–Pearson). Numbers: effects. Dashed:\n"
+    "where the probabilities are right; below it they are too high, above it too low."
 )
 
 LEAST_COUNT: Final = 20

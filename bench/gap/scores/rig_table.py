@@ -55,11 +55,11 @@ def rig_figures(results: Sequence[Result]) -> Figures:
     pairs = [r for r in possible if r["case"]["kind"] == "pair"]
     outside = [r for r in possible if r["case"]["kind"] == "outside"]
     sealed = [r for r in possible if r.get("sealed_tested", True)]
-    could_be_named = [r for r in possible if r["case"]["kind"] != "outside"]
+    decided = [r for r in possible if r["separable"]]
     clear = [r for r in single if is_clear(r)]
     link, servo = _by_group(single, link=True), _by_group(single, link=False)
     covered = [c for r in single if (c := is_strength_covered(r)) is not None]
-    bins = reliability_bins(_said(could_be_named))
+    bins = reliability_bins(_said(decided))
     return {
         "cases": len(possible),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in null]),
@@ -81,7 +81,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         "probable_right": fraction_with_interval(
             [right for probability, right in _said(possible) if probability >= 0.9]
         ),
-        "brier": _brier(could_be_named),
+        "brier": _brier(decided),
         "reliability": bins,
         "reliability_off": largest_deviation(bins),
         "worse": fraction_with_interval([_is_worse(r) for r in sealed]),

@@ -23,7 +23,7 @@ PATH: Final = Path(__file__).with_name("answers.json")
 Answer = Literal["nothing", "catalogue", "outside"]
 ANSWERS: Final = get_args(Answer)
 
-OF_A_GAP: Final = ("gap", "clearness", "bias")
+OF_A_GAP: Final = ("gap", "clearness", "bias", "nuisance")
 """Evidence that tells something outside of the catalogue from nothing."""
 
 
@@ -46,11 +46,6 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def believed(self) -> bool:
-        """Whether what is named is likelier than either other answer."""
-        return self.catalogue > max(self.nothing, self.outside)
-
-    @property
-    def settled(self) -> bool:
         """Whether what is named is likelier than everything else together."""
         return self.catalogue > self.nothing + self.outside
 

@@ -2,8 +2,8 @@
 
 The evidence for what the tests leave gives the probability that it is what is missing, that nothing
 is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where what the
-tests leave of several effects is not believed, each of them is left out in turn, and the set that
-is believed most is kept. Several effects often explain a gap almost equally well: where a test
+tests leave of several effects is not believed, each of them is left out in turn, and the largest
+set that is believed is kept. Several effects often explain a gap almost equally well: where a test
 refuses the first choice, or its strength is not the same everywhere, the search goes on from its
 first round without it. Where no alternative is believed, the decision on the first choice stands.
 """
@@ -25,6 +25,7 @@ from models.gap.decision.answers import (
     read_answer_model,
 )
 from models.gap.decision.evidence import Evidence, evidence_of
+from models.gap.decision.further_effect import FurtherEffect, further_effect_of
 from models.gap.decision.gap_verdict import (
     GapVerdict,
     consistencies_of_named,
@@ -54,11 +55,14 @@ class JudgedNames:
         For them.
     answers : Answers
         Probabilities of the evidence.
+    further : FurtherEffect, optional
+        What would explain most beside them.
     """
 
     effects: tuple[str, ...]
     evidence: Evidence
     answers: Answers
+    further: FurtherEffect | None = None
 
 
 @dataclass(frozen=True)
@@ -88,14 +92,9 @@ class JudgedAcceptance:
         return bool(self.tested.effects) and self.tested.answers.believed
 
     @property
-    def settled(self) -> bool:
-        """Whether no other set of effects is looked for."""
-        return bool(self.tested.effects) and self.tested.answers.settled
-
-    @property
-    def order(self) -> tuple[bool, float]:
-        """Grows with the belief in these effects."""
-        return self.believed, self.tested.answers.catalogue
+    def order(self) -> tuple[int, float]:
+        """Grows with the effects that are believed, then with the belief in them."""
+        return self.believed * len(self.tested.effects), self.tested.answers.catalogue
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,8 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
     judged = _judged_sets(Acceptance(search, result), model)
     kept, tested = judged[-1], tuple(j.tested for j in judged)
     result, answers, accepted = kept.acceptance.result, kept.tested.answers, kept.accepted
-    verdict, left = gap_verdict(search, result, kept.consistencies, answers), 1.0
+    further = kept.tested.further
+    verdict, left = gap_verdict(search, result, kept.consistencies, answers, further), 1.0
     if result.named:
         left = gap_left_fraction(search, result)
         if search.learned and not answers.believed:
@@ -181,10 +181,11 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
 
 
 def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
-    """Sets of the effects that were found, as tested and judged, the most believed one last.
+    """Sets of the effects that were found, as tested and judged, the largest believed one last.
 
-    All effects together first. Where what the tests leave of them is not settled each is left out
-    in turn, of the most believed rest again. Where that does not help either, the tests may have
+    All effects together first. Where what the tests leave of them is not believed each is left out
+    in turn, of the most believed rest again. Fewer effects are always likelier to be right: of the
+    believed sets the largest one counts. Where that does not help either, the tests may have
     taken out the right effect: the same begins with all effects, and a rest with one that was taken
     out counts where it fits the trials better than what the tests left.
     """
@@ -192,7 +193,7 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
     first = found[0].acceptance.copy()
     left = set(first.result.named)
     for whole in (first, acceptance):
-        while len(whole.result.named) > 1 and not any(j.settled for j in found):
+        while len(whole.result.named) > 1 and not any(j.believed for j in found):
             rests = [whole.without(e) for e in whole.result.named]
             judged = [_judged(rest.copy(), model) for rest in rests]
             whole = max(zip(judged, rests, strict=True), key=lambda row: row[0].order)[1]
@@ -213,11 +214,12 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
     """
     accepted, search, result = acceptance.accepted(), acceptance.search, acceptance.result
     consistencies = consistencies_of_named(search, result)
-    evidence = evidence_of(search, result, consistencies, acceptance.judged.errors)
+    further = further_effect_of(search, result)
+    evidence = evidence_of(search, result, consistencies, acceptance.judged.errors, further)
     answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
     if search.nuisance_bias(result.after):
         answers = answers.without_nothing()
-    tested = JudgedNames(tuple(result.named), evidence, answers)
+    tested = JudgedNames(tuple(result.named), evidence, answers, further)
     return JudgedAcceptance(acceptance, accepted, consistencies, tested)
 
 

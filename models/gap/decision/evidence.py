@@ -12,6 +12,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from models.gap.decision.further_effect import FurtherEffect
+from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.estimation.nuisance_bias import nuisance_biases
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
@@ -21,9 +23,6 @@ from models.gap.search.strength_consistency import StrengthConsistency
 LEAST_FRACTION: Final = 1e-2
 """Least fraction whose logarithm is taken: what is smaller proves no more."""
 
-LEAST_PROBABILITY: Final = 1e-12
-"""Least probability of differing strengths, likewise."""
-
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Evidence of a search whose result was tested (`models.gap.decision.acceptance`).
@@ -32,32 +31,39 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ----------
     named : float
         1 where the tests leave an effect, else 0.
-    gap, left : float
-        Logarithm of the mean squared residual over the largest that counts as noise
-        (`NullDistribution.explained`): with the nuisance refitted alone, and with what is named.
+    gap : float
+        Logarithm of the mean squared residual with the nuisance refitted alone, over the largest
+        that counts as noise (`NullDistribution.explained`).
     clearness : float
         Logarithm of d′ over the least d′: of the named effect that exceeds it least, or of the best
         candidate where nothing is named.
     difference : float
         Largest standard deviation of a named effect's strength between payloads, signals and
         frequencies, as a fraction of the strength.
-    contradiction : float
-        Largest −log10 of the probability that χ² gives to these differences.
     rise : float
         Logarithm of the largest ratio of a signal's held-out error to that of the plant as given.
     bias : float
         Logarithm of 1 + |z| of the largest variation that all trials share
         (`models.gap.estimation.nuisance_bias`), with what is named.
+    further : float
+        Logarithm of the d′ of the best further effect over the least one that speaks for more
+        (`models.gap.decision.further_effect`); 0 where nothing is named.
+    rival : float
+        Logarithm of the fraction of its part of the gap that another effect explains in place of a
+        named one, the largest; 0 where nothing is named.
+    nuisance : float
+        Logarithm of the mean squared nuisance, in standard deviations of its prior, refitted alone.
     """
 
     named: float
     gap: float
-    left: float
     clearness: float
     difference: float
-    contradiction: float
     rise: float
     bias: float
+    further: float
+    rival: float
+    nuisance: float
 
 
 FEATURES: Final = Evidence.__struct_fields__
@@ -69,6 +75,7 @@ def evidence_of(
     result: SearchResult,
     consistencies: Mapping[str, StrengthConsistency],
     errors: HeldOutErrors,
+    further: FurtherEffect | None,
 ) -> Evidence:
     """Evidence of a tested search.
 
@@ -82,20 +89,22 @@ def evidence_of(
         Of the named effects.
     errors : HeldOutErrors
         Of the fit with the named effects.
+    further : FurtherEffect, optional
+        Beside the named effects.
     """
     biases = nuisance_biases(search.fit_parameters, result.after, search.settings)
-    probability = min((c.probability for c in consistencies.values()), default=1.0)
     ratios = errors.ratios(search.held_out.given)
     explained = search.null_distribution.explained
     return Evidence(
         named=float(bool(result.named)),
         gap=_logarithm(search.mean_residual(result.before) / explained),
-        left=_logarithm(search.mean_residual(result.after) / explained),
         clearness=_logarithm(clearness_of(result)),
         difference=max((c.standard_deviation for c in consistencies.values()), default=0.0),
-        contradiction=-float(np.log10(max(probability, LEAST_PROBABILITY))),
         rise=_logarithm(max(ratios.values(), default=1.0)),
         bias=float(np.log1p(max((abs(z) for z in biases.values()), default=0.0))),
+        further=_logarithm(further.separation / further.least) if further else 0.0,
+        rival=_logarithm(rival_fraction(result)) if result.named else 0.0,
+        nuisance=_logarithm(_nuisance_square(search, result.before)),
     )
 
 
@@ -122,6 +131,35 @@ def clearness_by_effect(result: SearchResult) -> dict[str, float]:
         Of the effect search.
     """
     return {e: c.separation / c.least for c in result.chosen for e in c.effects}
+
+
+def rival_fraction(result: SearchResult) -> float:
+    """Fraction that another effect explains in place of a named one; see `Evidence.rival`.
+
+    The part of a named effect is the rise of the cost without it. Its rival was tried in its place
+    beside the rest.
+
+    Parameters
+    ----------
+    result : SearchResult
+        Of the effect search, with a named effect.
+    """
+    named = frozenset(result.named)
+    known: dict[frozenset[str], FitPoint] = {frozenset(): result.before, **result.explored}
+    found = [0.0]
+    for effects, point in result.explored.items():
+        rest = effects & named
+        if len(effects) == len(named) == len(rest) + 1 and rest in known:
+            part = known[rest].cost - result.after.cost
+            found.append((known[rest].cost - point.cost) / part if part > 0 else 0.0)
+    return max(found)
+
+
+def _nuisance_square(search: EffectSearch, point: FitPoint) -> float:
+    """Mean square of the nuisance in standard deviations of its prior."""
+    rows = zip(search.fit_parameters, point.values, strict=True)
+    z = [value / q.standard_deviation for q, value in rows if q.kind == "nuisance"]
+    return float(np.mean(np.square(z))) if z else 0.0
 
 
 def _logarithm(fraction: float) -> float:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from models.gap.decision.answers import Answers
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
@@ -42,11 +43,13 @@ def gap_verdict(
     result: SearchResult,
     consistencies: Mapping[str, StrengthConsistency],
     answers: Answers,
+    further: FurtherEffect | None,
 ) -> GapVerdict:
     """Verdict on a tested search.
 
     What is named is believed where that is the likeliest answer. The verdict is then "closed", or
-    "reduced" where more is left than noise explains. Else it is the likelier one of "no gap" and
+    "reduced" where more is left than noise explains, or a further effect would explain more than
+    noise and an error in the equations of those named. Else it is the likelier one of "no gap" and
     "not in the catalogue"; the latter only where something exceeds what noise reaches: the
     residual, a deviation that all trials share, or the d′ of an effect. Without a learned noise
     floor nobody knows what noise is: the verdict is "no floor", or "not in the catalogue" where
@@ -62,6 +65,8 @@ def gap_verdict(
         Of the named effects.
     answers : Answers
         Of the evidence for them.
+    further : FurtherEffect, optional
+        What would explain most beside them.
     """
     biased = bool(search.nuisance_bias(result.after))
     if not search.learned:
@@ -69,7 +74,8 @@ def gap_verdict(
         unlike_noise = not result.named and search.has_gap(result.before)
         return "not in the catalogue" if biased or differing or unlike_noise else "no floor"
     if result.named and answers.believed:
-        return "reduced" if biased or search.has_gap(result.after) else "closed"
+        more = further is not None and further.is_missing
+        return "reduced" if biased or more or search.has_gap(result.after) else "closed"
     beyond_noise = biased or search.has_gap(result.before) or bool(result.chosen)
     outside = beyond_noise and answers.outside > answers.nothing
     return "not in the catalogue" if outside else "no gap"

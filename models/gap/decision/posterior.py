@@ -96,13 +96,16 @@ def posterior_of(
 
 
 def _may_be_meant(effects: frozenset[str], result: SearchResult) -> bool:
-    """Whether a set holds the named effects, or nothing but them and their look-alikes."""
+    """Whether a set holds the named effects, or as many of them and their look-alikes.
+
+    Fewer do not count: the answer is that all that are named are missing.
+    """
     named = set(result.named)
-    if not named:
+    if not named or effects >= named:
         return True
     turns = [k for k, c in enumerate(result.chosen) if named & set(c.effects)]
     alike = {e for k in turns for a in look_alikes_of(result, k) for e in a.effects}
-    return effects >= named or effects <= named | alike
+    return len(effects) >= len(named) and effects <= named | alike
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:

@@ -1,17 +1,17 @@
 """Weights of sets of effects that explain the same trials.
 
-The weight of a set is exp(score / 2T): its score is the fall of twice the cost, less what its
-effects reach where nothing is missing (`models.gap.search.null_distribution`). The temperature T
-keeps the errors of the equations in: an equation that misses a fraction of the gap shifts the score
-of every set by a fraction of the gap's own, so T grows with the best score.
+The score of a set is the fall of twice the cost, less what its effects reach where nothing is
+missing (`models.gap.search.null_distribution`). A set that scores Δ less than the best one, whose
+score is S, weighs exp(−min(Δ / 2T, a √(Δ / S))). The first term is that of noise. The second keeps
+the errors of the equations in: an equation that misses a fraction ε of the gap, of size √S in noise
+floors, changes the difference of two scores by up to 2 ε √(S Δ), so Δ exceeds this by √(Δ / S) / 2ε
+times.
 
-Before the trials the number of missing effects is Poisson distributed with mean one, and every set
-of one number is equally likely: in a large catalogue of N effects each effect of a set then counts
-1/N. Without such a prior the many sets that add a useless effect to the right one outweigh it.
+Before the trials the number of missing effects is Poisson distributed, and every set of one number
+is equally likely: with a mean of m and a catalogue of N effects each effect of a set counts m / N.
+Without such a prior the many sets that add a useless effect to the right one outweigh it.
 
-The two temperatures were fitted to 32 data sets of ten rigs of drawn structure (`drawn_24` to
-`drawn_33`) by their logarithmic score; on 37 others the growth of 1/30 and 1/15 gave 1.19 and 1.23,
-any least temperature the same.
+`python -m bench.gap.calibration.weight_fit` fits a and m to diagnoses of rigs for tuning.
 """
 
 from __future__ import annotations
@@ -22,17 +22,25 @@ import numpy as np
 
 from models.gap.residuals.spectrum import Array
 
-LEAST_TEMPERATURE: Final = 1.5
-"""Temperature without a gap: a difference of d′ = 3 counts 20 to 1
-(`GapSettings.indistinguishable_separation`)."""
+NOISE_TEMPERATURE: Final = 1.5
+"""T: a difference of d′ = 3 counts 20 to 1 (`GapSettings.indistinguishable_separation`)."""
 
-TEMPERATURE_OF_GAP: Final = 1 / 15
-"""Growth of the temperature with the square of d′. Of 1/60, 1/30, 1/20, 1/15, 1/10 and 1/7 those
-from 1/15 on gave one Brier score; with less, an effect that corrects the first one's equation
-counted as missing in 4 of 32 data sets."""
+ODDS_OF_WHOLE_GAP: Final = 10.0
+"""a: logarithm of the odds between the best set and one that explains nothing. The loss is least at
+16 and 8 % larger at 10. The smaller value is taken: wrong first names scored up to 0.4 S more than
+the right ones, and the class of a name is to hold some of these."""
+
+MEAN_NUMBER: Final = 0.05
+"""m: of missing effects."""
 
 
-def set_weights(size: Array, score: Array, catalogue: int) -> Array:
+def set_weights(
+    size: Array,
+    score: Array,
+    catalogue: int,
+    odds: float = ODDS_OF_WHOLE_GAP,
+    mean: float = MEAN_NUMBER,
+) -> Array:
     """Weight of each of some sets that are not empty, relative to the heaviest, shape (n,).
 
     Parameters
@@ -43,7 +51,12 @@ def set_weights(size: Array, score: Array, catalogue: int) -> Array:
         Fall of twice the cost, less what it must reach.
     catalogue : int
         Effects that could be missing.
+    odds, mean : float
+        a and m of the module's text.
     """
-    temperature = LEAST_TEMPERATURE + TEMPERATURE_OF_GAP * max(float(score.max()), 0.0)
-    logarithm = score / (2 * temperature) - size * np.log(max(catalogue, 1))
+    best = float(score.max())
+    less = best - score
+    by_noise = less / (2 * NOISE_TEMPERATURE)
+    by_equation = odds * np.sqrt(less / max(best, 1.0))
+    logarithm = size * np.log(mean / max(catalogue, 1)) - np.minimum(by_noise, by_equation)
     return np.asarray(np.exp(logarithm - logarithm.max()))

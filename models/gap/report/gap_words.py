@@ -57,10 +57,21 @@ def verdict_in_words(document: GapDocument) -> str:
     return {
         "no gap": "No gap.",
         "closed": f"Closed by {names}.",
-        "reduced": f"Reduced by {names}; a residual above the noise floor is left.",
+        "reduced": f"Reduced by {names}; {_left_in_words(document)}.",
         "not in the catalogue": "The missing effect is not in the catalogue."
         + (f" {names.capitalize()} explains a part of it only." if names else ""),
     }[document.verdict]
+
+
+def _left_in_words(document: GapDocument) -> str:
+    """What is left beside the named effects."""
+    further = document.tested[-1].further if document.tested else None
+    if further is None or not further.is_missing:
+        return "a residual above the noise floor is left"
+    return (
+        f"what is left resembles {further.effect.replace('_', ' ')} (d′ {further.separation:.0f}; "
+        f"noise and errors of the named equations reach {further.least:.0f})"
+    )
 
 
 def unexplained_in_words(document: GapDocument) -> str:

@@ -148,7 +148,7 @@ def beyond_limits(
         not consistent.
     """
     beyond = 2 * candidate.gain - max(left, 1.0) * candidate.least**2
-    missed = _missed_by_earlier(found, settings)
+    missed = missed_by(found.chosen, settings)
     linear = [c for c in found.chosen if not set(c.effects) & set(found.unexcited)]
     doubt = settings.inconsistent_further_effect_fraction
     doubted = max(missed, sum((doubt * c.separation) ** 2 for c in linear))
@@ -168,9 +168,17 @@ def may_pass(candidate: Candidate, found: SearchResult, settings: GapSettings) -
         Tuned numbers.
     """
     reach = settings.refit_growth * 2 * max(candidate.gain, candidate.predicted)
-    return reach > candidate.least_on_same_link**2 + _missed_by_earlier(found, settings)
+    return reach > candidate.least_on_same_link**2 + missed_by(found.chosen, settings)
 
 
-def _missed_by_earlier(found: SearchResult, settings: GapSettings) -> float:
-    """Squared d′ that the equations which were included before may miss."""
-    return sum((c.missed_fraction(settings) * c.separation) ** 2 for c in found.chosen)
+def missed_by(chosen: Sequence[Candidate], settings: GapSettings) -> float:
+    """Squared d′ that the equations of included effects may miss.
+
+    Parameters
+    ----------
+    chosen : sequence of Candidate
+        Included.
+    settings : GapSettings
+        Tuned numbers.
+    """
+    return sum((c.missed_fraction(settings) * c.separation) ** 2 for c in chosen)

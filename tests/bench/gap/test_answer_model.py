@@ -23,9 +23,9 @@ def evidence(kind, rng):
         kind, (1.5, 0.5, 0.5)
     )
     return Evidence(
-        named=float(kind != "null"), gap=gap + 0.1 * rng.standard_normal(), left=-0.4,
-        clearness=clear + 0.3 * rng.standard_normal(), difference=abs(differs), contradiction=0.0,
-        rise=0.0, bias=0.5,
+        named=float(kind != "null"), gap=gap + 0.1 * rng.standard_normal(),
+        clearness=clear + 0.3 * rng.standard_normal(), difference=abs(differs),
+        rise=0.0, bias=0.5, further=-1.0, rival=-1.5, nuisance=2.0,
     )  # fmt: skip
 
 

@@ -146,22 +146,23 @@ def test_probabilities_are_scored_against_what_was_hidden():
     assert figures["probable_right"] == {**figures["probable_right"], "fraction": 0.5, "of": 2}
     assert figures["brier"] == pytest.approx((0.0 + 2.0) / 2)
     assert rig_figures([denied])["probable_right"]["fraction"] == 0.0
-    assert rig_figures([denied])["brier"] is None
+    assert rig_figures([denied])["brier"] == pytest.approx(1.0)
 
 
-def test_only_effects_that_could_be_named_count_as_reliable():
+def test_effects_that_have_a_true_answer_count_as_reliable():
     right = result({"creep": 0.3}, ["creep"]) | {"hypotheses": [[["creep"], 900.0, 20.0, 1.0]]}
     null = result({}, kind="null") | {"hypotheses": right["hypotheses"]}
     denied = result({"creep": 0.3}, kind="outside") | {"hypotheses": right["hypotheses"]}
+    alike = denied | {"separable": False}
     impossible = {"case": right["case"], "impossible": "the link folds"}
-    figures = rig_figures([right, right, null, denied, impossible, result({"creep": 0.3})])
+    figures = rig_figures([right, right, null, denied, alike, impossible, result({"creep": 0.3})])
     *lower, highest = figures["reliability"]
-    assert right_of(highest) == (2, 3)
+    assert right_of(highest) == (2, 4)
     assert highest["mean_probability"] == pytest.approx(1.0)
     assert not any(b["of"] for b in lower)
     table = rig_table_text({"default": figures})
     assert table.count("| reliability |") == 0
-    assert table.splitlines()[-1] == "| 0.97 to 1 | 2 of 3 |"
+    assert table.splitlines()[-1] == "| 0.97 to 1 | 2 of 4 |"
 
 
 def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):

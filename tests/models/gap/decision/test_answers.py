@@ -9,14 +9,14 @@ from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 
 NOISE = Evidence(
-    named=0.0, gap=-0.5, left=-0.5, clearness=-1.0, difference=0.0, contradiction=0.0,
-    rise=0.0, bias=0.5,
+    named=0.0, gap=-0.5, clearness=-1.0, difference=0.0,
+    rise=0.0, bias=0.5, further=0.0, rival=0.0, nuisance=1.5,
 )  # fmt: skip
 """Of trials without a gap."""
 
 EXPLAINED = Evidence(
-    named=1.0, gap=1.0, left=-0.4, clearness=2.0, difference=0.05, contradiction=0.0,
-    rise=0.0, bias=0.5,
+    named=1.0, gap=1.0, clearness=2.0, difference=0.05,
+    rise=0.0, bias=0.5, further=-1.0, rival=-2.0, nuisance=2.0,
 )  # fmt: skip
 """Of an effect that stands out, with one strength, and leaves noise."""
 
@@ -52,7 +52,7 @@ def test_an_effect_is_believed_the_more_the_clearer_it_stands_out(answers):
 
 
 def test_a_strength_that_differs_speaks_for_something_else(answers):
-    differing = answers(EXPLAINED, difference=0.6, contradiction=12.0)
+    differing = answers(EXPLAINED, difference=0.6)
     assert differing.outside > answers(EXPLAINED).outside
 
 
@@ -66,24 +66,27 @@ def test_a_name_that_does_not_fit_says_nothing_of_whether_anything_is_missing(an
 
 
 def test_a_gap_that_nothing_explains_is_not_nothing(answers):
-    unexplained = answers(NOISE, gap=1.5, left=1.5, bias=3.0)
+    unexplained = answers(NOISE, gap=1.5, bias=3.0)
     assert unexplained.nothing < answers(NOISE).nothing
     assert unexplained.outside > answers(NOISE).outside
 
 
 @pytest.mark.parametrize(
-    ("row", "believed", "settled"),
-    [
-        ((0.1, 0.6, 0.3), True, True),
-        ((0.3, 0.4, 0.3), True, False),
-        ((0.2, 0.4, 0.4), False, False),
-    ],
+    ("row", "believed"),
+    [((0.1, 0.6, 0.3), True), ((0.3, 0.4, 0.3), False), ((0.25, 0.5, 0.25), False)],
 )
-def test_believed_is_the_likeliest_answer_and_settled_what_is_likelier_than_all_else(
-    row, believed, settled
-):
-    answers = Answers(*row)
-    assert (answers.believed, answers.settled) == (believed, settled)
+def test_believed_is_what_is_likelier_than_all_else(row, believed):
+    assert Answers(*row).believed is believed
+
+
+def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):
+    """In place of the named one, or beside it."""
+    assert answers(EXPLAINED, rival=0.0).catalogue < answers(EXPLAINED).catalogue
+    assert answers(EXPLAINED, further=1.5).catalogue < answers(EXPLAINED).catalogue
+
+
+def test_a_nuisance_that_has_moved_far_speaks_for_a_gap(answers):
+    assert answers(NOISE, nuisance=5.0).nothing < answers(NOISE, nuisance=1.0).nothing
 
 
 def test_the_effect_that_stands_out_least_counts():

@@ -175,16 +175,18 @@ class PassingTests:
 
 
 def decide_with(monkeypatch, believed):
-    """Decision on two effects, where some sets of them are believed."""
+    """Decision on two effects, where some sets of them are believed, or have these answers."""
     chosen = [
         Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
     ]  # fmt: skip
     result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
-    model = SimpleNamespace(answers=lambda evidence: BELIEVED if evidence in believed else DOUBTED)
+    known = believed if isinstance(believed, dict) else dict.fromkeys(believed, BELIEVED)
+    model = SimpleNamespace(answers=lambda evidence: known.get(evidence, DOUBTED))
     monkeypatch.setattr(decision, "Acceptance", PassingTests)
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
     monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
+    monkeypatch.setattr(decision, "further_effect_of", lambda *of: None)
     monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[3].believed else "no")
     monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
     return decide(Search(), result)
@@ -211,6 +213,18 @@ def test_of_several_effects_that_are_not_believed_the_most_believed_may_stand(
     assert not named or tested[-1] == tuple(named), "the last one led to the verdict"
 
 
+@pytest.mark.parametrize(
+    ("both", "first", "named"),
+    [
+        (0.6, 0.98, ["prebend", "creep"]), (0.4, 0.98, ["prebend"]), (0.3, 0.45, []),
+    ],
+)  # fmt: skip
+def test_the_largest_set_that_is_likelier_than_all_else_is_named(monkeypatch, both, first, named):
+    rows = {("prebend", "creep"): both, ("prebend",): first}
+    answers = {e: Answers((1 - p) / 2, p, (1 - p) / 2) for e, p in rows.items()}
+    assert decide_with(monkeypatch, answers).result.named == named
+
+
 @pytest.mark.parametrize(("blamed", "named"), [("prebend", ["prebend"]), ("creep", [])])
 def test_what_the_tests_took_out_is_named_where_it_fits_better_than_the_rest(
     monkeypatch, blamed, named
@@ -228,6 +242,7 @@ def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
     monkeypatch.setattr(decision, "evidence_of", lambda *of: None)
+    monkeypatch.setattr(decision, "further_effect_of", lambda *of: None)
     found = decide(Search(bias=True), SearchResult(POINT, POINT))
     assert found.verdict == "not in the catalogue"
     assert found.answers == Answers(0.0, 0.04, pytest.approx(0.96))
