@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.report.gap_json import GapDocument, NamedEffect
 
@@ -65,13 +66,19 @@ def verdict_in_words(document: GapDocument) -> str:
 
 def _left_in_words(document: GapDocument) -> str:
     """What is left beside the named effects."""
-    further = document.tested[-1].further if document.tested else None
-    if further is None or not further.is_missing:
+    further = _further_missing(document)
+    if further is None:
         return "a residual above the noise floor is left"
     return (
         f"what is left resembles {further.effect.replace('_', ' ')} (d′ {further.separation:.0f}; "
         f"noise and errors of the named equations reach {further.least:.0f})"
     )
+
+
+def _further_missing(document: GapDocument) -> FurtherEffect | None:
+    """Effect that would explain more beside the named ones than noise and their equations miss."""
+    further = document.tested[-1].further if document.tested else None
+    return further if further is not None and further.is_missing else None
 
 
 def unexplained_in_words(document: GapDocument) -> str:
@@ -164,6 +171,12 @@ def next_step_in_words(document: GapDocument) -> str:
         return (
             f"These trials do not decide on {', '.join(undecided)}: python -m models experiment "
             "designs the motion that does."
+        )
+    further = _further_missing(document)
+    if further is not None:
+        return (
+            "Record another motion or payload: these trials do not decide whether "
+            f"{further.effect.replace('_', ' ')} is missing too."
         )
     if is_plant_as_given(document):
         return (
