@@ -5,16 +5,18 @@ from types import SimpleNamespace
 import pytest
 
 from models.gap.decision.answers import Answers
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.report.gap_words import next_step_in_words, probabilities_in_words, verdict_in_words
 
 
-def document(verdict, *named, answers=None, **probabilities):
+def document(verdict, *named, answers=None, further=None, **probabilities):
     return SimpleNamespace(
         verdict=verdict,
         named=[SimpleNamespace(kept=True, effect=effect) for effect in named],
         effect_probabilities=probabilities,
         answers=answers,
         refused=[],
+        tested=[SimpleNamespace(further=further)],
     )
 
 
@@ -25,6 +27,10 @@ def document(verdict, *named, answers=None, **probabilities):
         (document("not in the catalogue", creep=0.99), "Record another motion"),
         (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: python -m"),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
+        (
+            document("reduced", "creep", further=FurtherEffect("backlash", 40.0, 20.0), creep=0.97),
+            "whether backlash is missing too",
+        ),
         (document("no gap"), "Nothing"),
         (document("no gap", answers=Answers(0.95, 0.04, 0.01)), "Nothing"),
         (document("no gap", answers=Answers(0.7, 0.2, 0.1)), "a probability of 30% something"),
@@ -48,6 +54,18 @@ def test_every_answer_has_its_probability_and_likely_effects_are_listed():
 def test_no_probability_is_said_to_be_certain():
     said = probabilities_in_words(document("closed", answers=Answers(0.0, 1.0, 0.0)))
     assert "99%" in said and "100%" not in said
+
+
+@pytest.mark.parametrize(
+    ("separation", "words"),
+    [
+        (40.0, "what is left resembles backlash (d′ 40; noise and errors of the named equations"),
+        (19.0, "a residual above the noise floor is left"),
+    ],
+)
+def test_what_is_left_is_told_where_a_further_effect_would_explain_it(separation, words):
+    further = FurtherEffect("backlash", separation, 20.0)
+    assert words in verdict_in_words(document("reduced", "creep", further=further))
 
 
 @pytest.mark.parametrize(
