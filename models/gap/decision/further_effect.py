@@ -1,4 +1,4 @@
-"""What a further effect would explain beside the named ones.
+"""Further effect: the one that would explain most beside the named ones.
 
 A stand-in leaves a part of the gap that another effect would take up, and so does one of two
 missing effects. The search has tried every effect beside those that it included. What the best of

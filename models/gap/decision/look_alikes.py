@@ -2,7 +2,7 @@
 
 What one turn of the search could have included instead, by the posterior: the weights of all
 candidates that were refitted in that turn, an error in the named one's own equation allowed for by
-the temperature (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
+the weights (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
 """
 
 from __future__ import annotations
