@@ -112,10 +112,7 @@ def draw_cases(
     names = list(TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL)
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
-        nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
-        strengths = {e: _strength(rng, e, size) for e, size in hidden}
-        nuisance = {} if same_link else nuisance
-        return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig, joints)
+        return drawn_case(rng, kind, hidden, rig, same_link, joints)
 
     for _ in range(singles):
         for size in (1.0, 0.2):
@@ -125,6 +122,35 @@ def draw_cases(
         first, second = rng.choice(names, 2, replace=False).tolist()
         yield case("pair", (first, 1.0), (second, 1.0))
     yield from (case("outside", (str(rng.choice(names)), 1.0)) for _ in range(outside))
+
+
+def drawn_case(
+    rng: np.random.Generator,
+    kind: Kind,
+    hidden: Sequence[tuple[str, float]],
+    rig: str,
+    same_link: bool,
+    joints: int = 1,
+) -> BenchCase:
+    """Draw one case.
+
+    Parameters
+    ----------
+    rng : Generator
+        Of the draw.
+    kind : str
+        See `BenchCase`.
+    hidden : sequence of (str, float)
+        Effects, each with its size: 1 is about what matters (`TYPICAL`).
+    rig, joints
+        See `BenchCase`.
+    same_link : bool
+        Whether the link is the one that the plant was identified on.
+    """
+    nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
+    strengths = {e: _strength(rng, e, size) for e, size in hidden}
+    nuisance = {} if same_link else nuisance
+    return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig, joints)
 
 
 def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:

@@ -35,6 +35,7 @@ from bench.gap.calibration.answer_tests import (
 from models.gap.decision.answers import (
     ANSWERS,
     OF_A_GAP,
+    OF_NAMES,
     PATH,
     Answer,
     AnswerModel,
@@ -42,7 +43,6 @@ from models.gap.decision.answers import (
     Regression,
     read_answer_model,
 )
-from models.gap.decision.evidence import FEATURES
 from models.rig.drawn_rig import rig_purpose
 
 INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -61,7 +61,7 @@ def fitted_model(tests: Sequence[AnswerTest], inverse_penalty: float) -> AnswerM
     """
     return AnswerModel(
         sets=len(tests),
-        catalogue=_regression(tests, "catalogue", FEATURES, inverse_penalty),
+        catalogue=_regression(tests, "catalogue", OF_NAMES, inverse_penalty),
         outside=_regression(tests, "outside", OF_A_GAP, inverse_penalty),
     )
 

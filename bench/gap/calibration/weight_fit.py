@@ -28,8 +28,8 @@ from models.rig.drawn_rig import rig_purpose
 
 TABLE: Final = Path(__file__).with_name("explained_sets.jsonl")
 
-ODDS: Final = (4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
-MEANS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+ODDS: Final = (6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 24.0)
+MEANS: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Values that are tried."""
 
 LEAST_PROBABILITY: Final = 0.01

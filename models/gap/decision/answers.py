@@ -3,9 +3,10 @@
 Two logistic regressions on the evidence of a tested search (`models.gap.decision.evidence`) give
 the probabilities: whether the named effects are what is missing, and if not, whether anything is.
 A name that does not fit says nothing about the latter: where nothing is missing, the plant's own
-error bears names that fit as badly. The coefficients are fitted to diagnoses of rigs for tuning,
-whose hidden effects are known (`python -m bench.gap.calibration.answer_model`); `answers.json`
-holds them.
+error bears names that fit as badly. How far the nuisance moved says nothing about the former: a
+faint effect on an unchanged link moves it as little as no effect does. The coefficients are fitted
+to diagnoses of rigs for tuning, whose hidden effects are known
+(`python -m bench.gap.calibration.answer_model`); `answers.json` holds them.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ PATH: Final = Path(__file__).with_name("answers.json")
 
 Answer = Literal["nothing", "catalogue", "outside"]
 ANSWERS: Final = get_args(Answer)
+
+OF_NAMES: Final = ("named", "gap", "clearness", "difference", "rise", "further", "rival")
+"""Evidence that tells the missing effects from what stands in for them."""
 
 OF_A_GAP: Final = ("gap", "clearness", "bias", "nuisance")
 """Evidence that tells something outside of the catalogue from nothing."""
@@ -93,7 +97,7 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     sets : int
         Tests that they were fitted to.
     catalogue : Regression
-        Of the answer "catalogue", on all evidence.
+        Of the answer "catalogue", on what tells names from stand-ins (`OF_NAMES`).
     outside : Regression
         Of "outside" where the answer is not "catalogue", on what exceeds noise (`OF_A_GAP`).
     """

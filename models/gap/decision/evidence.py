@@ -66,10 +66,6 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nuisance: float
 
 
-FEATURES: Final = Evidence.__struct_fields__
-"""Names of the numbers, in order."""
-
-
 def evidence_of(
     search: EffectSearch,
     result: SearchResult,

@@ -25,12 +25,10 @@ from models.gap.residuals.spectrum import Array
 NOISE_TEMPERATURE: Final = 1.5
 """T: a difference of d′ = 3 counts 20 to 1 (`GapSettings.indistinguishable_separation`)."""
 
-ODDS_OF_WHOLE_GAP: Final = 10.0
-"""a: logarithm of the odds between the best set and one that explains nothing. The loss is least at
-16 and 8 % larger at 10. The smaller value is taken: wrong first names scored up to 0.4 S more than
-the right ones, and the class of a name is to hold some of these."""
+ODDS_OF_WHOLE_GAP: Final = 16.0
+"""a: logarithm of the odds between the best set and one that explains nothing."""
 
-MEAN_NUMBER: Final = 0.05
+MEAN_NUMBER: Final = 0.02
 """m: of missing effects."""
 
 

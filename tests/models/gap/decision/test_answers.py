@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from models.gap.decision.answers import OF_A_GAP, Answers, read_answer_model
-from models.gap.decision.evidence import FEATURES, Evidence, clearness_of
+from models.gap.decision.answers import OF_A_GAP, OF_NAMES, Answers, read_answer_model
+from models.gap.decision.evidence import Evidence, clearness_of
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 
@@ -30,7 +30,7 @@ def answers():
 
 def test_the_model_in_use_is_of_the_evidence_as_it_is_now():
     model = read_answer_model()
-    assert tuple(model.catalogue.coefficient) == FEATURES
+    assert tuple(model.catalogue.coefficient) == OF_NAMES
     assert tuple(model.outside.coefficient) == OF_A_GAP
 
 

@@ -31,7 +31,7 @@ def test_equal_candidates_are_look_alikes_at_any_size(separation):
 
 def test_the_error_of_an_equation_grows_with_the_gap():
     """The same difference of squares counts less beside a larger gap."""
-    small, large = np.hypot(10.0, 9.0), np.hypot(40.0, 9.0)
+    small, large = np.hypot(10.0, 6.0), np.hypot(40.0, 6.0)
     assert turn(creep=small, hysteresis=10.0) == []
     assert turn(creep=large, hysteresis=40.0) == ["hysteresis"]
 
