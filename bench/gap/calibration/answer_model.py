@@ -52,6 +52,9 @@ INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 def fitted_model(tests: Sequence[AnswerTest], inverse_penalty: float) -> AnswerModel:
     """Regressions of the answers on the evidence.
 
+    That of "outside" is of the data sets that hide nothing, or an effect that the catalogue lacks:
+    a wrong name for one that it has tells nothing of these.
+
     Parameters
     ----------
     tests : sequence of AnswerTest
@@ -62,22 +65,18 @@ def fitted_model(tests: Sequence[AnswerTest], inverse_penalty: float) -> AnswerM
     return AnswerModel(
         sets=len(tests),
         catalogue=_regression(tests, "catalogue", OF_NAMES, inverse_penalty),
-        outside=_regression(tests, "outside", OF_A_GAP, inverse_penalty),
-    )
+        outside=_regression(
+            [test for test in tests if test.kind in ("null", "outside")],
+            "outside", OF_A_GAP, inverse_penalty,
+        ),
+    )  # fmt: skip
 
 
 def _regression(
     tests: Sequence[AnswerTest], answer: Answer, names: Sequence[str], inverse_penalty: float
 ) -> Regression:
-    """Regression of one answer on some evidence; its coefficients are not standardised.
-
-    That of "outside" is of the tests whose answer is not "catalogue".
-    """
-    rows = [
-        (test, weight)
-        for test, weight in zip(tests, weights(tests), strict=True)
-        if answer == "catalogue" or test.answer != "catalogue"
-    ]
+    """Regression of one answer on some evidence; its coefficients are not standardised."""
+    rows = list(zip(tests, weights(tests), strict=True))
     features = np.array([[getattr(test.evidence, name) for name in names] for test, _ in rows])
     weight = np.array([weight for _, weight in rows])
     scaler, fit = StandardScaler(), LogisticRegression(C=inverse_penalty, max_iter=2000)

@@ -99,7 +99,8 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     catalogue : Regression
         Of the answer "catalogue", on what tells names from stand-ins (`OF_NAMES`).
     outside : Regression
-        Of "outside" where the answer is not "catalogue", on what exceeds noise (`OF_A_GAP`).
+        Of "outside" where the catalogue holds nothing that is missing, on what exceeds noise
+        (`OF_A_GAP`).
     """
 
     sets: int
