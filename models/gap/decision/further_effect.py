@@ -3,8 +3,8 @@
 A stand-in leaves a part of the gap that another effect would take up, and so does one of two
 missing effects. The search has tried every effect beside those that it included. What the best of
 them explains is held against what noise and an error in the equations of the named effects reach.
-Measured on diagnoses of rigs for tuning: 12 of 15 stand-ins for a denied effect left more, 9 of 11
-pairs of which one was named, and 2 of 21 sets of right names.
+Measured on diagnoses of rigs for tuning: 14 of 17 stand-ins for a denied effect left more, all 11
+pairs of which one was named, and 41 of 139 right names of the only missing effect.
 """
 
 from __future__ import annotations
