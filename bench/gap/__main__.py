@@ -16,56 +16,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
-from bench.gap.bench_kind import KIND, MODULE, bench_configuration, cases_of_run
+from bench.gap.bench_kind import cases_of_run
+from bench.gap.benchmark_run import run_benchmark
 from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
-from bench.gap.rig_plants import plant_of_rig
 from bench.gap.scores.rig_table import rig_table_text
 from bench.gap.scores.summary_files import write_bench_summary
 from firmware_py.errors import InputError
-from hil.campaign.campaign_cases import CaseMaker
-from hil.campaign.campaign_run import RunCounts, run_campaign_cases
-from hil.campaign.engines.engine import Engine
-from hil.campaign.engines.process_engine import ProcessEngine
-from hil.campaign.result_store import ResultStore
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_structure import named_structures
-
-
-def run_benchmark(
-    cases: Iterable[BenchCase],
-    plant: Path | None,
-    out: Path,
-    engine: Engine | None = None,
-    sealed: bool = True,
-) -> RunCounts:
-    """Run cases that have no valid result.
-
-    Parameters
-    ----------
-    cases : iterable of BenchCase
-        Drawn by `draw_cases`.
-    plant : Path or None
-        Identified without effects; None for one of each case's own rig.
-    out : Path
-        Directory of the results.
-    engine : Engine, optional
-        Of `hil.campaign.engines`; two processes by default.
-    sealed : bool
-        Whether improved plants are tested on sealed trials.
-    """
-    wanted, store = list(cases), ResultStore(out)
-    robots = sorted({(c.rig, c.joints) for c in wanted})
-    plants = {(r, joints): plant or plant_of_rig(r, out / "plants", joints) for r, joints in robots}
-    maker = CaseMaker(KIND, MODULE, store.shared)
-    made = maker.cases(
-        (bench_configuration(c, plants[c.rig, c.joints], sealed) for c in wanted), "bench.gap"
-    )
-    made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
-    with store.locked():
-        return run_campaign_cases(made, maker, store, engine or ProcessEngine(2, out / "logs"))
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.gap.__main__ import run_benchmark
+from bench.gap.benchmark_run import run_benchmark
 from bench.gap.cases import TYPICAL, BenchCase, Kind, drawn_case
 from models.rig.drawn_rig import rig_purpose
 
@@ -29,7 +29,14 @@ FAINT_SIZE: Final = 0.4
 
 
 def tuning_cases(
-    rig: str, usual: int, faint: int, nulls: int, pairs: int, outside: int, seed: int, same: bool
+    rig: str,
+    usual: int,
+    faint: int,
+    nulls: int,
+    pairs: int,
+    outside: int,
+    seed: int,
+    same_link: bool,
 ) -> Iterator[BenchCase]:
     """Draw the cases of one rig.
 
@@ -43,13 +50,13 @@ def tuning_cases(
         Without an effect, with two, and with one that the catalogue is denied.
     seed : int
         Of the draw.
-    same : bool
+    same_link : bool
         Whether the link is the one that the plant was identified on.
     """
     rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
-        return drawn_case(rng, kind, hidden, rig, same)
+        return drawn_case(rng, kind, hidden, rig, same_link)
 
     names = rng.permutation(list(TYPICAL)).tolist()
     yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])

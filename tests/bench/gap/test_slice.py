@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from bench.gap.__main__ import run_benchmark
+from bench.gap.benchmark_run import run_benchmark
 from bench.gap.cases import draw_cases
 from bench.gap.scores.score_summary import benchmark_figures
 from hil.campaign.case_worker import run_task

@@ -9,7 +9,7 @@ COUNTS = {"usual": 12, "faint": 10, "nulls": 2, "pairs": 2, "outside": 3}
 
 
 def test_faint_effects_are_fainter_than_usual_ones_and_each_is_of_another_name():
-    cases = list(tuning_cases("drawn_1", **COUNTS, seed=3, same=False))
+    cases = list(tuning_cases("drawn_1", **COUNTS, seed=3, same_link=False))
     singles = [c for c in cases if c.kind == "single" and "current_saturation" not in c.hidden]
     names = [e for c in singles for e in c.hidden]
     sizes = [abs(v) / TYPICAL[e] for c in singles for e, v in c.hidden.items()]
@@ -20,7 +20,7 @@ def test_faint_effects_are_fainter_than_usual_ones_and_each_is_of_another_name()
 
 
 def test_the_own_link_changes_in_no_case():
-    assert not any(c.nuisance for c in tuning_cases("drawn_1", **COUNTS, seed=3, same=True))
+    assert not any(c.nuisance for c in tuning_cases("drawn_1", **COUNTS, seed=3, same_link=True))
 
 
 def test_a_rig_for_tests_is_refused(monkeypatch, capsys, tmp_path):

@@ -1,0 +1,49 @@
+"""Run of the benchmark's cases, as a campaign: what has a valid result is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from bench.gap.bench_kind import KIND, MODULE, bench_configuration
+from bench.gap.cases import BenchCase
+from bench.gap.rig_plants import plant_of_rig
+from hil.campaign.campaign_cases import CaseMaker
+from hil.campaign.campaign_run import RunCounts, run_campaign_cases
+from hil.campaign.engines.engine import Engine
+from hil.campaign.engines.process_engine import ProcessEngine
+from hil.campaign.result_store import ResultStore
+
+
+def run_benchmark(
+    cases: Iterable[BenchCase],
+    plant: Path | None,
+    out: Path,
+    engine: Engine | None = None,
+    sealed: bool = True,
+) -> RunCounts:
+    """Run cases that have no valid result.
+
+    Parameters
+    ----------
+    cases : iterable of BenchCase
+        Drawn by `draw_cases`.
+    plant : Path or None
+        Identified without effects; None for one of each case's own rig.
+    out : Path
+        Directory of the results.
+    engine : Engine, optional
+        Of `hil.campaign.engines`; two processes by default.
+    sealed : bool
+        Whether improved plants are tested on sealed trials.
+    """
+    wanted, store = list(cases), ResultStore(out)
+    robots = sorted({(c.rig, c.joints) for c in wanted})
+    plants = {(r, joints): plant or plant_of_rig(r, out / "plants", joints) for r, joints in robots}
+    maker = CaseMaker(KIND, MODULE, store.shared)
+    made = maker.cases(
+        (bench_configuration(c, plants[c.rig, c.joints], sealed) for c in wanted), "bench.gap"
+    )
+    made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
+    with store.locked():
+        return run_campaign_cases(made, maker, store, engine or ProcessEngine(2, out / "logs"))
