@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from bench.gap.benchmark_run import run_benchmark
-from bench.gap.cases import TYPICAL, BenchCase, Kind, drawn_case
+from bench.gap.cases import TYPICAL, TYPICAL_OF_TWO_JOINTS, BenchCase, Kind, drawn_case
 from models.rig.drawn_rig import rig_purpose
 
 USUAL_SIZE: Final = 1.0
@@ -37,6 +37,7 @@ def tuning_cases(
     outside: int,
     seed: int,
     same_link: bool,
+    joints: int = 1,
 ) -> Iterator[BenchCase]:
     """Draw the cases of one rig.
 
@@ -52,20 +53,23 @@ def tuning_cases(
         Of the draw.
     same_link : bool
         Whether the link is the one that the plant was identified on.
+    joints : int
+        Driven joints, 1 or 2.
     """
     rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
-        return drawn_case(rng, kind, hidden, rig, same_link)
+        return drawn_case(rng, kind, hidden, rig, same_link, joints)
 
-    names = rng.permutation(list(TYPICAL)).tolist()
+    catalogue = list(TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL)
+    names = rng.permutation(catalogue).tolist()
     yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])
     yield from (case("single", (e, FAINT_SIZE)) for e in names[usual : usual + faint])
     yield from (case("null") for _ in range(nulls))
     for _ in range(pairs):
-        first, second = rng.choice(list(TYPICAL), 2, replace=False).tolist()
+        first, second = rng.choice(catalogue, 2, replace=False).tolist()
         yield case("pair", (first, USUAL_SIZE), (second, USUAL_SIZE))
-    drawn = (str(rng.choice(list(TYPICAL))) for _ in range(outside))
+    drawn = (str(rng.choice(catalogue)) for _ in range(outside))
     yield from (case("outside", (effect, USUAL_SIZE)) for effect in drawn)
 
 
@@ -83,13 +87,15 @@ def main() -> None:
     add("--nulls", type=int, default=1, help="data sets without an effect")
     add("--pairs", type=int, default=1, help="data sets with two effects")
     add("--outside", type=int, default=1, help="effect denied to the catalogue")
+    add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     add("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args()
     for rig in args.rigs:
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for tests: nothing is set on it")
     counts = args.usual, args.faint, args.nulls, args.pairs, args.outside
-    cases = [c for r in args.rigs for c in tuning_cases(r, *counts, args.seed, args.same_link)]
+    links = args.seed, args.same_link, args.joints
+    cases = [c for rig in args.rigs for c in tuning_cases(rig, *counts, *links)]
     ran = run_benchmark(cases, None, args.out, sealed=False).ran
     if lost := sum(ran.values()) - ran.get("done", 0):
         print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)

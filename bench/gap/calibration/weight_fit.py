@@ -7,8 +7,10 @@ The posterior shares the probability of the catalogue among sets of effects
 (`models.gap.decision.set_weights`). Tried are some values of its two numbers; each is judged by the
 negative logarithm of the probability that it gives to what was hidden in the rig, over all effects.
 The sets of the runs are added to those in `explained_sets.jsonl`. Printed is the loss of each
-pair of values: the least ones are to stand in `models/gap/decision/set_weights.py`. No rig for
-tests may be among the runs.
+pair of values, marked where it is within a standard error of the least one (one-standard-error
+rule, Hastie, Tibshirani and Friedman 2009, section 7.10). Of those the pair of the least odds, then
+the largest mean, is the least sure: what is fitted to few rigs is too sure of others. The pair in
+use stands in `models/gap/decision/set_weights.py`. No rig for tests may be among the runs.
 """
 
 from __future__ import annotations
@@ -116,6 +118,28 @@ def losses(found: Sequence[ExplainedSets]) -> dict[tuple[float, float], float]:
     return {pair: float(np.mean([row.loss(*pair) for row in found])) for pair in pairs}
 
 
+def excess_errors(
+    found: Sequence[ExplainedSets], least: tuple[float, float]
+) -> dict[tuple[float, float], float]:
+    """Standard error of each pair's mean loss beyond that of the least one; rigs are independent.
+
+    Parameters
+    ----------
+    found : sequence of ExplainedSets
+        Of rigs for tuning.
+    least : tuple of float
+        Pair of the least mean loss.
+    """
+    result = {}
+    for pair in ((odds, mean) for odds in ODDS for mean in MEANS):
+        by_rig: dict[str, float] = defaultdict(float)
+        for row in found:
+            by_rig[row.rig] += row.loss(*pair) - row.loss(*least)
+        spread = float(np.std(list(by_rig.values())))
+        result[pair] = spread * float(np.sqrt(len(by_rig))) / len(found)
+    return result
+
+
 def read_explained_sets() -> list[ExplainedSets]:
     """Sets of the table."""
     return msgspec.json.Decoder(ExplainedSets).decode_lines(TABLE.read_bytes())
@@ -140,8 +164,13 @@ def main() -> None:
     print(f"{len(found)} data sets; in use: odds {ODDS_OF_WHOLE_GAP:g}, mean {MEAN_NUMBER:g}")
     tried = losses(found)
     print("odds, mean: " + "".join(f"{mean:8g}" for mean in MEANS))
+    least = min(tried, key=lambda pair: tried[pair])
+    error = excess_errors(found, least)
+    near = {pair for pair, own in tried.items() if own - tried[least] <= error[pair]}
     for odds in ODDS:
-        print(f"{odds:10g}: " + "".join(f"{tried[odds, mean]:8.3f}" for mean in MEANS))
+        cells = [(f"{tried[odds, m]:.3f}", "*" if (odds, m) in near else " ") for m in MEANS]
+        print(f"{odds:10g}: " + "".join(f"{value:>7s}{mark}" for value, mark in cells))
+    print("* within a standard error of the least loss")
 
 
 if __name__ == "__main__":

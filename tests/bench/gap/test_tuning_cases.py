@@ -23,6 +23,16 @@ def test_the_own_link_changes_in_no_case():
     assert not any(c.nuisance for c in tuning_cases("drawn_1", **COUNTS, seed=3, same_link=True))
 
 
+def test_two_joints_may_hide_the_coupling_of_their_planes():
+    drawn = [tuning_cases("drawn_1", 26, 0, 0, 0, 0, s, True, joints=2) for s in range(2)]
+    cases = [case for own in drawn for case in own]
+    assert {case.joints for case in cases} == {2}
+    assert any("cross_axis_coupling" in case.hidden for case in cases)
+    assert all(
+        case.joints == 1 for case in tuning_cases("drawn_1", **COUNTS, seed=3, same_link=True)
+    )
+
+
 def test_a_rig_for_tests_is_refused(monkeypatch, capsys, tmp_path):
     given = ["tuning_cases", "--rigs", "drawn_901", "--out", str(tmp_path / "out")]
     monkeypatch.setattr("sys.argv", given)

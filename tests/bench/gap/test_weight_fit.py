@@ -7,6 +7,7 @@ import pytest
 from bench.gap.calibration import weight_fit
 from bench.gap.calibration.weight_fit import (
     ExplainedSets,
+    excess_errors,
     explained_sets,
     losses,
     read_explained_sets,
@@ -39,6 +40,23 @@ def test_where_a_useless_effect_is_never_missing_the_least_mean_loses_least():
 def test_the_loss_is_of_the_probability_of_each_effect():
     row = explained(creep=1000.0, hysteresis=1000.0)
     assert row.loss(8.0, 0.05) == pytest.approx(2 * np.log(2))
+
+
+def test_a_pair_that_loses_alike_on_every_rig_is_told_from_the_least_one():
+    """The error is that of the excess: what all rigs share does not count."""
+    rows = [
+        msgspec.structs.replace(explained(creep=1000.0, hysteresis=700.0), rig=f"drawn_{k}")
+        for k in range(1, 5)
+    ]
+    least = weight_fit.ODDS[-1], 0.05
+    error = excess_errors(rows, least)
+    assert error[least] == 0.0
+    assert error[weight_fit.ODDS[0], 0.05] == pytest.approx(0.0, abs=1e-12)
+    differing = [
+        *rows[:2],
+        *(msgspec.structs.replace(r, missing=("hysteresis",)) for r in rows[2:]),
+    ]
+    assert excess_errors(differing, least)[weight_fit.ODDS[0], 0.05] > 0.0
 
 
 def result(**changed):
