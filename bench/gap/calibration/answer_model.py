@@ -5,18 +5,19 @@
 
 Each result of `bench.gap` tells what its diagnosis judged and with which evidence
 (`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
-`answer_tests.jsonl`; of a data set that is there already the new ones count. Logistic regressions
-of the truth on the evidence give the probabilities. Printed is how the coefficients in use do on
-the tests, and how new ones do on each rig when that rig is left out. With --write the new ones
-replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
+`answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
+regressions of the truth on the evidence give the probabilities. Printed is how the coefficients in
+use do on the tests, and how new ones do on each rig when that rig is left out. With --write the new
+ones replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 import msgspec
 import numpy as np
@@ -32,93 +33,139 @@ from bench.gap.calibration.answer_tests import (
     with_new,
     write_answer_tests,
 )
+from bench.gap.cases import Kind
 from models.gap.decision.answers import (
-    ANSWERS,
     OF_A_GAP,
     OF_NAMES,
     PATH,
     Answer,
     AnswerModel,
-    Answers,
     Regression,
     read_answer_model,
 )
 from models.rig.drawn_rig import rig_purpose
 
 INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Of the regression's coefficients; the one with the least loss on rigs left out is taken."""
+"""Of a regression's coefficients; the one with the least loss on rigs left out is taken."""
+
+MORE_THAN_HALF: Final = 0.5
+"""Probability beyond which the answer is said."""
 
 
-def fitted_model(tests: Sequence[AnswerTest], inverse_penalty: float) -> AnswerModel:
-    """Regressions of the answers on the evidence.
+@dataclass(frozen=True)
+class Question:
+    """What one regression answers.
 
-    That of "outside" is of the data sets that hide nothing, or an effect that the catalogue lacks:
-    a wrong name for one that it has tells nothing of these.
+    Attributes
+    ----------
+    answer : str
+        Its probability is fitted.
+    names : tuple of str
+        Evidence that it is fitted to.
+    kinds : tuple of str
+        Data sets that count.
+    """
+
+    answer: Answer
+    names: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+
+    def rows(self, tests: Sequence[AnswerTest]) -> list[AnswerTest]:
+        """Tests that count, where all evidence was measured.
+
+        Parameters
+        ----------
+        tests : sequence of AnswerTest
+            Of any kinds.
+        """
+        return [
+            test
+            for test in tests
+            if test.kind in self.kinds
+            and all(getattr(test.evidence, name) is not None for name in self.names)
+        ]
+
+
+OF_NAMES_ASKED: Final = Question("catalogue", OF_NAMES, get_args(Kind))
+OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"))
+"""Something outside is told from nothing by the data sets that hide nothing, or an effect that the
+catalogue lacks: a wrong name for one that it has tells nothing of these."""
+
+
+def fitted_regression(
+    tests: Sequence[AnswerTest], question: Question, inverse_penalty: float
+) -> Regression:
+    """Regression of one answer on its evidence; its coefficients are not standardised.
 
     Parameters
     ----------
     tests : sequence of AnswerTest
-        To be fitted to.
+        To be fitted to, of any kinds.
+    question : Question
+        What is asked.
     inverse_penalty : float
         Of the coefficients of standardised evidence.
     """
-    return AnswerModel(
-        sets=len(tests),
-        catalogue=_regression(tests, "catalogue", OF_NAMES, inverse_penalty),
-        outside=_regression(
-            [test for test in tests if test.kind in ("null", "outside")],
-            "outside", OF_A_GAP, inverse_penalty,
-        ),
-    )  # fmt: skip
-
-
-def _regression(
-    tests: Sequence[AnswerTest], answer: Answer, names: Sequence[str], inverse_penalty: float
-) -> Regression:
-    """Regression of one answer on some evidence; its coefficients are not standardised."""
-    rows = list(zip(tests, weights(tests), strict=True))
-    features = np.array([[getattr(test.evidence, name) for name in names] for test, _ in rows])
-    weight = np.array([weight for _, weight in rows])
+    rows = question.rows(tests)
+    features = np.array([[getattr(t.evidence, name) for name in question.names] for t in rows])
+    weight = np.array(weights(rows))
     scaler, fit = StandardScaler(), LogisticRegression(C=inverse_penalty, max_iter=2000)
     scaled = scaler.fit_transform(features)
-    fit.fit(scaled, [test.answer == answer for test, _ in rows], weight / weight.mean())
+    fit.fit(scaled, [test.answer == question.answer for test in rows], weight / weight.mean())
     slope = fit.coef_[0] / scaler.scale_
     return Regression(
         intercept=round(float(fit.intercept_[0] - slope @ scaler.mean_), 4),
-        coefficient={n: round(float(c), 4) for n, c in zip(names, slope, strict=True)},
+        coefficient={n: round(float(c), 4) for n, c in zip(question.names, slope, strict=True)},
     )
 
 
-def left_out(tests: Sequence[AnswerTest], inverse_penalty: float) -> list[Answers]:
-    """Answers to each test by a model without its rig.
+def left_out(
+    tests: Sequence[AnswerTest], question: Question, inverse_penalty: float
+) -> list[float]:
+    """Probability of the answer in each test that counts, by a regression without its rig.
 
     Parameters
     ----------
-    tests : sequence of AnswerTest
-        To be fitted to.
-    inverse_penalty : float
-        See `fitted_model`.
+    tests, question, inverse_penalty
+        See `fitted_regression`.
     """
-    rigs = {test.rig for test in tests}
+    rows = question.rows(tests)
     models = {
-        rig: fitted_model([test for test in tests if test.rig != rig], inverse_penalty)
-        for rig in rigs
+        rig: fitted_regression([t for t in rows if t.rig != rig], question, inverse_penalty)
+        for rig in {test.rig for test in rows}
     }
-    return [models[test.rig].answers(test.evidence) for test in tests]
+    return [models[test.rig].probability(test.evidence) for test in rows]
 
 
-def loss(tests: Sequence[AnswerTest], answers: Sequence[Answers]) -> float:
-    """Mean negative logarithm of the true answer's probability.
+def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequence[float]) -> float:
+    """Mean negative logarithm of the probability of what is true.
 
     Parameters
     ----------
-    tests : sequence of AnswerTest
-        Of any rigs.
-    answers : sequence of Answers
-        To each of them.
+    tests, question
+        See `fitted_regression`.
+    probabilities : sequence of float
+        Of the answer in each test that counts.
     """
-    right = [getattr(own, test.answer) for test, own in zip(tests, answers, strict=True)]
-    return float(-np.array(weights(tests)) @ np.log(right))
+    rows = question.rows(tests)
+    right = [
+        p if test.answer == question.answer else 1 - p
+        for test, p in zip(rows, probabilities, strict=True)
+    ]
+    return float(-np.array(weights(rows)) @ np.log(right))
+
+
+def fitted(tests: Sequence[AnswerTest], question: Question) -> tuple[Regression, list[float]]:
+    """Regression with the penalty of the least loss, and what it says of rigs that are left out.
+
+    Parameters
+    ----------
+    tests, question
+        See `fitted_regression`.
+    """
+    said = {c: left_out(tests, question, c) for c in INVERSE_PENALTIES}
+    best = min(said, key=lambda c: loss(tests, question, said[c]))
+    return fitted_regression(tests, question, best), said[best]
 
 
 def main() -> None:
@@ -134,31 +181,39 @@ def main() -> None:
     for rig in sorted({test.rig for test in tests}):
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for tests: nothing is set on it")
-    losses = {c: loss(tests, left_out(tests, c)) for c in INVERSE_PENALTIES}
-    best = min(losses, key=lambda c: losses[c])
     data_sets = len({(test.rig, test.data_set) for test in tests})
     print(f"{data_sets} data sets, {len(tests)} tests")
     in_use = read_answer_model()
-    print(f"coefficients in use, fitted to {in_use.sets} tests")
-    print(_confusion(tests, [in_use.answers(test.evidence) for test in tests]))
-    print(f"fitted to the other rigs, penalty 1 / {best:g}")
-    print(_confusion(tests, left_out(tests, best)))
+    names, said_of_names = fitted(tests, OF_NAMES_ASKED)
+    gap, said_of_gaps = fitted(tests, OF_A_GAP_ASKED)
+    print(_told(tests, OF_NAMES_ASKED, in_use.catalogue, said_of_names))
+    print(_told(tests, OF_A_GAP_ASKED, in_use.outside, said_of_gaps))
     write_answer_tests(tests)
     if args.write:
-        fitted = msgspec.json.encode(fitted_model(tests, best))
-        PATH.write_bytes(msgspec.json.format(fitted, indent=1))
+        model = AnswerModel(sets=len(tests), catalogue=names, outside=gap)
+        PATH.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=1))
 
 
-def _confusion(tests: Sequence[AnswerTest], answers: Sequence[Answers]) -> str:
-    """Loss, and table of the true answer by the likeliest one."""
-    count = {(true, said): 0 for true in ANSWERS for said in ANSWERS}
-    for test, own in zip(tests, answers, strict=True):
-        count[test.answer, max(ANSWERS, key=lambda a: getattr(own, a))] += 1
-    lines = [f"  loss {loss(tests, answers):.3f}"]
-    lines += [
-        f"  {true:10s} said to be " + ", ".join(f"{said} {count[true, said]}" for said in ANSWERS)
-        for true in ANSWERS
-    ]
+def _told(
+    tests: Sequence[AnswerTest], question: Question, in_use: Regression, said: Sequence[float]
+) -> str:
+    """How the coefficients in use do on a question, and new ones on rigs that are left out."""
+    rows = question.rows(tests)
+    lines = [f"{question.answer}, {len(rows)} tests"]
+    known = [in_use.probability(test.evidence) for test in rows]
+    for title, own in (("in use", known), ("left out", said)):
+        right = [
+            test.kind
+            for test, p in zip(rows, own, strict=True)
+            if (p > MORE_THAN_HALF) == (test.answer == question.answer)
+        ]
+        counts = [
+            f"{kind} {right.count(kind)} of {sum(test.kind == kind for test in rows)}"
+            for kind in question.kinds
+        ]
+        lines.append(
+            f"  {title:8s} loss {loss(tests, question, own):.3f}, right: {', '.join(counts)}"
+        )
     return "\n".join(lines)
 
 

@@ -3,9 +3,10 @@
 Two logistic regressions on the evidence of a tested search (`models.gap.decision.evidence`) give
 the probabilities: whether the named effects are what is missing, and if not, whether anything is.
 A name that does not fit says nothing about the latter: where nothing is missing, the plant's own
-error bears names that fit as badly. How far the nuisance moved says nothing about the former: a
-faint effect on an unchanged link moves it as little as no effect does. The coefficients are fitted
-to diagnoses of rigs for tuning, whose hidden effects are known
+error bears names that fit as badly. Currents and tip count apart there: what a changed link adds to
+the plant's own error is at the tip rather than in the currents. How far the nuisance moved says
+nothing about the former: a faint effect on an unchanged link moves it as little as no effect does.
+The coefficients are fitted to diagnoses of rigs for tuning, whose hidden effects are known
 (`python -m bench.gap.calibration.answer_model`); `answers.json` holds them.
 """
 
@@ -27,7 +28,7 @@ ANSWERS: Final = get_args(Answer)
 OF_NAMES: Final = ("named", "gap", "clearness", "difference", "rise", "further", "rival")
 """Evidence that tells the missing effects from what stands in for them."""
 
-OF_A_GAP: Final = ("gap", "clearness", "bias", "nuisance")
+OF_A_GAP: Final = ("clearness", "servo", "tip")
 """Evidence that tells something outside of the catalogue from nothing."""
 
 

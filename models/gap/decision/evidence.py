@@ -14,7 +14,6 @@ import numpy as np
 
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.estimation.nuisance_bias import nuisance_biases
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.held_out_errors import HeldOutErrors
@@ -42,17 +41,16 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         frequencies, as a fraction of the strength.
     rise : float
         Logarithm of the largest ratio of a signal's held-out error to that of the plant as given.
-    bias : float
-        Logarithm of 1 + |z| of the largest variation that all trials share
-        (`models.gap.estimation.nuisance_bias`), with what is named.
     further : float
         Logarithm of the d′ of the best further effect over the least one that speaks for more
         (`models.gap.decision.further_effect`); 0 where nothing is named.
     rival : float
         Logarithm of the fraction of its part of the gap that another effect explains in place of a
         named one, the largest; 0 where nothing is named.
-    nuisance : float
-        Logarithm of the mean squared nuisance, in standard deviations of its prior, refitted alone.
+    servo, tip : float, optional
+        Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
+        the servos' currents and of the tip. None in tests of names that do not need it
+        (`bench.gap.calibration`).
     """
 
     named: float
@@ -60,10 +58,10 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clearness: float
     difference: float
     rise: float
-    bias: float
     further: float
     rival: float
-    nuisance: float
+    servo: float | None = None
+    tip: float | None = None
 
 
 def evidence_of(
@@ -88,7 +86,6 @@ def evidence_of(
     further : FurtherEffect, optional
         Beside the named effects.
     """
-    biases = nuisance_biases(search.fit_parameters, result.after, search.settings)
     ratios = errors.ratios(search.held_out.given)
     explained = search.null_distribution.explained
     return Evidence(
@@ -97,10 +94,10 @@ def evidence_of(
         clearness=_logarithm(clearness_of(result)),
         difference=max((c.standard_deviation for c in consistencies.values()), default=0.0),
         rise=_logarithm(max(ratios.values(), default=1.0)),
-        bias=float(np.log1p(max((abs(z) for z in biases.values()), default=0.0))),
         further=_logarithm(further.separation / further.least) if further else 0.0,
         rival=_logarithm(rival_fraction(result)) if result.named else 0.0,
-        nuisance=_logarithm(_nuisance_square(search, result.before)),
+        servo=_logarithm(signal_residual(search, result.before, "current_")),
+        tip=_logarithm(signal_residual(search, result.before, "tip_")),
     )
 
 
@@ -151,11 +148,26 @@ def rival_fraction(result: SearchResult) -> float:
     return max(found)
 
 
-def _nuisance_square(search: EffectSearch, point: FitPoint) -> float:
-    """Mean square of the nuisance in standard deviations of its prior."""
-    rows = zip(search.fit_parameters, point.values, strict=True)
-    z = [value / q.standard_deviation for q, value in rows if q.kind == "nuisance"]
-    return float(np.mean(np.square(z))) if z else 0.0
+def signal_residual(search: EffectSearch, point: FitPoint, prefix: str) -> float:
+    """Mean squared residual of some signals, in noise floors; 1 where none was measured.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    point : FitPoint
+        With the nuisance refitted alone.
+    prefix : str
+        Of the names of the signals.
+    """
+    found = [
+        rows[:, [name.startswith(prefix) for name in group.signals]].ravel()
+        for group, rows in zip(
+            search.first.residuals.groups, search.first.whitened(point.rows), strict=True
+        )
+    ]
+    values = np.concatenate(found)
+    return float(np.mean(values**2)) if len(values) else 1.0
 
 
 def _logarithm(fraction: float) -> float:

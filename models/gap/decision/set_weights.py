@@ -11,7 +11,9 @@ Before the trials the number of missing effects is Poisson distributed, and ever
 is equally likely: with a mean of m and a catalogue of N effects each effect of a set counts m / N.
 Without such a prior the many sets that add a useless effect to the right one outweigh it.
 
-`python -m bench.gap.calibration.weight_fit` fits a and m to diagnoses of rigs for tuning.
+`python -m bench.gap.calibration.weight_fit` tries values of a and m on diagnoses of rigs for
+tuning. Of the pairs whose loss is within a standard error of the least one that of the least a,
+then the largest m, is taken: the least sure of the best set.
 """
 
 from __future__ import annotations
@@ -25,10 +27,10 @@ from models.gap.residuals.spectrum import Array
 NOISE_TEMPERATURE: Final = 1.5
 """T: a difference of d′ = 3 counts 20 to 1 (`GapSettings.indistinguishable_separation`)."""
 
-ODDS_OF_WHOLE_GAP: Final = 16.0
+ODDS_OF_WHOLE_GAP: Final = 12.0
 """a: logarithm of the odds between the best set and one that explains nothing."""
 
-MEAN_NUMBER: Final = 0.02
+MEAN_NUMBER: Final = 0.05
 """m: of missing effects."""
 
 

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 from bench.gap.calibration import answer_model, answer_tests
-from bench.gap.calibration.answer_model import fitted_model, left_out, loss
+from bench.gap.calibration.answer_model import (
+    OF_A_GAP_ASKED,
+    OF_NAMES_ASKED,
+    fitted_regression,
+    left_out,
+    loss,
+)
 from bench.gap.calibration.answer_tests import labelled, read_answer_tests, weights
-from models.gap.decision.answers import Answers, read_answer_model
+from models.gap.decision.answers import read_answer_model
 from models.gap.decision.evidence import Evidence
 
 KINDS = ("single", "null", "outside")
@@ -25,7 +31,8 @@ def evidence(kind, rng):
     return Evidence(
         named=float(kind != "null"), gap=gap + 0.1 * rng.standard_normal(),
         clearness=clear + 0.3 * rng.standard_normal(), difference=abs(differs),
-        rise=0.0, bias=0.5, further=-1.0, rival=-1.5, nuisance=2.0,
+        rise=0.0, further=-1.0, rival=-1.5,
+        servo=gap, tip=gap,
     )  # fmt: skip
 
 
@@ -51,22 +58,29 @@ def results():
     return [result(kind, rig, rng) for rig in RIGS for kind in KINDS for _ in range(8)]
 
 
-def test_the_fitted_model_tells_the_kinds_apart(results):
-    rows = labelled(results)
-    model, rng = fitted_model(rows, 1.0), np.random.default_rng(1)
-    likely = {
-        kind: max(
-            msgspec.structs.asdict(model.answers(evidence(kind, rng))).items(), key=lambda r: r[1]
-        )[0]
-        for kind in KINDS
-    }
-    assert likely == {"single": "catalogue", "null": "nothing", "outside": "outside"}
-    assert isinstance(model.answers(rows[0].evidence), Answers)
+def test_each_regression_tells_what_it_is_asked(results):
+    rows, rng = labelled(results), np.random.default_rng(1)
+    names = fitted_regression(rows, OF_NAMES_ASKED, 1.0)
+    gap = fitted_regression(rows, OF_A_GAP_ASKED, 1.0)
+    of = {kind: evidence(kind, rng) for kind in KINDS}
+    assert names.probability(of["single"]) > 0.5
+    assert max(names.probability(of[kind]) for kind in ("null", "outside")) < 0.5
+    assert gap.probability(of["null"]) < 0.5 < gap.probability(of["outside"])
 
 
-def test_a_rig_that_is_left_out_is_predicted_better_than_by_chance(results):
+@pytest.mark.parametrize("question", [OF_NAMES_ASKED, OF_A_GAP_ASKED])
+def test_a_rig_that_is_left_out_is_predicted_better_than_by_chance(results, question):
     tests = labelled(results)
-    assert loss(tests, left_out(tests, 1.0)) < np.log(3)
+    assert loss(tests, question, left_out(tests, question, 1.0)) < np.log(2)
+
+
+def test_a_gap_is_asked_only_where_its_evidence_was_measured(results):
+    rows = labelled(results)
+    bare = msgspec.structs.replace(
+        rows[0], kind="null", evidence=msgspec.structs.replace(rows[0].evidence, servo=None)
+    )
+    assert OF_A_GAP_ASKED.rows([bare]) == [] and OF_NAMES_ASKED.rows([bare]) == [bare]
+    assert {test.kind for test in OF_A_GAP_ASKED.rows(rows)} == {"null", "outside"}
 
 
 @pytest.mark.parametrize(
@@ -129,14 +143,18 @@ def test_what_was_fitted_is_written_where_that_is_asked_for(monkeypatch, files, 
     assert len(read_answer_tests()) == len(results), "those of a data set are replaced"
     calibrate(monkeypatch, [], "--write")
     assert json.loads((files / "answers.json").read_text())["sets"] == len(results)
-    assert "nothing    said to be nothing 24" in capsys.readouterr().out.split("other rigs")[-1]
+    assert "null 24 of 24, outside 24 of 24" in capsys.readouterr().out.split("left out")[-1]
 
 
 def test_the_coefficients_in_use_hold_on_rigs_that_they_were_not_fitted_to(monkeypatch):
     monkeypatch.setattr(answer_tests, "PATH", IN_USE)
     tests, model = read_answer_tests(), read_answer_model()
-    said = [msgspec.structs.asdict(model.answers(test.evidence)) for test in tests]
-    sure = [max(own, key=own.get) == t.answer for own, t in zip(said, tests, strict=True)
-            if max(own.values()) > 0.9]  # fmt: skip
-    assert len(sure) > 100 and np.mean(sure) > 0.9
-    assert loss(tests, [model.answers(test.evidence) for test in tests]) < np.log(3) / 2
+    for question, regression in (
+        (OF_NAMES_ASKED, model.catalogue), (OF_A_GAP_ASKED, model.outside),
+    ):  # fmt: skip
+        rows = question.rows(tests)
+        said = [regression.probability(test.evidence) for test in rows]
+        sure = [(p > 0.5) == (test.answer == question.answer)
+                for p, test in zip(said, rows, strict=True) if abs(p - 0.5) > 0.4]  # fmt: skip
+        assert len(sure) > 50 and np.mean(sure) > 0.9
+        assert loss(tests, question, said) < np.log(2) / 1.5

@@ -10,13 +10,15 @@ from models.gap.search.candidate import Candidate, SearchResult
 
 NOISE = Evidence(
     named=0.0, gap=-0.5, clearness=-1.0, difference=0.0,
-    rise=0.0, bias=0.5, further=0.0, rival=0.0, nuisance=1.5,
+    rise=0.0, further=0.0, rival=0.0,
+    servo=0.0, tip=0.0,
 )  # fmt: skip
 """Of trials without a gap."""
 
 EXPLAINED = Evidence(
     named=1.0, gap=1.0, clearness=2.0, difference=0.05,
-    rise=0.0, bias=0.5, further=-1.0, rival=-2.0, nuisance=2.0,
+    rise=0.0, further=-1.0, rival=-2.0,
+    servo=1.0, tip=1.0,
 )  # fmt: skip
 """Of an effect that stands out, with one strength, and leaves noise."""
 
@@ -65,8 +67,9 @@ def test_a_name_that_does_not_fit_says_nothing_of_whether_anything_is_missing(an
     assert bad.outside / bad.nothing == pytest.approx(good.outside / good.nothing)
 
 
-def test_a_gap_that_nothing_explains_is_not_nothing(answers):
-    unexplained = answers(NOISE, gap=1.5, bias=3.0)
+@pytest.mark.parametrize("part", ["servo", "tip"])
+def test_a_residual_beyond_noise_is_not_nothing(answers, part):
+    unexplained = answers(NOISE, **{part: 2.0})
     assert unexplained.nothing < answers(NOISE).nothing
     assert unexplained.outside > answers(NOISE).outside
 
@@ -83,10 +86,6 @@ def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):
     """In place of the named one, or beside it."""
     assert answers(EXPLAINED, rival=0.0).catalogue < answers(EXPLAINED).catalogue
     assert answers(EXPLAINED, further=1.5).catalogue < answers(EXPLAINED).catalogue
-
-
-def test_a_nuisance_that_has_moved_far_speaks_for_a_gap(answers):
-    assert answers(NOISE, nuisance=5.0).nothing < answers(NOISE, nuisance=1.0).nothing
 
 
 def test_the_effect_that_stands_out_least_counts():
