@@ -6,9 +6,10 @@
 Each result of `bench.gap` tells what its diagnosis judged and with which evidence
 (`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
 `answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
-regressions of the truth on the evidence give the probabilities. Printed is how the coefficients in
-use do on the tests, and how new ones do on each rig when that rig is left out. With --write the new
-ones replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
+regressions of the truth on the evidence give the probabilities. Extreme evidence is rare and proves
+no more than usual one: all but d′ counts within bounds. Printed is how the coefficients in use do
+on the tests, and how new ones do on each rig when that rig is left out. With --write the new ones
+replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
 """
 
 from __future__ import annotations
@@ -47,6 +48,13 @@ from models.rig.drawn_rig import rig_purpose
 
 INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Of a regression's coefficients; the one with the least loss on rigs left out is taken."""
+
+TAILS: Final = (0.0, 0.1, 0.2)
+"""Fractions of the tests on either side whose evidence counts as no more extreme than that of the
+rest; the one with the least loss on rigs left out is taken."""
+
+WITHOUT_BOUNDS: Final = ("named", "clearness")
+"""Evidence that counts in full: however large d′ is, a larger one is less likely noise."""
 
 MORE_THAN_HALF: Final = 0.5
 """Probability beyond which the answer is said."""
@@ -92,9 +100,52 @@ OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"))
 catalogue lacks: a wrong name for one that it has tells nothing of these."""
 
 
-def fitted_regression(
-    tests: Sequence[AnswerTest], question: Question, inverse_penalty: float
-) -> Regression:
+@dataclass(frozen=True)
+class Shape:
+    """How a regression is fitted.
+
+    Attributes
+    ----------
+    inverse_penalty : float
+        Of the coefficients of standardised evidence.
+    tail : float
+        Fraction of the tests beyond either bound of an evidence; without bounds where it is 0.
+    """
+
+    inverse_penalty: float = 1.0
+    tail: float = 0.0
+
+
+SHAPES: Final = [Shape(c, tail) for c in INVERSE_PENALTIES for tail in TAILS]
+
+
+def bounds(
+    rows: Sequence[AnswerTest], question: Question, tail: float
+) -> dict[str, tuple[float, float]]:
+    """Least and largest value of each evidence that counts.
+
+    They are quantiles of the tests in which the evidence is not 0, which is said where there is
+    nothing to tell.
+
+    Parameters
+    ----------
+    rows : sequence of AnswerTest
+        That count (`Question.rows`).
+    question : Question
+        What is asked.
+    tail : float
+        See `Shape`.
+    """
+    found = {}
+    for name in question.names if tail else ():
+        values = [value for test in rows if (value := getattr(test.evidence, name))]
+        if name not in WITHOUT_BOUNDS and values:
+            low, high = np.quantile(values, [tail, 1 - tail])
+            found[name] = (round(float(low), 4), round(float(high), 4))
+    return found
+
+
+def fitted_regression(tests: Sequence[AnswerTest], question: Question, shape: Shape) -> Regression:
     """Regression of one answer on its evidence; its coefficients are not standardised.
 
     Parameters
@@ -103,35 +154,39 @@ def fitted_regression(
         To be fitted to, of any kinds.
     question : Question
         What is asked.
-    inverse_penalty : float
-        Of the coefficients of standardised evidence.
+    shape : Shape
+        How it is fitted.
     """
     rows = question.rows(tests)
-    features = np.array([[getattr(t.evidence, name) for name in question.names] for t in rows])
+    within = bounds(rows, question, shape.tail)
+    columns = [
+        np.clip([getattr(t.evidence, name) for t in rows], *within.get(name, (-np.inf, np.inf)))
+        for name in question.names
+    ]
+    features = np.column_stack(columns)
     weight = np.array(weights(rows))
-    scaler, fit = StandardScaler(), LogisticRegression(C=inverse_penalty, max_iter=2000)
+    scaler, fit = StandardScaler(), LogisticRegression(C=shape.inverse_penalty, max_iter=2000)
     scaled = scaler.fit_transform(features)
     fit.fit(scaled, [test.answer == question.answer for test in rows], weight / weight.mean())
     slope = fit.coef_[0] / scaler.scale_
     return Regression(
         intercept=round(float(fit.intercept_[0] - slope @ scaler.mean_), 4),
         coefficient={n: round(float(c), 4) for n, c in zip(question.names, slope, strict=True)},
+        bounds=within,
     )
 
 
-def left_out(
-    tests: Sequence[AnswerTest], question: Question, inverse_penalty: float
-) -> list[float]:
+def left_out(tests: Sequence[AnswerTest], question: Question, shape: Shape) -> list[float]:
     """Probability of the answer in each test that counts, by a regression without its rig.
 
     Parameters
     ----------
-    tests, question, inverse_penalty
+    tests, question, shape
         See `fitted_regression`.
     """
     rows = question.rows(tests)
     models = {
-        rig: fitted_regression([t for t in rows if t.rig != rig], question, inverse_penalty)
+        rig: fitted_regression([t for t in rows if t.rig != rig], question, shape)
         for rig in {test.rig for test in rows}
     }
     return [models[test.rig].probability(test.evidence) for test in rows]
@@ -156,15 +211,15 @@ def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequenc
 
 
 def fitted(tests: Sequence[AnswerTest], question: Question) -> tuple[Regression, list[float]]:
-    """Regression with the penalty of the least loss, and what it says of rigs that are left out.
+    """Regression of the shape with the least loss, and what it says of rigs that are left out.
 
     Parameters
     ----------
     tests, question
         See `fitted_regression`.
     """
-    said = {c: left_out(tests, question, c) for c in INVERSE_PENALTIES}
-    best = min(said, key=lambda c: loss(tests, question, said[c]))
+    said = {shape: left_out(tests, question, shape) for shape in SHAPES}
+    best = min(said, key=lambda shape: loss(tests, question, said[shape]))
     return fitted_regression(tests, question, best), said[best]
 
 

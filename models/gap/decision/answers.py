@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, Literal, get_args
 
 import msgspec
+import numpy as np
 from scipy.special import expit
 
 from models.gap.decision.evidence import Evidence
@@ -72,10 +73,14 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         Logarithm of the odds where all evidence is zero.
     coefficient : dict of str to float
         By name of the evidence.
+    bounds : dict of str to tuple of float
+        Least and largest value that counts, by name of the evidence: extreme values are rare and
+        prove no more than usual ones. Evidence that is missing here counts in full.
     """
 
     intercept: float
     coefficient: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
 
     def probability(self, evidence: Evidence) -> float:
         """Probability of what was fitted.
@@ -85,8 +90,12 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         evidence : Evidence
             Of a tested search.
         """
-        rows = self.coefficient.items()
-        log_odds = self.intercept + sum(c * getattr(evidence, name) for name, c in rows)
+        log_odds = self.intercept
+        for name, coefficient in self.coefficient.items():
+            value = getattr(evidence, name)
+            if name in self.bounds:
+                value = float(np.clip(value, *self.bounds[name]))
+            log_odds += coefficient * value
         return float(expit(log_odds))
 
 

@@ -10,6 +10,7 @@ from bench.gap.calibration import answer_model, answer_tests
 from bench.gap.calibration.answer_model import (
     OF_A_GAP_ASKED,
     OF_NAMES_ASKED,
+    Shape,
     fitted_regression,
     left_out,
     loss,
@@ -60,8 +61,8 @@ def results():
 
 def test_each_regression_tells_what_it_is_asked(results):
     rows, rng = labelled(results), np.random.default_rng(1)
-    names = fitted_regression(rows, OF_NAMES_ASKED, 1.0)
-    gap = fitted_regression(rows, OF_A_GAP_ASKED, 1.0)
+    names = fitted_regression(rows, OF_NAMES_ASKED, Shape())
+    gap = fitted_regression(rows, OF_A_GAP_ASKED, Shape())
     of = {kind: evidence(kind, rng) for kind in KINDS}
     assert names.probability(of["single"]) > 0.5
     assert max(names.probability(of[kind]) for kind in ("null", "outside")) < 0.5
@@ -71,7 +72,7 @@ def test_each_regression_tells_what_it_is_asked(results):
 @pytest.mark.parametrize("question", [OF_NAMES_ASKED, OF_A_GAP_ASKED])
 def test_a_rig_that_is_left_out_is_predicted_better_than_by_chance(results, question):
     tests = labelled(results)
-    assert loss(tests, question, left_out(tests, question, 1.0)) < np.log(2)
+    assert loss(tests, question, left_out(tests, question, Shape())) < np.log(2)
 
 
 def test_a_gap_is_asked_only_where_its_evidence_was_measured(results):
