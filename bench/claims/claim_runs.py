@@ -121,7 +121,9 @@ def figure_in(claim: Claim, data: Any) -> ClaimFigure:
     KeyError, IndexError, TypeError, ValueError
         If the result does not hold the number.
     """
-    value = float(at_pointer(data, claim.value)) * claim.factor
+    if (found := at_pointer(data, claim.value)) is None:
+        raise ValueError(f"the result holds no figure at {claim.value}")
+    value = float(found) * claim.factor
     if claim.over:
         value /= float(at_pointer(data, claim.over))
     interval = at_pointer(data, claim.interval) if claim.interval else ()

@@ -115,21 +115,23 @@ def test_claims_of_one_command_share_its_run_and_a_missing_value_is_a_miss(tmp_p
 
     def run(text):
         runs.append(text)
-        return json.dumps({"v": 3.0}), 60.0
+        return json.dumps({"v": 3.0, "none": None}), 60.0
 
     (tmp_path / "left.json").write_text('{"v": 4.0}')
     chosen = [
         claim(), claim(name="b", at_least=3.5), claim(name="d", value="/other"),
         claim(name="e", result="left.json"), claim(name="f", result="nowhere.json"),
+        claim(name="n", value="/none"),
         claim(name="t", result="time", value="/seconds", factor=1 / 60),
     ]  # fmt: skip
     measured = {m.claim.name: m for m in measure_claims(chosen, ignored, run, tmp_path)}
     assert runs == ["c"]
-    assert [m.met for m in measured.values()] == [None, False, False, None, False, None]
+    assert [m.met for m in measured.values()] == [None, False, False, None, False, False, None]
     assert measured["e"].figure.value == 4.0 and measured["t"].figure.value == 1.0
     assert "KeyError" in measured["d"].problem
+    assert "the result holds no figure at /none" in measured["n"].problem
     text = command.claims_text(list(measured.values()))
-    assert text.count("MISSED") == 3 and "no value" in text
+    assert text.count("MISSED") == 4 and "no value" in text
 
 
 def test_long_claims_are_measured_only_where_they_are_named():

@@ -7,7 +7,8 @@ Each result of `bench.gap` tells what its diagnosis judged and with which eviden
 (`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
 `answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
 regressions of the truth on the evidence give the probabilities. Extreme evidence is rare and proves
-no more than usual one: all but d′ counts within bounds. Printed is how the coefficients in use do
+no more than usual one: all but d′ counts within bounds. Effects that often stand in for others are
+believed less. Printed is how the coefficients in use do
 on the tests, and how new ones do on each rig when that rig is left out. With --write the new ones
 replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
 """
@@ -72,11 +73,14 @@ class Question:
         Evidence that it is fitted to.
     kinds : tuple of str
         Data sets that count.
+    of_effect : bool
+        Whether the effect that was named last counts.
     """
 
     answer: Answer
     names: tuple[str, ...]
     kinds: tuple[Kind, ...]
+    of_effect: bool
 
     def rows(self, tests: Sequence[AnswerTest]) -> list[AnswerTest]:
         """Tests that count, where all evidence was measured.
@@ -94,8 +98,8 @@ class Question:
         ]
 
 
-OF_NAMES_ASKED: Final = Question("catalogue", OF_NAMES, get_args(Kind))
-OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"))
+OF_NAMES_ASKED: Final = Question("catalogue", OF_NAMES, get_args(Kind), of_effect=True)
+OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"), of_effect=False)
 """Something outside is told from nothing by the data sets that hide nothing, or an effect that the
 catalogue lacks: a wrong name for one that it has tells nothing of these."""
 
@@ -163,16 +167,19 @@ def fitted_regression(tests: Sequence[AnswerTest], question: Question, shape: Sh
         np.clip([getattr(t.evidence, name) for t in rows], *within.get(name, (-np.inf, np.inf)))
         for name in question.names
     ]
-    features = np.column_stack(columns)
+    last = sorted({e for t in rows for e in t.effects[-1:]}) if question.of_effect else []
+    is_last = np.array([[effect in t.effects[-1:] for effect in last] for t in rows], dtype=float)
     weight = np.array(weights(rows))
     scaler, fit = StandardScaler(), LogisticRegression(C=shape.inverse_penalty, max_iter=2000)
-    scaled = scaler.fit_transform(features)
-    fit.fit(scaled, [test.answer == question.answer for test in rows], weight / weight.mean())
-    slope = fit.coef_[0] / scaler.scale_
+    features = np.hstack([scaler.fit_transform(np.column_stack(columns)), is_last])
+    fit.fit(features, [test.answer == question.answer for test in rows], weight / weight.mean())
+    slope, of_effect = np.split(fit.coef_[0], [len(question.names)])
+    slope = slope / scaler.scale_
     return Regression(
         intercept=round(float(fit.intercept_[0] - slope @ scaler.mean_), 4),
         coefficient={n: round(float(c), 4) for n, c in zip(question.names, slope, strict=True)},
         bounds=within,
+        of_effect={e: round(float(c), 4) for e, c in zip(last, of_effect, strict=True)},
     )
 
 
@@ -189,7 +196,7 @@ def left_out(tests: Sequence[AnswerTest], question: Question, shape: Shape) -> l
         rig: fitted_regression([t for t in rows if t.rig != rig], question, shape)
         for rig in {test.rig for test in rows}
     }
-    return [models[test.rig].probability(test.evidence) for test in rows]
+    return [models[test.rig].probability(test.evidence, test.effects) for test in rows]
 
 
 def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequence[float]) -> float:
@@ -255,7 +262,7 @@ def _told(
     """How the coefficients in use do on a question, and new ones on rigs that are left out."""
     rows = question.rows(tests)
     lines = [f"{question.answer}, {len(rows)} tests"]
-    known = [in_use.probability(test.evidence) for test in rows]
+    known = [in_use.probability(test.evidence, test.effects) for test in rows]
     for title, own in (("in use", known), ("left out", said)):
         right = [
             test.kind

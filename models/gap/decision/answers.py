@@ -12,6 +12,7 @@ The coefficients are fitted to diagnoses of rigs for tuning, whose hidden effect
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, get_args
 
@@ -76,21 +77,27 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     bounds : dict of str to tuple of float
         Least and largest value that counts, by name of the evidence: extreme values are rare and
         prove no more than usual ones. Evidence that is missing here counts in full.
+    of_effect : dict of str to float
+        Logarithm of the odds by the effect that was named last, the least sure one: some effects
+        stand in for others more often than others do. 0 for one that is missing here.
     """
 
     intercept: float
     coefficient: dict[str, float]
     bounds: dict[str, tuple[float, float]]
+    of_effect: dict[str, float]
 
-    def probability(self, evidence: Evidence) -> float:
+    def probability(self, evidence: Evidence, named: Sequence[str]) -> float:
         """Probability of what was fitted.
 
         Parameters
         ----------
         evidence : Evidence
             Of a tested search.
+        named : sequence of str
+            Effects that it leaves, in the order in which they were found.
         """
-        log_odds = self.intercept
+        log_odds = self.intercept + sum(self.of_effect.get(effect, 0.0) for effect in named[-1:])
         for name, coefficient in self.coefficient.items():
             value = getattr(evidence, name)
             if name in self.bounds:
@@ -117,16 +124,16 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     catalogue: Regression
     outside: Regression
 
-    def answers(self, evidence: Evidence) -> Answers:
+    def answers(self, evidence: Evidence, named: Sequence[str]) -> Answers:
         """Probabilities of the answers.
 
         Parameters
         ----------
-        evidence : Evidence
-            Of a tested search.
+        evidence, named
+            See `Regression.probability`.
         """
-        catalogue = self.catalogue.probability(evidence)
-        outside = (1 - catalogue) * self.outside.probability(evidence)
+        catalogue = self.catalogue.probability(evidence, named)
+        outside = (1 - catalogue) * self.outside.probability(evidence, named)
         return Answers(1 - catalogue - outside, catalogue, outside)
 
 

@@ -216,7 +216,7 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
     consistencies = consistencies_of_named(search, result)
     further = further_effect_of(search, result)
     evidence = evidence_of(search, result, consistencies, acceptance.judged.errors, further)
-    answers = model.answers(evidence) if search.learned else CATALOGUE_ONLY
+    answers = model.answers(evidence, result.named) if search.learned else CATALOGUE_ONLY
     if search.nuisance_bias(result.after):
         answers = answers.without_nothing()
     tested = JudgedNames(tuple(result.named), evidence, answers, further)

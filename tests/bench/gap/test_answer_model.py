@@ -1,6 +1,7 @@
 """Fit of the answers: it finds in which direction evidence speaks, and refuses rigs for tests."""
 
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -11,6 +12,7 @@ from bench.gap.calibration.answer_model import (
     OF_A_GAP_ASKED,
     OF_NAMES_ASKED,
     Shape,
+    bounds,
     fitted_regression,
     left_out,
     loss,
@@ -64,9 +66,33 @@ def test_each_regression_tells_what_it_is_asked(results):
     names = fitted_regression(rows, OF_NAMES_ASKED, Shape())
     gap = fitted_regression(rows, OF_A_GAP_ASKED, Shape())
     of = {kind: evidence(kind, rng) for kind in KINDS}
-    assert names.probability(of["single"]) > 0.5
-    assert max(names.probability(of[kind]) for kind in ("null", "outside")) < 0.5
-    assert gap.probability(of["null"]) < 0.5 < gap.probability(of["outside"])
+    assert names.probability(of["single"], ["creep"]) > 0.5
+    assert max(names.probability(of[kind], []) for kind in ("null", "outside")) < 0.5
+    assert gap.probability(of["null"], []) < 0.5 < gap.probability(of["outside"], [])
+
+
+def test_an_effect_that_often_stands_in_for_others_is_believed_less():
+    rng, rows = np.random.default_rng(2), []
+    for hidden, named in 8 * (("creep", "creep"), ("stiction", "backlash"), ("drag", "drag")):
+        rows += labelled([result("single", "drawn_1", rng, hidden=hidden, named=named)])
+    fitted = fitted_regression(rows, OF_NAMES_ASKED, Shape())
+    same = rows[0].evidence
+    creep, backlash, pair, new = (
+        fitted.probability(same, e)
+        for e in (["creep"], ["backlash"], ["backlash", "creep"], ["cogging"])
+    )
+    assert backlash < new < creep == pair, "the effect that was found last counts"
+    assert not fitted_regression(rows, replace(OF_NAMES_ASKED, of_effect=False), Shape()).of_effect
+
+
+def test_evidence_but_the_size_counts_within_what_most_tests_reach():
+    rows = read_answer_tests()
+    within = bounds(rows, OF_NAMES_ASKED, 0.2)
+    assert bounds(rows, OF_NAMES_ASKED, 0.0) == {}
+    assert set(within) == {"gap", "difference", "rise", "further", "rival"}
+    for name, (low, high) in within.items():
+        told = np.array([v for t in rows if (v := getattr(t.evidence, name))])
+        assert [np.mean(told < low), np.mean(told > high)] == pytest.approx([0.2, 0.2], abs=0.02)
 
 
 @pytest.mark.parametrize("question", [OF_NAMES_ASKED, OF_A_GAP_ASKED])
@@ -154,7 +180,7 @@ def test_the_coefficients_in_use_hold_on_rigs_that_they_were_not_fitted_to(monke
         (OF_NAMES_ASKED, model.catalogue), (OF_A_GAP_ASKED, model.outside),
     ):  # fmt: skip
         rows = question.rows(tests)
-        said = [regression.probability(test.evidence) for test in rows]
+        said = [regression.probability(test.evidence, test.effects) for test in rows]
         sure = [(p > 0.5) == (test.answer == question.answer)
                 for p, test in zip(said, rows, strict=True) if abs(p - 0.5) > 0.4]  # fmt: skip
         assert len(sure) > 50 and np.mean(sure) > 0.9

@@ -25,9 +25,9 @@ EXPLAINED = Evidence(
 
 @pytest.fixture(scope="module")
 def answers():
-    """Function (evidence, changes of it) -> answers of the model in use."""
-    model = read_answer_model()
-    return lambda evidence, **changed: model.answers(msgspec.structs.replace(evidence, **changed))
+    """Function (evidence, changes of it) -> answers of the model in use for an unknown effect."""
+    model, changed_to = read_answer_model(), msgspec.structs.replace
+    return lambda evidence, **changed: model.answers(changed_to(evidence, **changed), ["other"])
 
 
 def test_the_model_in_use_is_of_the_evidence_as_it_is_now():
@@ -51,6 +51,17 @@ def test_noise_is_nothing_and_a_clear_effect_of_one_strength_is_believed(answers
 def test_an_effect_is_believed_the_more_the_clearer_it_stands_out(answers):
     rows = [answers(EXPLAINED, clearness=c).nothing for c in (0.1, 0.7, 1.5, 3.0)]
     assert rows == sorted(rows, reverse=True)
+
+
+@pytest.mark.parametrize("name", ["gap", "difference", "rise", "further", "rival"])
+def test_an_extreme_value_proves_no_more_than_the_bound(name):
+    regression = read_answer_model().catalogue
+    low, high = regression.bounds[name]
+    said = [
+        regression.probability(msgspec.structs.replace(EXPLAINED, **{name: value}), [])
+        for value in (low - 5, low, high, high + 5)
+    ]
+    assert said[0] == said[1] > said[2] == said[3]
 
 
 def test_a_strength_that_differs_speaks_for_something_else(answers):

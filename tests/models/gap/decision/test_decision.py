@@ -181,7 +181,7 @@ def decide_with(monkeypatch, believed):
     ]  # fmt: skip
     result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
     known = believed if isinstance(believed, dict) else dict.fromkeys(believed, BELIEVED)
-    model = SimpleNamespace(answers=lambda evidence: known.get(evidence, DOUBTED))
+    model = SimpleNamespace(answers=lambda evidence, named: known.get(evidence, DOUBTED))
     monkeypatch.setattr(decision, "Acceptance", PassingTests)
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
@@ -237,7 +237,7 @@ def test_what_the_tests_took_out_is_named_where_it_fits_better_than_the_rest(
 
 
 def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):
-    model = SimpleNamespace(answers=lambda evidence: Answers(0.9, 0.04, 0.06))
+    model = SimpleNamespace(answers=lambda evidence, named: Answers(0.9, 0.04, 0.06))
     monkeypatch.setattr(decision, "Acceptance", PassingTests)
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
