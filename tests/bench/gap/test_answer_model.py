@@ -173,7 +173,7 @@ def test_what_was_fitted_is_written_where_that_is_asked_for(monkeypatch, files, 
     assert "null 24 of 24, outside 24 of 24" in capsys.readouterr().out.split("left out")[-1]
 
 
-def test_the_coefficients_in_use_hold_on_rigs_that_they_were_not_fitted_to(monkeypatch):
+def test_the_coefficients_in_use_tell_the_tests_of_the_table(monkeypatch):
     monkeypatch.setattr(answer_tests, "PATH", IN_USE)
     tests, model = read_answer_tests(), read_answer_model()
     for question, regression in (
