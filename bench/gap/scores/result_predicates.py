@@ -52,10 +52,20 @@ def is_first_name_right(r: Result) -> bool:
     return is_among_first(r, 1)
 
 
+def first_turn(r: Result) -> tuple[list[str], list[str]]:
+    """Names of the turn that included the first name, and the look-alikes declared with them.
+
+    What was taken out again does not count.
+    """
+    turns = zip(r["chosen"], r["look_alikes"], strict=True)
+    names, alike = next(turn for turn in turns if r["named"][0] in turn[0])
+    return [e for e in names if e in r["named"]], [e for effects in alike for e in effects]
+
+
 def is_in_class(r: Result) -> bool:
-    """Whether the hidden effect is the first name or one of its declared look-alikes."""
-    alike = [e for c in r["look_alikes"][0] for e in c] if r["look_alikes"] else []
-    return _true(r) in [*r["chosen"][0], *alike]
+    """Whether the hidden effect is named first or is a declared look-alike of what is."""
+    names, alike = first_turn(r)
+    return _true(r) in [*names, *alike]
 
 
 def is_class_right(r: Result) -> bool:

@@ -13,6 +13,7 @@ from bench.gap.bench_kind import bench_results
 from bench.gap.scores.fraction_interval import fraction_with_interval
 from bench.gap.scores.result_predicates import (
     Result,
+    first_turn,
     hidden_separation,
     is_among_first,
     is_clear,
@@ -46,7 +47,7 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "top_1_faint": fraction_with_interval([is_first_name_right(r) for r in faint]),
         "top_2": fraction_with_interval([is_among_first(r, 2) for r in detected]),
         "top_1_unique": fraction_with_interval(
-            [is_first_name_right(r) for r in detected if not r["look_alikes"][0]]
+            [is_first_name_right(r) for r in detected if not first_turn(r)[1]]
         ),
         "class": fraction_with_interval([is_in_class(r) for r in detected]),
         "nothing_beside": fraction_with_interval([len(r["named"]) == 1 for r in detected]),
