@@ -86,6 +86,7 @@ def run_bench_case(
         "sealed": sealed and sealed.in_noise_floors(plant, found.improved),
         "sealed_rms": sealed.rms(plant, found.improved) if sealed else {},
         "unsaid_bounds": unsaid_bounds(found),
+        "amplification": {f"{kg:g}": power for kg, power in found.amplification.items()},
         "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
         "strength_consistency": {
             e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from firmware_py.errors import InputError
@@ -130,6 +130,9 @@ class Diagnosis:
         Of all of them with the named effects.
     link_change : float
         See `models.gap.estimation.link_change`; of the nuisance fit.
+    amplification : dict of float to float
+        Factor on the power of the floor by payload in kg, see
+        `models.gap.estimation.measured_floor.with_amplified_scatter`.
     """
 
     plant: Plant
@@ -166,6 +169,7 @@ class Diagnosis:
     fit_parameters: tuple[FitParameter, ...]
     fitted_values: Array
     link_change: float
+    amplification: Mapping[float, float]
 
 
 def diagnose(
@@ -262,6 +266,7 @@ def diagnose(
         fit_parameters=tuple(parameters),
         fitted_values=accepted.point.values,
         link_change=search.first.floor.link_change,
+        amplification=search.first.floor.amplification,
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from models.gap.residuals.residuals import Residuals, TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
+
+SLOW_HZ: Final = 2.0
+"""Below it a heavy payload makes two trials differ (`models.gap.estimation.payload_ratios`)."""
 
 
 def flat_floor(
@@ -159,6 +163,58 @@ def with_repeated_trials(
     noise = {p: _averaged(own) for p, own in pooled.items()}
     model = {p: {s: known.model_at(s, p, at) for s in own} for p, own in noise.items()}
     return replace(floor, ratios=PayloadRatios(at, noise, model))
+
+
+def with_amplified_scatter(
+    floor: NoiseFloor, residuals: Residuals, rows: Sequence[Array]
+) -> NoiseFloor:
+    """Floor that is larger at payloads whose repetitions at hand differ far more than it expects.
+
+    Near the moment that folds the link every small difference is amplified: friction and pressure
+    between trials, and the plant's own error alike. What differs between repetitions, over what
+    the floor expects, tells by how much. Floor and repetitions are two estimates; their mean
+    counts, and only beyond `GapSettings.amplified_scatter_limit`: ratios of so few trials scatter.
+
+    Parameters
+    ----------
+    floor : NoiseFloor
+        Of the plant file.
+    residuals : Residuals
+        Of the trials at hand.
+    rows : list of ndarray, shape (trials, signals, K)
+        Their spectra by group, variation between trials taken out.
+    """
+    if not floor.learned:
+        return floor
+    trials, limit = residuals.trials, residuals.settings.amplified_scatter_limit
+    found: dict[float, list[float]] = {}
+    for group, residual in zip(residuals.groups, rows, strict=True):
+        hz = group_frequencies_hz(group, trials)
+        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
+        for payload in np.unique(payloads):
+            part = residual[payloads == payload]
+            if len(part) > 1:
+                ratio = _scatter_ratio(floor, group, part, float(payload), hz)
+                found.setdefault(float(payload), []).append(ratio)
+    scatter = {p: float(np.mean(own)) for p, own in found.items()}
+    amplified = {p: (1 + ratio) / 2 for p, ratio in scatter.items() if ratio > limit}
+    return replace(floor, amplification=amplified)
+
+
+def _scatter_ratio(
+    floor: NoiseFloor, group: TrialGroup, repetitions: Array, payload_kg: float, hz: Array
+) -> float:
+    """Power by which repetitions differ over what the floor expects, geometric mean below 2 Hz."""
+    at = ratio_frequencies_hz(hz)
+    at = at[at < SLOW_HZ]
+    logarithms = []
+    for signal, variance in zip(group.signals, smooth_variance(repetitions), strict=True):
+        if signal in floor.noise:
+            expected = np.interp(at, floor.frequency_hz, floor.noise[signal])
+            expected = expected * floor.ratios.noise_at(signal, payload_kg, at)
+            ratio = np.interp(at, hz, variance) / np.maximum(expected, np.finfo(float).tiny)
+            logarithms.append(np.log(np.maximum(ratio, np.finfo(float).tiny)))
+    return float(np.exp(np.mean(logarithms))) if logarithms else 1.0
 
 
 def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:

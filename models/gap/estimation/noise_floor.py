@@ -66,6 +66,9 @@ class NoiseFloor:
         links that the patterns were measured on: the patterns grow with it.
     ratios : PayloadRatios
         Of noise and model at each payload to their means.
+    amplification : dict of float to float
+        Factor on the power of noise and model by payload in kg, where repetitions at hand differ
+        far more than the floor expects; 1 at other payloads.
     """
 
     frequency_hz: Array
@@ -79,6 +82,7 @@ class NoiseFloor:
     patterns: ModelDiscrepancy | None = None
     link_change: float = 1.0
     ratios: PayloadRatios = NO_RATIOS
+    amplification: Mapping[float, float] = field(default_factory=dict)
 
     def own_error(self, signal: str, hz: Array) -> Array:
         """Standard deviation of the mean error that `identify` left, at some frequencies.
@@ -109,6 +113,8 @@ class NoiseFloor:
         rows, hz = self.patterns.rows(group, trials), group_frequencies_hz(group, trials)
         for b, signal in enumerate(group.signals):
             rows[:, :, b] *= self.own_error(signal, hz) if signal in self.noise else 0.0
+        for a, k in enumerate(group.trials):
+            rows[:, a] *= np.sqrt(self._amplified(trials[k].meta.payload_kg))
         return self.link_change * rows
 
     def curves_for(
@@ -249,9 +255,15 @@ class NoiseFloor:
         )
         largest = float(max(np.max(noise), np.max(model)))
         least = settings.least_noise_fraction * max(largest, 1e-12)
-        noise_by = [noise * self.ratios.noise_at(signal, p, hz) for p in payloads_kg]
-        model_by = [model * self.ratios.model_at(signal, p, hz) for p in payloads_kg]
+        factors = [self._amplified(p) for p in payloads_kg]
+        both = list(zip(factors, payloads_kg, strict=True))
+        noise_by = [f * noise * self.ratios.noise_at(signal, p, hz) for f, p in both]
+        model_by = [f * model * self.ratios.model_at(signal, p, hz) for f, p in both]
         return np.maximum(noise_by, least), np.array(model_by)
+
+    def _amplified(self, payload_kg: float) -> float:
+        """Factor on the power of noise and model at a payload."""
+        return self.amplification.get(payload_kg, 1.0)
 
     def _missed(self, signal: str, payload_kg: float, hz: Array) -> Array:
         """Error of the equations named so far at a payload, shape (K,)."""

@@ -42,13 +42,16 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """Noise floor by signal; `learned` is false where the plant file carries none.
 
     `dispersion` is the mean square of the nuisance fit's residual, clipped to what noise explains.
-    `own_error` tells by group of trials what is known of the plant's own error.
+    `own_error` tells by group of trials what is known of the plant's own error. `amplification`
+    holds, by payload in kg, by what factor in amplitude the floor is larger than that of the plant
+    file, because repetitions differ far more than that.
     """
 
     learned: bool
     signals: dict[str, SignalFloor]
     dispersion: float
     own_error: dict[str, OwnError] = {}
+    amplification: dict[str, float] = {}
 
 
 class LocatedRegion(

@@ -16,6 +16,7 @@ from markupsafe import Markup
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words, symbol_of
 from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
 from models.gap.report.gap_words import (
+    amplification_in_words,
     floor_in_words,
     goal_not_followed_in_words,
     is_plant_as_given,
@@ -85,7 +86,10 @@ def write_gap_page(
 def gap_lead(document: GapDocument) -> list[Part]:
     """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
     said = document.sentence
-    for more in (goal_not_followed_in_words(document), nuisance_bias_in_words(document)):
+    for more in (
+        goal_not_followed_in_words(document), nuisance_bias_in_words(document),
+        amplification_in_words(document),
+    ):  # fmt: skip
         said += f" {more[0].upper() + more[1:]}." if more else ""
     tip_m = [_tip_m(getattr(document, when)) for when in ("before", "after")]
     if any(row.kept for row in document.named) and tip_m[0]:

@@ -45,6 +45,16 @@ def own_error_in_words(document: GapDocument) -> str:
     return where and f"the plant's own error is not known, so not subtracted, for: {where}"
 
 
+def amplification_in_words(document: GapDocument) -> str:
+    """Payloads whose floor is larger than that of the plant file; empty if there are none."""
+    found = document.noise_floor.amplification
+    where = ", ".join(f"{factor:.1f} times at {kg} kg" for kg, factor in found.items())
+    return where and (
+        "repetitions differ far more than when the plant was identified, as a link does that "
+        f"nearly folds: the noise floor is larger there, {where}"
+    )
+
+
 def verdict_in_words(document: GapDocument) -> str:
     """Verdict as one or two sentences."""
     names = ", ".join(r.effect.replace("_", " ") for r in document.named if r.kept)
@@ -200,6 +210,7 @@ def gap_in_words(document: GapDocument) -> str:
     notes = (
         goal_not_followed_in_words(document), nuisance_bias_in_words(document),
         rows_fitted_in_words(document), own_error_in_words(document),
+        amplification_in_words(document),
     )  # fmt: skip
     lines += [text for text in notes if text]
     for row in document.named:

@@ -23,7 +23,7 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.link_change import LEAST, link_change
-from models.gap.estimation.measured_floor import with_repeated_trials
+from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
 from models.gap.residuals.spectrum import Array
@@ -316,8 +316,10 @@ class EffectSearch:
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values)
         floor = replace(self.first.floor, link_change=change)
-        if self.unchanged_null.repetitions_pooled and point.values.any():  # once fitted
-            floor = with_repeated_trials(floor, residuals, point.rows)
+        if point.values.any():  # once fitted
+            pooled = self.unchanged_null.repetitions_pooled
+            repeated = with_repeated_trials if pooled else with_amplified_scatter
+            floor = repeated(floor, residuals, point.rows)
         self.first = GaussNewton(residuals, floor)
         self.null_distribution = self.unchanged_null.for_link_change(change)
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]

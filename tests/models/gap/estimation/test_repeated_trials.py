@@ -6,8 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap.estimation.measured_floor import floor_from_residuals, with_repeated_trials
+from models.gap.estimation.measured_floor import (
+    floor_from_residuals,
+    with_amplified_scatter,
+    with_repeated_trials,
+)
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.settings import DEFAULT_SETTINGS
 
 SIZE = 155
 DEVIATION_HERE = {0.0: 1.0, 2.0: 10.0}
@@ -41,7 +46,7 @@ def floor_and_residuals(rng, trials, kept):
     floor = floor_from_residuals([group], trials, [rows])
     own = [trials[k] for k in kept]
     group = replace(group, trials=tuple(range(len(own))))
-    return floor, SimpleNamespace(groups=[group], trials=own)
+    return floor, SimpleNamespace(groups=[group], trials=own, settings=DEFAULT_SETTINGS)
 
 
 def noise_power(floor, payload_kg, hz):
@@ -91,3 +96,32 @@ def test_a_floor_of_these_very_trials_is_not_pooled_with_them(trials):
     floor = replace(floor, learned=False)
     rows = [residual_rows(rng, trials, DEVIATION_HERE)]
     assert with_repeated_trials(floor, residuals, rows) is floor
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_and_own_error_grow_at_the_payload_whose_repetitions_scatter(trials, seed):
+    rng = np.random.default_rng(seed)
+    floor, residuals = floor_and_residuals(rng, trials, range(4))
+    rows = residual_rows(rng, trials, DEVIATION_HERE)
+    grown = with_amplified_scatter(floor, residuals, [rows])
+    assert set(grown.amplification) == {2.0}
+    assert grown.amplification[2.0] == pytest.approx((1.0 + 100.0) / 2, rel=0.5)
+    (group,) = residuals.groups
+    larger = rows.copy()
+    larger[2:] *= np.sqrt(grown.amplification[2.0])
+    before, after = (
+        np.einsum("skij,jsk->isk", f.whitener(group, trials), r)
+        for f, r in ((floor, rows), (grown, larger))
+    )
+    assert after == pytest.approx(before, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_repetitions_that_differ_as_expected_leave_the_floor_as_it_was(trials, seed):
+    rng = np.random.default_rng(seed)
+    floor, residuals = floor_and_residuals(rng, trials, range(4))
+    rows = residual_rows(rng, trials, dict.fromkeys(DEVIATION_HERE, 1.0))
+    assert not with_amplified_scatter(floor, residuals, [rows]).amplification
+    single, residuals = floor_and_residuals(rng, trials, (0, 2))
+    rows = residual_rows(rng, residuals.trials, DEVIATION_HERE)
+    assert not with_amplified_scatter(single, residuals, [rows]).amplification

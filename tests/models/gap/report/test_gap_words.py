@@ -6,7 +6,12 @@ import pytest
 
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
-from models.gap.report.gap_words import next_step_in_words, probabilities_in_words, verdict_in_words
+from models.gap.report.gap_words import (
+    amplification_in_words,
+    next_step_in_words,
+    probabilities_in_words,
+    verdict_in_words,
+)
 
 
 def document(verdict, *named, answers=None, further=None, **probabilities):
@@ -75,3 +80,11 @@ def test_what_is_left_is_told_where_a_further_effect_would_explain_it(separation
 def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
     answers = Answers(0.95 - catalogue, catalogue, 0.05)
     assert verdict_in_words(document("closed", "creep", answers=answers)) == words
+
+
+def test_a_floor_that_grew_is_told_with_its_payload():
+    told = SimpleNamespace(noise_floor=SimpleNamespace(amplification={"2": 3.9}))
+    assert "3.9 times at 2 kg" in amplification_in_words(told)
+    assert (
+        amplification_in_words(SimpleNamespace(noise_floor=SimpleNamespace(amplification={}))) == ""
+    )
