@@ -8,9 +8,10 @@ Each result of `bench.gap` tells what its diagnosis judged and with which eviden
 `answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
 regressions of the truth on the evidence give the probabilities. Extreme evidence is rare and proves
 no more than usual one: all but d′ counts within bounds. Effects that often stand in for others are
-believed less. Printed is how the coefficients in use do
-on the tests, and how new ones do on each rig when that rig is left out. With --write the new ones
-replace those in use (`models/gap/decision/answers.json`). No rig for tests may be among them.
+believed less. Printed is how the coefficients in use do on the tests, how new ones do on each rig
+when that rig is left out, and what is decided on whole data sets then
+(`bench.gap.calibration.whole_decisions`). With --write the new ones replace those in use
+(`models/gap/decision/answers.json`). No rig for tests may be among them.
 """
 
 from __future__ import annotations
@@ -35,6 +36,13 @@ from bench.gap.calibration.answer_tests import (
     with_new,
     write_answer_tests,
 )
+from bench.gap.calibration.whole_decisions import (
+    LEAST_PROBABILITIES,
+    MORE_THAN_HALF,
+    decisions_table,
+    mean_cost,
+    whole_decisions,
+)
 from bench.gap.cases import Kind
 from models.gap.decision.answers import (
     OF_A_GAP,
@@ -57,9 +65,6 @@ rest; the one with the least loss on rigs left out is taken."""
 WITHOUT_BOUNDS: Final = ("named", "clearness")
 """Evidence that counts in full: however large d′ is, a larger one is less likely noise."""
 
-MORE_THAN_HALF: Final = 0.5
-"""Probability beyond which the answer is said."""
-
 
 @dataclass(frozen=True)
 class Question:
@@ -73,14 +78,11 @@ class Question:
         Evidence that it is fitted to.
     kinds : tuple of str
         Data sets that count.
-    of_effect : bool
-        Whether the effect that was named last counts.
     """
 
     answer: Answer
     names: tuple[str, ...]
     kinds: tuple[Kind, ...]
-    of_effect: bool
 
     def rows(self, tests: Sequence[AnswerTest]) -> list[AnswerTest]:
         """Tests that count, where all evidence was measured.
@@ -98,15 +100,15 @@ class Question:
         ]
 
 
-OF_NAMES_ASKED: Final = Question("catalogue", OF_NAMES, get_args(Kind), of_effect=True)
-OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"), of_effect=False)
+OF_NAMES_ASKED: Final = Question("catalogue", OF_NAMES, get_args(Kind))
+OF_A_GAP_ASKED: Final = Question("outside", OF_A_GAP, ("null", "outside"))
 """Something outside is told from nothing by the data sets that hide nothing, or an effect that the
 catalogue lacks: a wrong name for one that it has tells nothing of these."""
 
 
 @dataclass(frozen=True)
-class Shape:
-    """How a regression is fitted.
+class Regularisation:
+    """What holds a regression back where tests are few.
 
     Attributes
     ----------
@@ -120,7 +122,7 @@ class Shape:
     tail: float = 0.0
 
 
-SHAPES: Final = [Shape(c, tail) for c in INVERSE_PENALTIES for tail in TAILS]
+REGULARISATIONS: Final = [Regularisation(c, tail) for c in INVERSE_PENALTIES for tail in TAILS]
 
 
 def bounds(
@@ -138,7 +140,7 @@ def bounds(
     question : Question
         What is asked.
     tail : float
-        See `Shape`.
+        See `Regularisation`.
     """
     found = {}
     for name in question.names if tail else ():
@@ -149,7 +151,9 @@ def bounds(
     return found
 
 
-def fitted_regression(tests: Sequence[AnswerTest], question: Question, shape: Shape) -> Regression:
+def fitted_regression(
+    tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
+) -> Regression:
     """Regression of one answer on its evidence; its coefficients are not standardised.
 
     Parameters
@@ -158,19 +162,22 @@ def fitted_regression(tests: Sequence[AnswerTest], question: Question, shape: Sh
         To be fitted to, of any kinds.
     question : Question
         What is asked.
-    shape : Shape
-        How it is fitted.
+    regularisation : Regularisation
+        What holds it back.
     """
     rows = question.rows(tests)
-    within = bounds(rows, question, shape.tail)
+    within = bounds(rows, question, regularisation.tail)
     columns = [
         np.clip([getattr(t.evidence, name) for t in rows], *within.get(name, (-np.inf, np.inf)))
         for name in question.names
     ]
-    last = sorted({e for t in rows for e in t.effects[-1:]}) if question.of_effect else []
+    last = sorted({e for t in rows for e in t.effects[-1:]})
     is_last = np.array([[effect in t.effects[-1:] for effect in last] for t in rows], dtype=float)
     weight = np.array(weights(rows))
-    scaler, fit = StandardScaler(), LogisticRegression(C=shape.inverse_penalty, max_iter=2000)
+    scaler, fit = (
+        StandardScaler(),
+        LogisticRegression(C=regularisation.inverse_penalty, max_iter=2000),
+    )
     features = np.hstack([scaler.fit_transform(np.column_stack(columns)), is_last])
     fit.fit(features, [test.answer == question.answer for test in rows], weight / weight.mean())
     slope, of_effect = np.split(fit.coef_[0], [len(question.names)])
@@ -183,17 +190,19 @@ def fitted_regression(tests: Sequence[AnswerTest], question: Question, shape: Sh
     )
 
 
-def left_out(tests: Sequence[AnswerTest], question: Question, shape: Shape) -> list[float]:
+def left_out(
+    tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
+) -> list[float]:
     """Probability of the answer in each test that counts, by a regression without its rig.
 
     Parameters
     ----------
-    tests, question, shape
+    tests, question, regularisation
         See `fitted_regression`.
     """
     rows = question.rows(tests)
     models = {
-        rig: fitted_regression([t for t in rows if t.rig != rig], question, shape)
+        rig: fitted_regression([t for t in rows if t.rig != rig], question, regularisation)
         for rig in {test.rig for test in rows}
     }
     return [models[test.rig].probability(test.evidence, test.effects) for test in rows]
@@ -218,15 +227,18 @@ def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequenc
 
 
 def fitted(tests: Sequence[AnswerTest], question: Question) -> tuple[Regression, list[float]]:
-    """Regression of the shape with the least loss, and what it says of rigs that are left out.
+    """Regression with the least loss, and what it says of rigs that are left out.
 
     Parameters
     ----------
     tests, question
         See `fitted_regression`.
     """
-    said = {shape: left_out(tests, question, shape) for shape in SHAPES}
-    best = min(said, key=lambda shape: loss(tests, question, said[shape]))
+    said = {
+        regularisation: left_out(tests, question, regularisation)
+        for regularisation in REGULARISATIONS
+    }
+    best = min(said, key=lambda regularisation: loss(tests, question, said[regularisation]))
     return fitted_regression(tests, question, best), said[best]
 
 
@@ -250,9 +262,17 @@ def main() -> None:
     gap, said_of_gaps = fitted(tests, OF_A_GAP_ASKED)
     print(_told(tests, OF_NAMES_ASKED, in_use.catalogue, said_of_names))
     print(_told(tests, OF_A_GAP_ASKED, in_use.outside, said_of_gaps))
+    outside = dict(zip(OF_A_GAP_ASKED.rows(tests), said_of_gaps, strict=True))
+    asked = dict(zip(OF_NAMES_ASKED.rows(tests), said_of_names, strict=True)), outside
+    least = min(LEAST_PROBABILITIES, key=lambda p: mean_cost(whole_decisions(*asked, p)))
+    for probability in LEAST_PROBABILITIES:
+        cost = mean_cost(whole_decisions(*asked, probability))
+        print(f"names given beyond {probability}: mean cost of a decision {cost:.3f}")
+    print(f"whole decisions on rigs left out, names given beyond {least}")
+    print(decisions_table(whole_decisions(*asked, least)))
     write_answer_tests(tests)
     if args.write:
-        model = AnswerModel(sets=len(tests), catalogue=names, outside=gap)
+        model = AnswerModel(sets=len(tests), least_probability=least, catalogue=names, outside=gap)
         PATH.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=1))
 
 

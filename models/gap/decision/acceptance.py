@@ -54,8 +54,9 @@ from models.gap.search.refused_effect import (
     values_at_bounds,
 )
 
-STAND_IN: Final = "with a probability of {:.0%} it stands in for something else"
-NOTHING_MISSING: Final = "with a probability of {:.0%} nothing is missing"
+IMPROBABLE: Final = "its probability is {:.0%} only; "
+STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
+NOTHING_MISSING: Final = IMPROBABLE + "with {:.0%} nothing is missing"
 STAND_IN_BESIDE_OTHERS: Final = (
     "beside the effects that are named it more probably stands in for something else"
 )
@@ -150,10 +151,10 @@ class Acceptance:
         if answers.outside > answers.nothing:
             if "motions" in self.held_out.folds and np.any(accepted.free):
                 return accepted
-            reason = STAND_IN.format(answers.outside)
+            reason = STAND_IN.format(answers.catalogue, answers.outside)
             self.result.refused += refusals(named, "stand-in", reason, answers.outside)
         else:
-            reason = NOTHING_MISSING.format(answers.nothing)
+            reason = NOTHING_MISSING.format(answers.catalogue, answers.nothing)
             self.result.refused += refusals(named, "improbable", reason, answers.nothing)
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()

@@ -79,17 +79,15 @@ class JudgedAcceptance:
         Of the effects that the tests left.
     tested : JudgedNames
         These effects.
+    believed : bool
+        Whether these effects are named.
     """
 
     acceptance: Acceptance
     accepted: AcceptedFit
     consistencies: Mapping[str, StrengthConsistency]
     tested: JudgedNames
-
-    @property
-    def believed(self) -> bool:
-        """Whether these effects are named."""
-        return bool(self.tested.effects) and self.tested.answers.believed
+    believed: bool
 
     @property
     def order(self) -> tuple[int, float]:
@@ -168,11 +166,11 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
     judged = _judged_sets(Acceptance(search, result), model)
     kept, tested = judged[-1], tuple(j.tested for j in judged)
     result, answers, accepted = kept.acceptance.result, kept.tested.answers, kept.accepted
-    further = kept.tested.further
-    verdict, left = gap_verdict(search, result, kept.consistencies, answers, further), 1.0
+    own = kept.consistencies, answers, kept.tested.further, kept.believed
+    verdict, left = gap_verdict(search, result, *own), 1.0
     if result.named:
         left = gap_left_fraction(search, result)
-        if search.learned and not answers.believed:
+        if search.learned and not kept.believed:
             accepted = kept.acceptance.without_named(accepted, answers)
     if not result.named:
         left = float(verdict != "no gap")
@@ -220,7 +218,8 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
     if search.nuisance_bias(result.after):
         answers = answers.without_nothing()
     tested = JudgedNames(tuple(result.named), evidence, answers, further)
-    return JudgedAcceptance(acceptance, accepted, consistencies, tested)
+    believed = bool(result.named) and model.believes(answers)
+    return JudgedAcceptance(acceptance, accepted, consistencies, tested, believed)
 
 
 def _leaves_room(decision: Decision) -> bool:

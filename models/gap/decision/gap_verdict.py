@@ -44,16 +44,17 @@ def gap_verdict(
     consistencies: Mapping[str, StrengthConsistency],
     answers: Answers,
     further: FurtherEffect | None,
+    believed: bool,
 ) -> GapVerdict:
     """Verdict on a tested search.
 
-    What is named is believed where that is the likeliest answer. The verdict is then "closed", or
-    "reduced" where more is left than noise explains, or a further effect would explain more than
-    noise and an error in the equations of those named. Else it is the likelier one of "no gap" and
-    "not in the catalogue"; the latter only where something exceeds what noise reaches: the
-    residual, a deviation that all trials share, or the d′ of an effect. Without a learned noise
-    floor nobody knows what noise is: the verdict is "no floor", or "not in the catalogue" where
-    strengths differ or all trials deviate alike.
+    Where what is named is believed the verdict is "closed", or "reduced" where more is left than
+    noise explains, or a further effect would explain more than noise and an error in the equations
+    of those named. Else it is the likelier one of "no gap" and "not in the catalogue"; the latter
+    only where something exceeds what noise reaches: the residual, a deviation that all trials
+    share, or the d′ of an effect. Without a learned noise floor nobody knows what noise is: the
+    verdict is "no floor", or "not in the catalogue" where strengths differ or all trials deviate
+    alike.
 
     Parameters
     ----------
@@ -67,13 +68,15 @@ def gap_verdict(
         Of the evidence for them.
     further : FurtherEffect, optional
         What would explain most beside them.
+    believed : bool
+        Whether they are named (`models.gap.decision.answers.AnswerModel.believes`).
     """
     biased = bool(search.nuisance_bias(result.after))
     if not search.learned:
         differing = not all(c.holds for c in consistencies.values())
         unlike_noise = not result.named and search.has_gap(result.before)
         return "not in the catalogue" if biased or differing or unlike_noise else "no floor"
-    if result.named and answers.believed:
+    if believed:
         more = further is not None and further.is_missing
         return "reduced" if biased or more or search.has_gap(result.after) else "closed"
     beyond_noise = biased or search.has_gap(result.before) or bool(result.chosen)

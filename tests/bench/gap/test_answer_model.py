@@ -1,7 +1,6 @@
 """Fit of the answers: it finds in which direction evidence speaks, and refuses rigs for tests."""
 
 import json
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -11,13 +10,14 @@ from bench.gap.calibration import answer_model, answer_tests
 from bench.gap.calibration.answer_model import (
     OF_A_GAP_ASKED,
     OF_NAMES_ASKED,
-    Shape,
+    Regularisation,
     bounds,
     fitted_regression,
     left_out,
     loss,
 )
 from bench.gap.calibration.answer_tests import labelled, read_answer_tests, weights
+from bench.gap.calibration.whole_decisions import LEAST_PROBABILITIES
 from models.gap.decision.answers import read_answer_model
 from models.gap.decision.evidence import Evidence
 
@@ -63,8 +63,8 @@ def results():
 
 def test_each_regression_tells_what_it_is_asked(results):
     rows, rng = labelled(results), np.random.default_rng(1)
-    names = fitted_regression(rows, OF_NAMES_ASKED, Shape())
-    gap = fitted_regression(rows, OF_A_GAP_ASKED, Shape())
+    names = fitted_regression(rows, OF_NAMES_ASKED, Regularisation())
+    gap = fitted_regression(rows, OF_A_GAP_ASKED, Regularisation())
     of = {kind: evidence(kind, rng) for kind in KINDS}
     assert names.probability(of["single"], ["creep"]) > 0.5
     assert max(names.probability(of[kind], []) for kind in ("null", "outside")) < 0.5
@@ -75,14 +75,13 @@ def test_an_effect_that_often_stands_in_for_others_is_believed_less():
     rng, rows = np.random.default_rng(2), []
     for hidden, named in 8 * (("creep", "creep"), ("stiction", "backlash"), ("drag", "drag")):
         rows += labelled([result("single", "drawn_1", rng, hidden=hidden, named=named)])
-    fitted = fitted_regression(rows, OF_NAMES_ASKED, Shape())
+    fitted = fitted_regression(rows, OF_NAMES_ASKED, Regularisation())
     same = rows[0].evidence
     creep, backlash, pair, new = (
         fitted.probability(same, e)
         for e in (["creep"], ["backlash"], ["backlash", "creep"], ["cogging"])
     )
     assert backlash < new < creep == pair, "the effect that was found last counts"
-    assert not fitted_regression(rows, replace(OF_NAMES_ASKED, of_effect=False), Shape()).of_effect
 
 
 def test_evidence_but_the_size_counts_within_what_most_tests_reach():
@@ -98,7 +97,7 @@ def test_evidence_but_the_size_counts_within_what_most_tests_reach():
 @pytest.mark.parametrize("question", [OF_NAMES_ASKED, OF_A_GAP_ASKED])
 def test_a_rig_that_is_left_out_is_predicted_better_than_by_chance(results, question):
     tests = labelled(results)
-    assert loss(tests, question, left_out(tests, question, Shape())) < np.log(2)
+    assert loss(tests, question, left_out(tests, question, Regularisation())) < np.log(2)
 
 
 def test_a_gap_is_asked_only_where_its_evidence_was_measured(results):
@@ -169,8 +168,11 @@ def test_what_was_fitted_is_written_where_that_is_asked_for(monkeypatch, files, 
     calibrate(monkeypatch, results[:5], "run")
     assert len(read_answer_tests()) == len(results), "those of a data set are replaced"
     calibrate(monkeypatch, [], "--write")
-    assert json.loads((files / "answers.json").read_text())["sets"] == len(results)
-    assert "null 24 of 24, outside 24 of 24" in capsys.readouterr().out.split("left out")[-1]
+    written = json.loads((files / "answers.json").read_text())
+    assert written["sets"] == len(results) and written["least_probability"] in LEAST_PROBABILITIES
+    printed = capsys.readouterr().out
+    assert "null 24 of 24, outside 24 of 24" in printed
+    assert "link unchanged, outside, 24: outside 24" in printed.split("whole decisions")[-1]
 
 
 def test_the_coefficients_in_use_tell_the_tests_of_the_table(monkeypatch):

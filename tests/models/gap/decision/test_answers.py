@@ -44,8 +44,9 @@ def test_probabilities_add_up_to_one(answers, evidence):
 
 
 def test_noise_is_nothing_and_a_clear_effect_of_one_strength_is_believed(answers):
-    assert answers(NOISE).nothing > 0.5 and not answers(NOISE).believed
-    assert answers(EXPLAINED).believed
+    believes = read_answer_model().believes
+    assert answers(NOISE).nothing > 0.5 and not believes(answers(NOISE))
+    assert believes(answers(EXPLAINED))
 
 
 def test_an_effect_is_believed_the_more_the_clearer_it_stands_out(answers):
@@ -85,12 +86,12 @@ def test_a_residual_beyond_noise_is_not_nothing(answers, part):
     assert unexplained.outside > answers(NOISE).outside
 
 
-@pytest.mark.parametrize(
-    ("row", "believed"),
-    [((0.1, 0.6, 0.3), True), ((0.3, 0.4, 0.3), False), ((0.25, 0.5, 0.25), False)],
-)
-def test_believed_is_what_is_likelier_than_all_else(row, believed):
-    assert Answers(*row).believed is believed
+def test_names_are_given_beyond_a_least_probability():
+    model = read_answer_model()
+    assert 0.5 < model.least_probability < 0.9
+    just = model.least_probability
+    assert not model.believes(Answers(0.0, just, 1 - just))
+    assert model.believes(Answers(0.0, just + 0.01, 0.99 - just))
 
 
 def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):

@@ -181,13 +181,16 @@ def decide_with(monkeypatch, believed):
     ]  # fmt: skip
     result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
     known = believed if isinstance(believed, dict) else dict.fromkeys(believed, BELIEVED)
-    model = SimpleNamespace(answers=lambda evidence, named: known.get(evidence, DOUBTED))
+    model = SimpleNamespace(
+        answers=lambda evidence, named: known.get(evidence, DOUBTED),
+        believes=lambda answers: answers.catalogue > 0.5,
+    )
     monkeypatch.setattr(decision, "Acceptance", PassingTests)
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
     monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
     monkeypatch.setattr(decision, "further_effect_of", lambda *of: None)
-    monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[3].believed else "no")
+    monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[5] else "no")
     monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
     return decide(Search(), result)
 

@@ -56,22 +56,22 @@ def result(before, after, *named):
 )
 def test_what_is_believed_closes_the_gap_or_reduces_it(after, bias, verdict):
     found = result(9.0, after, "creep")
-    assert gap_verdict(Search(bias), found, {}, CERTAIN, None) == verdict
+    assert gap_verdict(Search(bias), found, {}, CERTAIN, None, True) == verdict
 
 
 @pytest.mark.parametrize(("separation", "verdict"), [(11.0, "closed"), (13.0, "reduced")])
 def test_what_a_further_effect_explains_beyond_the_errors_of_equations_is_left(separation, verdict):
     further = FurtherEffect("hysteresis", separation, 12.0)
     found = result(9.0, 1.0, "creep")
-    assert gap_verdict(Search(), found, {}, CERTAIN, further) == verdict
+    assert gap_verdict(Search(), found, {}, CERTAIN, further, True) == verdict
 
 
 @pytest.mark.parametrize("named", [("creep",), ()])
 def test_what_is_not_believed_leaves_the_likelier_one_of_the_other_answers(named):
     found = result(9.0, 1.0, *named)
     outside, nothing = Answers(0.1, 0.3, 0.6), Answers(0.6, 0.3, 0.1)
-    assert gap_verdict(Search(), found, {}, outside, None) == "not in the catalogue"
-    assert gap_verdict(Search(), found, {}, nothing, None) == "no gap"
+    assert gap_verdict(Search(), found, {}, outside, None, False) == "not in the catalogue"
+    assert gap_verdict(Search(), found, {}, nothing, None, False) == "no gap"
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,12 @@ def test_something_else_is_missing_only_where_something_exceeds_noise(
     before, bias, chosen, verdict
 ):
     found = SearchResult(point(before), point(before), chosen=chosen)
-    assert gap_verdict(Search(bias), found, {}, Answers(0.1, 0.3, 0.6), None) == verdict
+    assert gap_verdict(Search(bias), found, {}, Answers(0.1, 0.3, 0.6), None, False) == verdict
 
 
 def test_without_a_name_an_effect_of_the_catalogue_may_be_too_faint_to_name():
     faint = Answers(nothing=0.3, catalogue=0.6, outside=0.1)
-    assert gap_verdict(Search(), result(1.5, 1.5), {}, faint, None) == "no gap"
+    assert gap_verdict(Search(), result(1.5, 1.5), {}, faint, None, False) == "no gap"
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,10 @@ def test_without_a_name_an_effect_of_the_catalogue_may_be_too_faint_to_name():
 def test_without_a_noise_floor_only_a_stand_in_is_told(bias, consistencies, verdict):
     found = result(9.0, 1.0, "creep")
     search = Search(bias, learned=False)
-    assert gap_verdict(search, found, consistencies, CATALOGUE_ONLY, None) == verdict
+    assert (
+        gap_verdict(search, found, consistencies, CATALOGUE_ONLY, None, bool(found.named))
+        == verdict
+    )
 
 
 def test_the_fraction_left_is_of_the_amplitude_beyond_noise():

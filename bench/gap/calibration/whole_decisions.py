@@ -1,0 +1,101 @@
+"""Decisions on whole data sets, from the probabilities of their tests.
+
+In one data set several sets of effects are judged, and the largest that is believed is named
+(`models.gap.decision.decision`). A name that is wrong costs more than one that is not given, and
+the likeliest of several is right less often than its probability says. Names therefore need more
+than one half: as much as costs least on rigs left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal
+
+from bench.gap.calibration.answer_tests import KIND_WEIGHT, AnswerTest
+from bench.gap.cases import Kind
+
+LEAST_PROBABILITIES: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
+"""Of names that are given; the one that costs least is taken."""
+
+WRONG_NAME_COST: Final = 2.0
+"""Cost of a wrong name, over that of any other mistake: somebody looks for an effect that is not
+there, and the plant that is written has it [assumed]."""
+
+MORE_THAN_HALF: Final = 0.5
+"""Probability beyond which something outside of the catalogue is said."""
+
+Outcome = Literal["right name", "wrong name", "nothing", "outside"]
+
+WANTED: Final[dict[Kind, Outcome]] = {
+    "single": "right name", "pair": "right name", "null": "nothing", "outside": "outside",
+}  # fmt: skip
+
+Decisions = Sequence[tuple[AnswerTest, Outcome]]
+"""Of each data set its first test, for its kind, and what was decided."""
+
+
+def whole_decisions(
+    names: Mapping[AnswerTest, float], outside: Mapping[AnswerTest, float], least: float
+) -> Decisions:
+    """Decision on each data set.
+
+    Parameters
+    ----------
+    names : mapping of AnswerTest to float
+        Probability of the effects of each test.
+    outside : mapping of AnswerTest to float
+        Probability of something outside of the catalogue where these are wrong; of the tests that
+        it was asked of.
+    least : float
+        Probability beyond which names are given.
+    """
+    tests: dict[tuple[str, int], list[AnswerTest]] = defaultdict(list)
+    for test in names:
+        tests[test.rig, test.data_set].append(test)
+    found: list[tuple[AnswerTest, Outcome]] = []
+    for own in tests.values():
+        believed = [test for test in own if test.effects and names[test] > least]
+        if believed:
+            best = max(believed, key=lambda test: (len(test.effects), names[test]))
+            found.append((own[0], "right name" if best.answer == "catalogue" else "wrong name"))
+        else:
+            likeliest = max(own, key=lambda test: names[test])
+            said = outside.get(likeliest, 0.0) > MORE_THAN_HALF
+            found.append((own[0], "outside" if said else "nothing"))
+    return found
+
+
+def mean_cost(decisions: Decisions) -> float:
+    """Mean cost of the decisions, where each kind has the weight of what users bring.
+
+    Parameters
+    ----------
+    decisions : sequence of (AnswerTest, str)
+        From `whole_decisions`.
+    """
+    of = Counter(test.kind for test, _ in decisions)
+    cost: Counter[Kind] = Counter()
+    for test, outcome in decisions:
+        if outcome != WANTED[test.kind]:
+            cost[test.kind] += WRONG_NAME_COST if outcome == "wrong name" else 1.0
+    whole = sum(KIND_WEIGHT[kind] for kind in of)
+    return sum(KIND_WEIGHT[kind] * cost[kind] / count / whole for kind, count in of.items())
+
+
+def decisions_table(decisions: Decisions) -> str:
+    """Outcomes by kind of data set and link, one kind a line.
+
+    Parameters
+    ----------
+    decisions : sequence of (AnswerTest, str)
+        From `whole_decisions`.
+    """
+    counts: dict[tuple[str, str], Counter[Outcome]] = defaultdict(Counter)
+    for test, outcome in decisions:
+        counts["link unchanged" if test.same_link else "link changed", test.kind][outcome] += 1
+    return "\n".join(
+        f"  {link}, {kind}, {own.total()}: "
+        + ", ".join(f"{outcome} {count}" for outcome, count in sorted(own.items()))
+        for (link, kind), own in sorted(counts.items())
+    )
