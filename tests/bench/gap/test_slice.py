@@ -39,8 +39,7 @@ def test_what_is_hidden_is_found_and_nothing_else(results):
     assert figures["class"]["fraction"] == 1.0
     assert figures["nothing_beside"]["fraction"] == 1.0
     assert figures["false_alarms"]["fraction"] == 0.0
-    # Most of it: the 85 % of docs/gap.md is a median, and this is one case, of friction whose level
-    # and speed make up for each other.
+    # Most of it: this is one case, of friction whose level and speed make up for each other.
     assert figures["fraction_of_gap_removed"]["median"] > 0.5
 
 
