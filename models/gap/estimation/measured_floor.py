@@ -7,7 +7,7 @@ repetitions differed by up to 350 times the power that those of the identificati
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -145,21 +145,18 @@ def with_repeated_trials(
     known, groups, trials = floor.ratios, residuals.groups, residuals.trials
     at = ratio_frequencies_hz(max((group_frequencies_hz(g, trials) for g in groups), key=len))
     pooled: dict[float, dict[str, list[Array]]] = {}
-    for group, residual in zip(groups, rows, strict=True):
+    for group, payload_kg, part in _by_payload(residuals, rows):
         hz = group_frequencies_hz(group, trials)
-        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
-        for payload in np.unique(payloads):
-            part = residual[payloads == payload]
-            fraction = (len(part) - 1) / (len(part) - 1 + max(floor.repeats - 1, 1))
-            within = smooth_variance(part) if len(part) > 1 else np.zeros(part.shape[1:])
-            for signal, variance in zip(group.signals, within, strict=True):
-                if signal not in floor.noise:
-                    continue
-                expected = np.interp(hz, floor.frequency_hz, floor.noise[signal])
-                here = variance / np.maximum(expected, np.finfo(float).tiny)
-                ratio = (1 - fraction) * known.noise_at(signal, payload, hz) + fraction * here
-                own = pooled.setdefault(float(payload), {}).setdefault(signal, [])
-                own.append(np.interp(at, hz, ratio))
+        fraction = (len(part) - 1) / (len(part) - 1 + max(floor.repeats - 1, 1))
+        within = smooth_variance(part) if len(part) > 1 else np.zeros(part.shape[1:])
+        for signal, variance in zip(group.signals, within, strict=True):
+            if signal not in floor.noise:
+                continue
+            expected = np.interp(hz, floor.frequency_hz, floor.noise[signal])
+            here = variance / np.maximum(expected, np.finfo(float).tiny)
+            ratio = (1 - fraction) * known.noise_at(signal, payload_kg, hz) + fraction * here
+            own = pooled.setdefault(payload_kg, {}).setdefault(signal, [])
+            own.append(np.interp(at, hz, ratio))
     noise = {p: _averaged(own) for p, own in pooled.items()}
     model = {p: {s: known.model_at(s, p, at) for s in own} for p, own in noise.items()}
     return replace(floor, ratios=PayloadRatios(at, noise, model))
@@ -186,19 +183,26 @@ def with_amplified_scatter(
     """
     if not floor.learned:
         return floor
-    trials, limit = residuals.trials, residuals.settings.amplified_scatter_limit
+    limit = residuals.settings.amplified_scatter_limit
     found: dict[float, list[float]] = {}
-    for group, residual in zip(residuals.groups, rows, strict=True):
-        hz = group_frequencies_hz(group, trials)
-        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
-        for payload in np.unique(payloads):
-            part = residual[payloads == payload]
-            if len(part) > 1:
-                ratio = _scatter_ratio(floor, group, part, float(payload), hz)
-                found.setdefault(float(payload), []).append(ratio)
+    for group, payload_kg, part in _by_payload(residuals, rows):
+        if len(part) > 1:
+            hz = group_frequencies_hz(group, residuals.trials)
+            ratio = _scatter_ratio(floor, group, part, payload_kg, hz)
+            found.setdefault(payload_kg, []).append(ratio)
     scatter = {p: float(np.mean(own)) for p, own in found.items()}
     amplified = {p: (1 + ratio) / 2 for p, ratio in scatter.items() if ratio > limit}
     return replace(floor, amplification=amplified)
+
+
+def _by_payload(
+    residuals: Residuals, rows: Sequence[Array]
+) -> Iterator[tuple[TrialGroup, float, Array]]:
+    """Group, payload in kg, and spectra (repetitions, signals, K) of each payload of each group."""
+    for group, residual in zip(residuals.groups, rows, strict=True):
+        payloads = np.array([residuals.trials[k].meta.payload_kg for k in group.trials])
+        for payload_kg in np.unique(payloads):
+            yield group, float(payload_kg), residual[payloads == payload_kg]
 
 
 def _scatter_ratio(
