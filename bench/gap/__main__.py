@@ -16,11 +16,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 from bench.gap.bench_kind import cases_of_run
 from bench.gap.benchmark_run import run_benchmark
-from bench.gap.cases import DEFAULT_RIG, BenchCase, draw_cases, mixed_cases
+from bench.gap.cases import DEFAULT_RIG, MOTIONS, BenchCase, draw_cases, mixed_cases
 from bench.gap.scores.rig_table import rig_table_text
 from bench.gap.scores.summary_files import write_bench_summary
 from firmware_py.errors import InputError
@@ -50,6 +52,10 @@ def main() -> None:
     add("--most", type=int, help="at most so many cases of each rig, of all kinds in turn")
     add("--seed", type=int, default=0, help="of the draw")
     add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
+    add(
+        "--motions", nargs="+", choices=MOTIONS, default=["study"], metavar="NAME",
+        help="motions of the trials, for the rigs in turn: " + ", ".join(MOTIONS),
+    )  # fmt: skip
     add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
@@ -57,6 +63,8 @@ def main() -> None:
     args = parser.parse_args()
     if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
         parser.error("give one of --plant, --rigs and --like")
+    if args.motions != ["study"] and not args.no_sealed:
+        parser.error("sealed trials have motions of their own: give --no-sealed with --motions")
     for name in args.rigs:
         try:
             rig_named(name)
@@ -79,10 +87,11 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
     if args.like:
         return cases_of_run(args.like)
     cases: list[BenchCase] = []
-    for rig in args.rigs or [DEFAULT_RIG]:
+    for rig, motion in zip(args.rigs or [DEFAULT_RIG], cycle(args.motions)):
         counts = args.singles, args.nulls, args.pairs, args.outside
         own = list(draw_cases(*counts, args.seed, rig, args.same_link, args.joints))
-        cases += own if args.most is None else mixed_cases(own, args.most)
+        own = own if args.most is None else mixed_cases(own, args.most)
+        cases += [replace(case, motion=motion) for case in own]
     return cases
 
 

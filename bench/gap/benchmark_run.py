@@ -38,11 +38,15 @@ def run_benchmark(
         Whether improved plants are tested on sealed trials.
     """
     wanted, store = list(cases), ResultStore(out)
-    robots = sorted({(c.rig, c.joints) for c in wanted})
-    plants = {(r, joints): plant or plant_of_rig(r, out / "plants", joints) for r, joints in robots}
+    robots = sorted({(c.rig, c.joints, c.motion) for c in wanted})
+    plants = {
+        (rig, *protocol): plant or plant_of_rig(rig, out / "plants", *protocol)
+        for rig, *protocol in robots
+    }
     maker = CaseMaker(KIND, MODULE, store.shared)
     made = maker.cases(
-        (bench_configuration(c, plants[c.rig, c.joints], sealed) for c in wanted), "bench.gap"
+        (bench_configuration(c, plants[c.rig, c.joints, c.motion], sealed) for c in wanted),
+        "bench.gap",
     )
     made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample
     with store.locked():

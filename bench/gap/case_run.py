@@ -9,10 +9,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bench.gap.cases import PAYLOADS_KG, BenchCase
+from bench.gap.cases import PAYLOADS_KG, BenchCase, motion_named
 from bench.gap.sealed_errors import SealedErrors
 from firmware_py.errors import InputError
-from firmware_py.motion import Motion
 from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.equation_error import read_equation_error
 from models.plant.plant import Plant
@@ -46,7 +45,8 @@ def run_bench_case(
     """
     rig = rig_of(case)
     try:
-        trials = TrialSet(tuple(bench_trials(rig.hide(case.hidden), case.seed, case.joints)))
+        own = bench_trials(rig.hide(case.hidden), case.seed, case.joints, case.motion)
+        trials = TrialSet(tuple(own))
     except InputError as error:
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
@@ -177,7 +177,9 @@ def rig_of(case: BenchCase) -> RigParameters:
     return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
 
 
-def bench_trials(rig: RigParameters, seed: int, joints: int = 1) -> list[Trial]:
+def bench_trials(
+    rig: RigParameters, seed: int, joints: int = 1, motion: str = "study"
+) -> list[Trial]:
     """Trials of three payloads, each repeated once.
 
     Parameters
@@ -188,6 +190,8 @@ def bench_trials(rig: RigParameters, seed: int, joints: int = 1) -> list[Trial]:
         Of trial variation and noise.
     joints : int
         Driven joints, 1 or 2.
+    motion : str
+        Name of the motion, of `bench.gap.cases.MOTIONS`.
 
     Raises
     ------
@@ -195,7 +199,7 @@ def bench_trials(rig: RigParameters, seed: int, joints: int = 1) -> list[Trial]:
         If the link folds, or the arm hangs before the motion begins: nobody records that.
     """
     trials = [
-        run_case(rig, TrialCase(Motion(dof=joints), payload, trial, seed))
+        run_case(rig, TrialCase(motion_named(motion, joints), payload, trial, seed))
         for payload in PAYLOADS_KG
         for trial in (1, 2)
     ]

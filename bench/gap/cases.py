@@ -11,15 +11,26 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
+
+from firmware_py.motion import Motion
 
 DEFAULT_RIG: Final = "default"
 
 PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
 """Payloads of the trials of every case, and of those that a plant is identified on."""
+
+MOTIONS: Final = {
+    "study": Motion(),
+    "slow": Motion(amplitude_rad=0.35, period_s=6.0),
+    "multisine": Motion("multisine", amplitude_rad=0.44),
+    "triangle": Motion("triangle", period_s=4.0),
+}
+"""Motions of the trials by name; a plant is identified on the motion that it is diagnosed on. The
+workflow was set on the study's; the others are what a user may run [chosen before any run]."""
 
 Kind = Literal["single", "null", "pair", "outside"]
 
@@ -70,6 +81,8 @@ class BenchCase:
         Name of the rig.
     joints : int
         Driven joints, 1 or 2.
+    motion : str
+        Name of the motion of all trials, of `MOTIONS`.
     """
 
     kind: Kind
@@ -78,6 +91,20 @@ class BenchCase:
     seed: int
     rig: str = DEFAULT_RIG
     joints: int = 1
+    motion: str = "study"
+
+
+def motion_named(name: str, joints: int) -> Motion:
+    """Motion of a name.
+
+    Parameters
+    ----------
+    name : str
+        Of `MOTIONS`.
+    joints : int
+        Driven joints, 1 or 2.
+    """
+    return replace(MOTIONS[name], dof=joints)
 
 
 def draw_cases(

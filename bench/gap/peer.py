@@ -217,7 +217,8 @@ def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
     path : Path
         File to write.
     """
-    trials = bench_trials(rig_of(case).hide(case.hidden), case.seed)
+    rig = rig_of(case).hide(case.hidden)
+    trials = bench_trials(rig, case.seed, case.joints, case.motion)
     found = contributions(refitted_equations(plant, trials), [t.meta.payload_kg for t in trials])
     result = {
         "case": asdict(case), "verdict": "reduced" if found else "no gap",

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bench.gap.cases import PAYLOADS_KG
+from bench.gap.cases import PAYLOADS_KG, motion_named
 from firmware_py.errors import InputError
-from firmware_py.motion import Motion
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
 from models.plant.identification.identification import identify
@@ -22,7 +21,7 @@ SEED: Final = 1
 """Of the trials of identification; the cases draw others."""
 
 
-def plant_of_rig(rig: str, directory: Path, joints: int = 1) -> Path:
+def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "study") -> Path:
     """Plant file of a rig; identified where it is not there yet.
 
     A plant for two joints is identified on motions of one joint and of both, as the study's.
@@ -35,12 +34,15 @@ def plant_of_rig(rig: str, directory: Path, joints: int = 1) -> Path:
         Of the plant files.
     joints : int
         Driven joints, 1 or 2.
+    motion : str
+        Name of the motion, of `bench.gap.cases.MOTIONS`.
     """
-    name = f"{rig}.json" if joints == 1 else f"{rig}_{joints}dof.json"
-    return plant_for(rig_named(rig), directory / name, joints)
+    name = rig if joints == 1 else f"{rig}_{joints}dof"
+    name += "" if motion == "study" else f"_{motion}"
+    return plant_for(rig_named(rig), directory / f"{name}.json", joints, motion)
 
 
-def plant_for(rig: RigParameters, path: Path, joints: int = 1) -> Path:
+def plant_for(rig: RigParameters, path: Path, joints: int = 1, motion: str = "study") -> Path:
     """Plant file, identified on trials of a rig where it is not there yet.
 
     Parameters
@@ -51,11 +53,13 @@ def plant_for(rig: RigParameters, path: Path, joints: int = 1) -> Path:
         Of the file.
     joints : int
         Driven joints of the robot, 1 or 2.
+    motion : str
+        Name of the motion, of `bench.gap.cases.MOTIONS`.
     """
     if not path.exists():
         trials = TrialSet(
             tuple(
-                run_case(rig, TrialCase(Motion(dof=dof), payload_kg, trial, SEED))
+                run_case(rig, TrialCase(motion_named(motion, dof), payload_kg, trial, SEED))
                 for dof in range(1, joints + 1)
                 for payload_kg in PAYLOADS_KG
                 for trial in (1, 2)

@@ -16,17 +16,15 @@ from markupsafe import Markup
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words, symbol_of
 from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
 from models.gap.report.gap_words import (
-    amplification_in_words,
     floor_in_words,
-    goal_not_followed_in_words,
     is_plant_as_given,
     next_step_in_words,
-    nuisance_bias_in_words,
     probabilities_in_words,
     refusals_in_words,
     verdict_in_words,
 )
 from models.gap.report.localisation_maps import localisation_maps
+from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
@@ -86,11 +84,8 @@ def write_gap_page(
 def gap_lead(document: GapDocument) -> list[Part]:
     """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
     said = document.sentence
-    for more in (
-        goal_not_followed_in_words(document), nuisance_bias_in_words(document),
-        amplification_in_words(document),
-    ):  # fmt: skip
-        said += f" {more[0].upper() + more[1:]}." if more else ""
+    for more in notes_in_words(document):
+        said += f" {more[0].upper() + more[1:]}."
     tip_m = [_tip_m(getattr(document, when)) for when in ("before", "after")]
     if any(row.kept for row in document.named) and tip_m[0]:
         before, after = (LENGTH.significant(value) for value in tip_m)

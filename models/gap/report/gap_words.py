@@ -7,52 +7,10 @@ from typing import Final
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.report.gap_json import GapDocument, NamedEffect
+from models.gap.report.trial_notes import notes_in_words
 
 DECIDED: Final = 0.9
 """Probability from which on an effect counts as decided; below the rest of it, as excluded."""
-
-
-def goal_not_followed_in_words(document: GapDocument) -> str:
-    """Rows that were not used, and why; empty where all were."""
-    rows = document.goal_not_followed_at_row
-    if not rows:
-        return ""
-    where = ", ".join(f"{name} from row {row}" for name, row in rows.items())
-    return f"not used, because the current saturates and the joint does not follow: {where}"
-
-
-def nuisance_bias_in_words(document: GapDocument) -> str:
-    """Variations in which all trials would have to differ alike; empty if in none."""
-    kinds = ", ".join(
-        f"{kind} by {z:+.0f} standard deviations" for kind, z in document.nuisance_bias.items()
-    )
-    return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"
-
-
-def rows_fitted_in_words(document: GapDocument) -> str:
-    """Trials of which only the first rows were fitted; empty if there are none."""
-    rows = ", ".join(f"{count} of {name}" for name, count in document.rows_fitted.items())
-    return rows and f"of the longest trials only the first rows were fitted: {rows}"
-
-
-def own_error_in_words(document: GapDocument) -> str:
-    """Trials for which the floor holds no mean error of the plant; empty if it holds all."""
-    floor = document.noise_floor
-    if not floor.learned:
-        return ""
-    lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
-    where = "; ".join(lacking)
-    return where and f"the plant's own error is not known, so not subtracted, for: {where}"
-
-
-def amplification_in_words(document: GapDocument) -> str:
-    """Payloads whose floor is larger than that of the plant file; empty if there are none."""
-    found = document.noise_floor.amplification
-    where = ", ".join(f"{factor:.1f} times at {kg} kg" for kg, factor in found.items())
-    return where and (
-        "repetitions differ far more than when the plant was identified, as a link does that "
-        f"nearly folds: the noise floor is larger there, {where}"
-    )
 
 
 def verdict_in_words(document: GapDocument) -> str:
@@ -65,8 +23,12 @@ def verdict_in_words(document: GapDocument) -> str:
     answers = document.answers
     if answers is not None and answers.catalogue < DECIDED:
         names += f" (probability {_percent(answers.catalogue)})" if names else ""
+    no_gap = "Nothing that these trials show is missing."
+    if answers is not None and answers.nothing < 0.5:
+        missing = _percent(1 - answers.nothing)
+        no_gap = f"No effect can be named, though one is missing with a probability of {missing}."
     return {
-        "no gap": "No gap.",
+        "no gap": no_gap,
         "closed": f"Closed by {names}.",
         "reduced": f"Reduced by {names}; {_left_in_words(document)}.",
         "not in the catalogue": "The missing effect is not in the catalogue."
@@ -204,15 +166,8 @@ def gap_in_words(document: GapDocument) -> str:
     document : GapDocument
         Of a diagnosis.
     """
-    lines = [f"verdict: {document.verdict}", document.sentence]
-    if document.verdict == "no floor":
-        lines.append(unexplained_in_words(document))
-    notes = (
-        goal_not_followed_in_words(document), nuisance_bias_in_words(document),
-        rows_fitted_in_words(document), own_error_in_words(document),
-        amplification_in_words(document),
-    )  # fmt: skip
-    lines += [text for text in notes if text]
+    lines = [f"verdict: {document.verdict}", verdict_in_words(document), document.sentence]
+    lines += notes_in_words(document)
     for row in document.named:
         lines += _named_in_words(row)
     if said := probabilities_in_words(document):

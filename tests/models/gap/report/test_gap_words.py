@@ -7,7 +7,6 @@ import pytest
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.report.gap_words import (
-    amplification_in_words,
     next_step_in_words,
     probabilities_in_words,
     verdict_in_words,
@@ -82,9 +81,13 @@ def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
     assert verdict_in_words(document("closed", "creep", answers=answers)) == words
 
 
-def test_a_floor_that_grew_is_told_with_its_payload():
-    told = SimpleNamespace(noise_floor=SimpleNamespace(amplification={"2": 3.9}))
-    assert "3.9 times at 2 kg" in amplification_in_words(told)
-    assert (
-        amplification_in_words(SimpleNamespace(noise_floor=SimpleNamespace(amplification={}))) == ""
-    )
+@pytest.mark.parametrize(
+    ("nothing", "words"),
+    [
+        (0.95, "Nothing that these trials show is missing."),
+        (0.03, "No effect can be named, though one is missing with a probability of 97%."),
+    ],
+)
+def test_no_gap_is_not_said_where_something_is_missing_that_has_no_name(nothing, words):
+    answers = Answers(nothing, 0.9 * (1 - nothing), 0.1 * (1 - nothing))
+    assert verdict_in_words(document("no gap", answers=answers)) == words

@@ -1,0 +1,63 @@
+"""Notes on the trials of a diagnosis: what of them was used, and what the noise floor knows."""
+
+from __future__ import annotations
+
+from models.gap.report.gap_json import GapDocument
+
+
+def notes_in_words(document: GapDocument) -> list[str]:
+    """One phrase for each thing that a reader has to know of the trials.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    """
+    notes = (
+        _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
+        _own_error(document), _amplification(document),
+    )  # fmt: skip
+    return [text for text in notes if text]
+
+
+def _goal_not_followed(document: GapDocument) -> str:
+    """Rows that were not used, and why; empty where all were."""
+    rows = document.goal_not_followed_at_row
+    if not rows:
+        return ""
+    where = ", ".join(f"{name} from row {row}" for name, row in rows.items())
+    return f"not used, because the current saturates and the joint does not follow: {where}"
+
+
+def _nuisance_bias(document: GapDocument) -> str:
+    """Variations in which all trials would have to differ alike; empty if in none."""
+    kinds = ", ".join(
+        f"{kind} by {z:+.0f} standard deviations" for kind, z in document.nuisance_bias.items()
+    )
+    return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"
+
+
+def _rows_fitted(document: GapDocument) -> str:
+    """Trials of which only the first rows were fitted; empty if there are none."""
+    rows = ", ".join(f"{count} of {name}" for name, count in document.rows_fitted.items())
+    return rows and f"of the longest trials only the first rows were fitted: {rows}"
+
+
+def _own_error(document: GapDocument) -> str:
+    """Trials for which the floor holds no mean error of the plant; empty if it holds all."""
+    floor = document.noise_floor
+    if not floor.learned:
+        return ""
+    lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
+    where = "; ".join(lacking)
+    return where and f"the plant's own error is not known, so not subtracted, for: {where}"
+
+
+def _amplification(document: GapDocument) -> str:
+    """Payloads whose floor is larger than that of the plant file; empty if there are none."""
+    found = document.noise_floor.amplification
+    where = ", ".join(f"{factor:.1f} times at {kg} kg" for kg, factor in found.items())
+    return where and (
+        "repetitions differ far more than when the plant was identified, as a link does that "
+        f"nearly folds: the noise floor is larger there, {where}"
+    )

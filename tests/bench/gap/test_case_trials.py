@@ -1,0 +1,77 @@
+"""Joints and motions of the gap benchmark's cases."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bench.gap import __main__ as command
+from bench.gap.case_run import bench_trials
+from bench.gap.cases import MOTIONS, BenchCase, draw_cases, motion_named
+from bench.gap.rig_plants import plant_of_rig
+from bench.gap.sealed_errors import SealedErrors
+from models.rig.drawn_rig import rig_named
+
+
+def test_only_two_joints_hide_a_coupling_of_the_planes():
+    hidden = {
+        joints: {e for c in draw_cases(1, 0, 0, 0, 0, "drive", joints=joints) for e in c.hidden}
+        for joints in (1, 2)
+    }
+    assert hidden[2] - hidden[1] == {"cross_axis_coupling"}
+    assert not hidden[1] - hidden[2]
+
+
+def test_trials_and_sealed_trials_drive_as_many_joints_as_the_case():
+    rig = rig_named("default")
+    case = BenchCase("single", {"dead_time": 0.03}, {}, 1, joints=2)
+    sealed = [t for pair in SealedErrors(rig, case).trials.values() for t in pair]
+    assert len(sealed) == 4
+    for trial in [*bench_trials(rig, 1, 2), *sealed]:
+        assert trial.angle_rad.shape[1] == 2
+        assert trial.goal_rad[:, 1].any()
+
+
+@pytest.mark.parametrize("name", sorted(MOTIONS))
+def test_trials_follow_the_motion_of_their_case(name):
+    trial = bench_trials(rig_named("default"), 1, 1, name)[0]
+    motion, rest = motion_named(name, 1), trial.meta.rest_samples
+    at_s = (np.arange(len(trial)) - rest) * trial.step_s
+    assert trial.goal_rad[:, 0] == pytest.approx(motion.goal_rad(at_s)[:, 0])
+    assert np.abs(trial.goal_rad).max() == pytest.approx(motion.amplitude_rad, rel=0.05)
+
+
+def test_a_rig_has_a_plant_for_each_motion_and_number_of_joints(tmp_path):
+    names = {
+        (1, "study"): "drawn_3.json", (2, "study"): "drawn_3_2dof.json",
+        (1, "slow"): "drawn_3_slow.json", (2, "slow"): "drawn_3_2dof_slow.json",
+    }  # fmt: skip
+    for name in names.values():
+        (tmp_path / name).touch()
+    assert {k: plant_of_rig("drawn_3", tmp_path, *k).name for k in names} == names
+
+
+def test_rigs_take_the_motions_in_turn(monkeypatch, tmp_path):
+    ran = []
+
+    def run(cases, *_):
+        ran.extend(cases)
+        return SimpleNamespace(ran={})
+
+    monkeypatch.setattr(command, "run_benchmark", run)
+    monkeypatch.setattr(command, "write_bench_summary", lambda directory: ({}, {}))
+    arguments = "--rigs drawn_1 drawn_2 drawn_3 --most 2 --motions slow triangle --no-sealed"
+    monkeypatch.setattr("sys.argv", ["bench.gap", *arguments.split(), "--out", str(tmp_path)])
+    command.main()
+    assert [(c.rig, c.motion) for c in ran] == [
+        ("drawn_1", "slow"), ("drawn_1", "slow"), ("drawn_2", "triangle"),
+        ("drawn_2", "triangle"), ("drawn_3", "slow"), ("drawn_3", "slow"),
+    ]  # fmt: skip
+
+
+def test_sealed_trials_are_refused_with_motions_of_ones_own(monkeypatch, tmp_path, capsys):
+    arguments = ["--rigs", "drawn_1", "--motions", "slow", "--out", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["bench.gap", *arguments])
+    with pytest.raises(SystemExit):
+        command.main()
+    assert "--no-sealed" in capsys.readouterr().err

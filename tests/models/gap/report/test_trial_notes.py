@@ -1,0 +1,31 @@
+"""Notes on the trials of a diagnosis."""
+
+from types import SimpleNamespace
+
+from models.gap.report.trial_notes import notes_in_words
+
+
+def document(curve="measured", amplification=(), **others):
+    floor = SimpleNamespace(
+        learned=True, amplification=dict(amplification),
+        own_error={"1dof steps": SimpleNamespace(curve=curve)},
+    )  # fmt: skip
+    plain = {"goal_not_followed_at_row": {}, "nuisance_bias": {}, "rows_fitted": {}}
+    return SimpleNamespace(noise_floor=floor, **plain | others)
+
+
+def test_nothing_is_noted_of_plain_trials():
+    assert notes_in_words(document()) == []
+
+
+def test_everything_that_a_reader_has_to_know_is_noted():
+    found = document(
+        "unknown", {"2": 3.9}, goal_not_followed_at_row={"heavy": 310},
+        nuisance_bias={"sync_s": 14.2}, rows_fitted={"long": 5000},
+    )  # fmt: skip
+    said = "; ".join(notes_in_words(found))
+    for words in (
+        "heavy from row 310", "sync_s by +14 standard deviations", "5000 of long",
+        "not subtracted, for: 1dof steps", "3.9 times at 2 kg",
+    ):  # fmt: skip
+        assert words in said
