@@ -26,7 +26,7 @@ def verdict_in_words(document: GapDocument) -> str:
     no_gap = "Nothing that these trials show is missing."
     if answers is not None and answers.nothing < 0.5:
         missing = _percent(1 - answers.nothing)
-        no_gap = f"No effect can be named, though one is missing with a probability of {missing}."
+        no_gap = f"No effect can be named; that one is missing has a probability of {missing}."
     return {
         "no gap": no_gap,
         "closed": f"Closed by {names}.",

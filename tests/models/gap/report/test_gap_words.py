@@ -85,7 +85,7 @@ def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
     ("nothing", "words"),
     [
         (0.95, "Nothing that these trials show is missing."),
-        (0.03, "No effect can be named, though one is missing with a probability of 97%."),
+        (0.03, "No effect can be named; that one is missing has a probability of 97%."),
     ],
 )
 def test_no_gap_is_not_said_where_something_is_missing_that_has_no_name(nothing, words):
