@@ -106,8 +106,10 @@ def heat_legend(most: float) -> list[LegendEntry]:
     ]
 
 
-def draw_bars(ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: str) -> None:
-    """Draw horizontal bars with their values, the first one marked, and a line at a limit.
+def draw_bars(
+    ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: str, marked: int = 1
+) -> None:
+    """Draw horizontal bars with their values, the first ones marked, and a line at a limit.
 
     Parameters
     ----------
@@ -119,9 +121,11 @@ def draw_bars(ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: st
         Where the line stands.
     said : str
         Label of the value axis.
+    marked : int
+        How many bars are marked.
     """
     for k, (_, value) in enumerate(rows):
-        ax.barh(k, value, height=0.7, color=MUTED if k else BEFORE)
+        ax.barh(k, value, height=0.7, color=BEFORE if k < marked else MUTED)
         _bar_label(ax, value, k, f"{value:.1f}")
     _value_axis(ax, [label for label, _ in rows], [value for _, value in rows], limit, said)
 

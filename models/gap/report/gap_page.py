@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
-from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words, symbol_of
-from models.gap.report.gap_json import GapDocument, NamingEvidence, SignalGap
+from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words
+from models.gap.report.gap_json import GapDocument, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
     is_plant_as_given,
@@ -24,15 +23,14 @@ from models.gap.report.gap_words import (
     verdict_in_words,
 )
 from models.gap.report.localisation_maps import localisation_maps
+from models.gap.report.missing_effects import compared_effects, named_effects
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
 from models.plant.plant import Plant
-from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
 from models.shared.gap_charts import (
     BEFORE_AND_AFTER,
-    draw_bars,
     draw_traces,
     draw_waterfall,
 )
@@ -52,8 +50,6 @@ from models.shared.svg_drawing import Drawing
 from models.trials.origin_notice import origin_notice
 from models.trials.trial_files import TrialSet
 from models.trials.trial_origin import origins_of
-
-RIVALS: Final = 8
 
 
 def write_gap_page(
@@ -125,7 +121,7 @@ def gap_sections(
         Section(
             "what", "What is missing",
             [
-                _named(document, hidden), *_rivals(document),
+                *named_effects(document, hidden), *compared_effects(document),
                 Paragraph(
                     "d′ is the distance from a plant without the effect, in standard deviations "
                     f"of the {floor_in_words(document)}. The d′ that an effect needs was "
@@ -193,63 +189,6 @@ def _tip_m(errors: Mapping[str, Mapping[str, SignalGap]]) -> float:
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _named(document: GapDocument, hidden: Mapping[str, float] | None) -> Part:
-    if not document.named:
-        return Paragraph("No effect was named.")
-    rows = []
-    for entry in document.named:
-        effects = entry.effect.split(" + ")
-        meaning = "; ".join(EVERY_EFFECT[e].strength for e in effects if e in EVERY_EFFECT)
-        values = Markup("<br>").join(
-            f"{_words(name)} {q} {symbol_of(q.unit)}{q.bound_in_words} (before: {q.before:.3g})"
-            for name, q in entry.parameters.items()
-        )
-        alike = ", ".join(_words(c.effect) for c in entry.look_alikes) or "none"
-        if entry.separated_by:
-            alike += f"; separated by: {_words(entry.separated_by.motion)}"
-        effect = Markup("<b>{}</b><br><small>{}</small>").format(_words(entry.effect), meaning)
-        row: list[Cell] = [
-            effect, values, f"{entry.evidence.separation:.1f}",
-            _consistency(entry.evidence), alike,
-        ]  # fmt: skip
-        if hidden is not None:
-            told = [
-                f"{hidden[e]:g} {symbol_of(CATALOGUE[e].unit)}".strip()
-                for e in effects
-                if e in hidden
-            ]
-            row.insert(1, Markup("<br>").join(told) or "nothing")
-        rows.append(row)
-    head = ["effect", "value found", "d′", "strength differs by", "look-alikes"]
-    if hidden is not None:
-        head.insert(1, "hidden")
-    return Table("", head, rows)
-
-
-def _consistency(evidence: NamingEvidence) -> str | Markup:
-    """How far the strength differs between payloads, signals and frequencies."""
-    spread = FRACTION.text(evidence.strength_standard_deviation)
-    if evidence.strength_holds:
-        return spread
-    return Markup("<b>{}: not consistent</b>").format(spread)
-
-
-def _rivals(document: GapDocument) -> list[Figure]:
-    """The first named effect beside those that explain the gap next best, each alone."""
-    named = [
-        (_words(r.effect), r.evidence.separation / r.evidence.least) for r in document.named[:1]
-    ]
-    others = [(_words(r.effect), r.separation / r.least) for r in document.rejected]
-    rows = named + sorted(others, key=lambda row: -row[1])[: RIVALS - len(named)]
-    if not rows:
-        return []
-    with Drawing(0.8 + 0.26 * len(rows)) as (drawing, ax):
-        draw_bars(ax, rows, 1.0, "d′ over the d′ needed")
-    listed = ", ".join(f"{label} {value:.1f}" for label, value in rows)
-    title = "How well each effect alone explains the gap"
-    return [Figure("", "", [drawing.panel(title, f"Ratio of d′ to the d′ needed: {listed}.")])]
 
 
 def _rejected(document: GapDocument) -> Table:

@@ -196,7 +196,9 @@ def _named_in_words(row: NamedEffect) -> list[str]:
         f"{name} = {q} {q.unit}{q.bound_in_words}" for name, q in row.parameters.items()
     )
     word = "named" if row.kept else "named, then taken out"
-    lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
+    lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f})"]
+    if row.kept:
+        lines[0] += f"; {values}"
     if row.separated_by:
         others = ", ".join(c.effect for c in row.look_alikes)
         lines.append(

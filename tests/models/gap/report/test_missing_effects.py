@@ -1,0 +1,41 @@
+"""Effects that are named, and taken out again, on the page of a diagnosis."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from models.gap.report.missing_effects import compared_effects, named_effects
+
+
+def named(effect, kept, separation=15.0):
+    evidence = SimpleNamespace(
+        separation=separation, least=9.0, strength_holds=True, strength_standard_deviation=0.06
+    )
+    return SimpleNamespace(
+        effect=effect, kept=kept, evidence=evidence, parameters={}, look_alikes=[],
+        separated_by=None,
+    )  # fmt: skip
+
+
+def rejected(effect, separation):
+    return SimpleNamespace(effect=effect, separation=separation, least=9.0)
+
+
+def test_an_effect_that_was_taken_out_is_not_in_the_table_of_those_named():
+    found = SimpleNamespace(named=[named("creep", True), named("backlash", False)])
+    kept, taken_out = named_effects(found, None)
+    assert "creep" in kept.rows[0][0] and len(kept.rows) == 1
+    assert "backlash" in taken_out.rows[0][0] and "taken out" in taken_out.title
+    nothing, _ = named_effects(SimpleNamespace(named=[named("creep", False)]), None)
+    assert nothing.text == "No effect is named."
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_each_effect_is_compared_once(kept):
+    rows = [rejected("creep", 12.0), *(rejected(f"other_{k}", 11.0 - k) for k in range(9))]
+    found = SimpleNamespace(named=[named("creep", kept)], rejected=rows)
+    (figure,) = compared_effects(found)
+    (panel,) = figure.panels
+    assert panel.alt.count("creep") == 1
+    assert panel.alt.startswith("Ratio of d′ to the d′ needed: creep 1.7, other 0 1.2,")
+    assert panel.alt.count(",") == 7
