@@ -3,7 +3,8 @@
 The plant's own error resembles some effects more than others, and it grows with the change of the
 link since the plant was identified. How much was measured on rigs without any hidden effect, their
 link changed: `null_distribution.json`, written by `python -m bench.gap.calibration.plant_error`. An
-effect is named only beyond that.
+effect is named only beyond that. With two joints d′ of friction is as large on an unchanged link:
+what noise and patterns do not hold differs from trial to trial.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     repetitions_pooled : bool
         Whether it was measured with a floor pooled with repetitions at hand
         (`models.gap.estimation.measured_floor`); the search then does the same.
-    standard_deviation : dict of str to float
-        Root mean square of d′ by effect on a link that changed by one, at least 1; 1 for effects
-        that are not listed.
+    standard_deviation, unchanged_deviation : dict of str to float
+        Root mean square of d′ by effect on a link that changed by one, and on an unchanged one, at
+        least 1; 1 for effects that are not listed.
     """
 
     sets: int = 0
@@ -52,6 +53,7 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     explained_growth: float = 0.0
     repetitions_pooled: bool = False
     standard_deviation: dict[str, float] = {}
+    unchanged_deviation: dict[str, float] = {}
 
     def for_link_change(self, change: float) -> NullDistribution:
         """Distribution for a link that changed by another amount.
@@ -69,10 +71,13 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             self,
             explained=max(explained, DEFAULT_SETTINGS.noise_residual),
             standard_deviation={
-                e: float(np.sqrt(1 + change**2 * (s**2 - 1)))
+                e: float(np.sqrt((1 - change**2) * self._unchanged(e) ** 2 + change**2 * s**2))
                 for e, s in self.standard_deviation.items()
             },
         )
+
+    def _unchanged(self, effect: str) -> float:
+        return self.unchanged_deviation.get(effect, 1.0)
 
     def least(self, effects: Sequence[str]) -> float:
         """Least d′ that effects must reach together.
@@ -126,9 +131,10 @@ def calibrated_null_distribution(
 ) -> NullDistribution:
     """Null distribution from data sets without an effect.
 
-    d′ counts in roots of the residual, as in the search. The largest of each effect is left out:
-    one rig that no plant describes would set the size for all effects. The residual is log-normal,
-    mean and standard deviation of its logarithm linear in the change of the link.
+    d′ counts in roots of the residual, as in the search; its variance is linear in the square of
+    the change of the link. The largest of each effect is left out: one rig that no plant describes
+    would set the size for all effects. The residual is log-normal, mean and standard deviation of
+    its logarithm linear in the change of the link.
 
     Parameters
     ----------
@@ -144,20 +150,35 @@ def calibrated_null_distribution(
     effects = sorted({e for row in separations for e in row})
     size = np.sqrt(np.maximum(left, 1.0))
     change = np.array(changes)
-    deviation = {}
+    changed, unchanged = {}, {}
     for effect in effects:
         own = np.array([row.get(effect, 0.0) for row in separations]) / size
         kept = np.argsort(own / np.hypot(1.0, change))[:-1] if len(own) > 1 else slice(None)
-        beyond = max(float(np.mean(own[kept] ** 2 - 1)), 0.0)
-        deviation[effect] = float(np.sqrt(1 + beyond / np.mean(change[kept] ** 2)))
+        unchanged[effect], changed[effect] = _deviations(own[kept], change[kept])
     explained, growth = _largest_residuals(np.log(left), change, settings.null_quantile)
     return NullDistribution(
         sets=len(separations),
         threshold=settings.least_threshold,
         explained=round(explained, 3),
         explained_growth=round(growth, 3),
-        standard_deviation={e: round(s, 3) for e, s in deviation.items()},
+        standard_deviation={e: round(s, 3) for e, s in changed.items()},
+        unchanged_deviation={e: round(s, 3) for e, s in unchanged.items()},
     )
+
+
+def _deviations(separation: Array, change: Array) -> tuple[float, float]:
+    """Standard deviation of d′ on an unchanged link and on one that changed by one.
+
+    By the largest likelihood; where all links changed alike the former is 1.
+    """
+
+    def cost(p: Array) -> float:
+        variance = p[0] + change**2 * p[1]
+        return float(np.sum(np.log(variance) + separation**2 / variance))
+
+    growth = max(float(np.mean(separation**2 - 1)), 0.0) / max(float(np.mean(change**2)), 1e-6)
+    found = minimize(cost, [1.0, growth], method="L-BFGS-B", bounds=[(1.0, None), (0.0, None)]).x
+    return float(np.sqrt(found[0])), float(np.sqrt(np.sum(found)))
 
 
 def _largest_residuals(logarithm: Array, change: Array, quantile: float) -> tuple[float, float]:

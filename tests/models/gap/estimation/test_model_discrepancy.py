@@ -118,18 +118,29 @@ def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
     assert passed <= 0.02 * len(rows)
 
 
-def test_the_least_separation_shrinks_on_a_link_that_did_not_change():
+def test_the_least_separation_shrinks_on_a_link_that_changed_less():
     rng = np.random.default_rng(3)
-    changes = rng.uniform(0.3, 2.0, 400)
+    changes = rng.uniform(0.3, 2.0, 4000)
     rows = [
         {"loud": abs(np.hypot(5 * c, 1.0) * s)}
-        for c, s in zip(changes, rng.standard_normal(400), strict=True)
+        for c, s in zip(changes, rng.standard_normal(4000), strict=True)
     ]
-    null = calibrated_null_distribution(rows, [1.0] * 400, changes.tolist())
+    null = calibrated_null_distribution(rows, [1.0] * 4000, changes.tolist())
     assert null.standard_deviation["loud"] == pytest.approx(np.hypot(5.0, 1.0), rel=0.1)
-    for change in (0.0, 0.5, 2.0):
+    for change in (0.3, 0.5, 2.0):
         least = null.for_link_change(change).least(["loud"])
         assert least == pytest.approx(null.threshold * np.hypot(5 * change, 1.0), rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_differs_on_an_unchanged_link_too_needs_as_large_a_separation_there(seed):
+    rng = np.random.default_rng(seed)
+    changes = rng.uniform(0.3, 1.0, 400)
+    rows = [{"friction": abs(3 * x)} for x in rng.standard_normal(400)]
+    null = calibrated_null_distribution(rows, [1.0] * 400, changes.tolist())
+    for change in (0.3, 1.0):
+        least = null.for_link_change(change).least(["friction"])
+        assert least == pytest.approx(3 * null.threshold, rel=0.2)
 
 
 def test_the_residual_without_an_effect_scatters_more_on_links_that_changed_more():
