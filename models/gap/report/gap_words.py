@@ -31,9 +31,22 @@ def verdict_in_words(document: GapDocument) -> str:
         "no gap": no_gap,
         "closed": f"Closed by {names}.",
         "reduced": f"Reduced by {names}; {_left_in_words(document)}.",
-        "not in the catalogue": "The missing effect is not in the catalogue."
+        "not in the catalogue": _outside_in_words(document)
         + (f" {names.capitalize()} explains a part of it only." if names else ""),
     }[document.verdict]
+
+
+def _outside_in_words(document: GapDocument) -> str:
+    """What is missing where no name is given: something else, or an effect that is not sure."""
+    answers, effects = document.answers, document.effect_probabilities
+    likely = max(effects, key=lambda e: effects[e], default="")
+    if answers is None or not likely or effects[likely] <= answers.outside:
+        return "The missing effect is not in the catalogue."
+    return (
+        f"No effect is sure enough to be named: {likely.replace('_', ' ')} is missing with a "
+        f"probability of {_percent(effects[likely])}, something outside of the catalogue with "
+        f"{_percent(answers.outside)}."
+    )
 
 
 def _left_in_words(document: GapDocument) -> str:

@@ -91,3 +91,16 @@ def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
 def test_no_gap_is_not_said_where_something_is_missing_that_has_no_name(nothing, words):
     answers = Answers(nothing, 0.9 * (1 - nothing), 0.1 * (1 - nothing))
     assert verdict_in_words(document("no gap", answers=answers)) == words
+
+
+@pytest.mark.parametrize(
+    ("likely", "words"),
+    [
+        (0.3, "The missing effect is not in the catalogue."),
+        (0.6, "sure enough to be named: creep is missing with a probability of 60%, something"),
+    ],
+)
+def test_an_effect_that_is_likelier_than_anything_outside_is_told_with_the_verdict(likely, words):
+    answers = Answers(0.01, likely, 0.99 - likely)
+    found = document("not in the catalogue", answers=answers, creep=likely, backlash=0.02)
+    assert words in verdict_in_words(found)
