@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import tempfile
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -200,19 +201,25 @@ def run_sensitive_trial(
 _LIBRARIES: Final[dict[bytes, ctypes.CDLL]] = {}
 """Loaded libraries by content of the model: to differentiate an observer takes seconds."""
 
+_SYMBOLIC_WORK: Final = threading.Lock()
+"""CasADi marks the nodes of expressions while it sorts them, shared constants too: two threads that
+build functions at once may corrupt its memory. The compiler needs no lock."""
+
 
 def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
     """Compiled derivatives of a model by the parameters of these indices."""
     flags = (*_vector_flags(), f"-DN_LANES={lanes}")
     digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
-    for part in vars(model).values():
-        if isinstance(part, ca.Function):
-            digest.update(part.serialize().encode())
+    with _SYMBOLIC_WORK:
+        for part in vars(model).values():
+            if isinstance(part, ca.Function):
+                digest.update(part.serialize().encode())
     key = digest.digest()
     if key not in _LIBRARIES:
         with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
             directory = Path(scratch)
-            sources = write_sensitivity_c(model, index, directory)
+            with _SYMBOLIC_WORK:
+                sources = write_sensitivity_c(model, index, directory)
             path = compile_library(
                 [*sources, _DRIVER],
                 directory / "model.so",

@@ -1,5 +1,6 @@
 """The sensitive run is the plain one, and its slopes are the derivatives of that run."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import casadi as ca
@@ -39,6 +40,27 @@ def test_slopes_are_finite_differences_of_the_run(bench, unit):
         slope = slopes[:, :, k]
         assert np.abs(slope).max() > 0
         assert np.allclose(slope, difference, atol=1e-4 * np.abs(slope).max()), name
+
+
+def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
+    model, building, at_once = read_plant().step_model(1, "observer"), [], []
+    own = sensitivity.write_sensitivity_c
+
+    def watched(*arguments):
+        building.append(1)
+        at_once.append(len(building))
+        try:
+            return own(*arguments)
+        finally:
+            building.pop()
+
+    monkeypatch.setattr(sensitivity, "write_sensitivity_c", watched)
+    monkeypatch.setattr(sensitivity, "_LIBRARIES", {})
+    chosen = [CHOSEN["observer"][:1], CHOSEN["observer"]]
+    with ThreadPoolExecutor(2) as pool:
+        built = list(pool.map(lambda wrt: SensitiveModel(model, wrt), chosen))
+    assert at_once == [1, 1]
+    assert [len(b.wrt) for b in built] == [1, 2]
 
 
 def rolled_out_jacobian(model, wrt, u, p):
