@@ -23,7 +23,7 @@ def verdict_in_words(document: GapDocument) -> str:
     answers = document.answers
     if answers is not None and answers.catalogue < DECIDED:
         names += f" (probability {_percent(answers.catalogue)})" if names else ""
-    no_gap = "Nothing that these trials show is missing."
+    no_gap = "These trials show nothing that is missing."
     if answers is not None and answers.nothing < 0.5:
         missing = _percent(1 - answers.nothing)
         no_gap = f"No effect can be named; that one is missing has a probability of {missing}."

@@ -84,7 +84,7 @@ def test_a_name_that_is_not_sure_is_told_with_its_probability(catalogue, words):
 @pytest.mark.parametrize(
     ("nothing", "words"),
     [
-        (0.95, "Nothing that these trials show is missing."),
+        (0.95, "These trials show nothing that is missing."),
         (0.03, "No effect can be named; that one is missing has a probability of 97%."),
     ],
 )
