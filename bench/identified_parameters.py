@@ -3,9 +3,9 @@
     python -m bench.identified_parameters --rigs default drive --draws 20 --out build/coverage
 
 Each draw varies the rig's stiffness, mass and damping as the benchmark of the gap workflow does
-(`bench.gap.cases.NUISANCE`), runs payloads of 0, 1 and 2 kg with one joint and identifies the
-plant. Parameters that rig and plant both have are compared. One file per draw in OUT; a rerun does
-what is missing or of other code, prints all and writes OUT/coverage.json.
+(`models.rig.drawn_rig.LINK_DEVIATION`), runs payloads of 0, 1 and 2 kg with one joint and
+identifies the plant. Parameters that rig and plant both have are compared. One file per draw in
+OUT; a rerun does what is missing or of other code, prints all and writes OUT/coverage.json.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.gap.cases import NUISANCE
 from firmware_py.console import Progress
 from firmware_py.motion import Motion
 from hil.campaign.code_version import code_version
 from models.plant.identification.identification import identify
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import rig_named
+from models.rig.drawn_rig import LINK_DEVIATION, rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
@@ -95,7 +94,7 @@ def identify_draw(rig: str, draw: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([20, draw])
     own = rig_named(rig)
-    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
+    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
     parameters = own.changed(**{n: own[n] * factor for n, factor in factors.items()})
     seed = int(rng.integers(2**31))
     trials = TrialSet(

@@ -14,6 +14,7 @@ COMMANDS = (
     Command("validate", "models.commands.validate", "check trials before a fit"),
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
+    Command("calibrate", "models.commands.calibrate", "measure the plant's own error for gap"),
     Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
     Command("experiment", "models.commands.experiment", "design the motion that separates best"),
     Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),

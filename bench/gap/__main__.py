@@ -56,6 +56,10 @@ def main() -> None:
         "--motions", nargs="+", choices=MOTIONS, default=["study"], metavar="NAME",
         help="motions of the trials, for the rigs in turn: " + ", ".join(MOTIONS),
     )  # fmt: skip
+    add(
+        "--calibrate", type=int, default=0, metavar="RIGS",
+        help="drawn rigs on which patterns are measured for each motion but the study's (none)",
+    )  # fmt: skip
     add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
@@ -75,7 +79,9 @@ def main() -> None:
         from hil.campaign.engines.dask_engine import DaskEngine
 
         engine = DaskEngine(args.scheduler)
-    counts = run_benchmark(_cases(args), args.plant, args.out, engine, not args.no_sealed)
+    counts = run_benchmark(
+        _cases(args), args.plant, args.out, engine, not args.no_sealed, args.calibrate
+    )
     if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
         print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
     figures, by_rig = write_bench_summary(args.out)

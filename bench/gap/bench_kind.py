@@ -26,11 +26,14 @@ class BenchConfig(CaseConfig, frozen=True, kw_only=True):
         The case.
     sealed : bool
         Whether the improved plant is tested on sealed trials.
+    patterns : str
+        File of the patterns of the plant's own error; those shipped where it is empty.
     """
 
     plant: str
     case: BenchCase
     sealed: bool = True
+    patterns: str = ""
 
 
 class BenchKind(CaseKind[BenchConfig]):
@@ -44,15 +47,18 @@ class BenchKind(CaseKind[BenchConfig]):
 
     def files(self, config: BenchConfig) -> dict[str, str]:
         """See `CaseKind.files`."""
-        return {"plant": config.plant}
+        found = {"plant": config.plant}
+        return found | ({"patterns": config.patterns} if config.patterns else {})
 
     def run(self, config: BenchConfig, context: CaseContext) -> dict[str, Any]:
         """See `CaseKind.run`."""
         from bench.gap.case_run import run_bench_case  # loads CasADi and MuJoCo
+        from models.gap.estimation.model_discrepancy import read_patterns
         from models.plant.plant import read_plant
 
         plant = read_plant(config.plant)
-        return run_bench_case(config.case, plant, context.parts_s, config.sealed)
+        patterns = read_patterns(Path(config.patterns)) if config.patterns else ()
+        return run_bench_case(config.case, plant, context.parts_s, config.sealed, patterns)
 
 
 KIND = BenchKind()
@@ -96,7 +102,9 @@ def cases_of_run(directory: Path) -> list[BenchCase]:
     return [BenchCase(**r["case"]) for r in bench_results(directory).values()]
 
 
-def bench_configuration(case: BenchCase, plant: Path, sealed: bool = True) -> dict[str, Any]:
+def bench_configuration(
+    case: BenchCase, plant: Path, sealed: bool = True, patterns: Path | None = None
+) -> dict[str, Any]:
     """Plain configuration of a case.
 
     Parameters
@@ -107,5 +115,10 @@ def bench_configuration(case: BenchCase, plant: Path, sealed: bool = True) -> di
         Its plant.
     sealed : bool
         Whether the improved plant is tested on sealed trials.
+    patterns : Path, optional
+        Of the plant's own error.
     """
-    return {"plant": str(plant), "case": asdict(case), "sealed": sealed}
+    return {
+        "plant": str(plant), "case": asdict(case), "sealed": sealed,
+        "patterns": "" if patterns is None else str(patterns),
+    }  # fmt: skip

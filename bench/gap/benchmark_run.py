@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bench.gap.bench_kind import KIND, MODULE, bench_configuration
 from bench.gap.cases import BenchCase
-from bench.gap.rig_plants import plant_of_rig
+from bench.gap.rig_plants import patterns_of_protocol, plant_of_rig
 from hil.campaign.campaign_cases import CaseMaker
 from hil.campaign.campaign_run import RunCounts, run_campaign_cases
 from hil.campaign.engines.engine import Engine
@@ -21,6 +21,7 @@ def run_benchmark(
     out: Path,
     engine: Engine | None = None,
     sealed: bool = True,
+    calibration_rigs: int = 0,
 ) -> RunCounts:
     """Run cases that have no valid result.
 
@@ -36,6 +37,8 @@ def run_benchmark(
         Of `hil.campaign.engines`; two processes by default.
     sealed : bool
         Whether improved plants are tested on sealed trials.
+    calibration_rigs : int
+        Drawn rigs on which patterns are measured for each motion but the study's; zero for none.
     """
     wanted, store = list(cases), ResultStore(out)
     robots = sorted({(c.rig, c.joints, c.motion) for c in wanted})
@@ -43,9 +46,19 @@ def run_benchmark(
         (rig, *protocol): plant or plant_of_rig(rig, out / "plants", *protocol)
         for rig, *protocol in robots
     }
+    patterns = {
+        protocol: patterns_of_protocol(out / "calibration", calibration_rigs, *protocol)
+        for protocol in sorted({(c.joints, c.motion) for c in wanted})
+        if calibration_rigs and protocol[1] != "study"
+    }
     maker = CaseMaker(KIND, MODULE, store.shared)
     made = maker.cases(
-        (bench_configuration(c, plants[c.rig, c.joints, c.motion], sealed) for c in wanted),
+        (
+            bench_configuration(
+                c, plants[c.rig, c.joints, c.motion], sealed, patterns.get((c.joints, c.motion))
+            )
+            for c in wanted
+        ),
         "bench.gap",
     )
     made.sort(key=lambda c: c.key)  # a run that is stopped leaves a fair sample

@@ -14,6 +14,7 @@ from bench.gap.sealed_errors import SealedErrors
 from firmware_py.errors import InputError
 from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.equation_error import read_equation_error
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
@@ -28,7 +29,11 @@ DELAY_OF = {"dead_time": "goal_delay_1_s"}
 
 
 def run_bench_case(
-    case: BenchCase, plant: Plant, times: dict[str, float], with_sealed: bool = True
+    case: BenchCase,
+    plant: Plant,
+    times: dict[str, float],
+    with_sealed: bool = True,
+    patterns: Sequence[ModelDiscrepancy] = (),
 ) -> dict[str, Any]:
     """Run a case; return its result. Long because every result is handed over once.
 
@@ -42,6 +47,8 @@ def run_bench_case(
         Receives the time of the diagnosis, and that of the processor.
     with_sealed : bool
         Whether the improved plant is tested on sealed trials.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error; for other motions those shipped.
     """
     rig = rig_of(case)
     try:
@@ -51,7 +58,7 @@ def run_bench_case(
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
     leave_out = list(case.hidden) if case.kind == "outside" else []
-    found = diagnose(plant, trials, leave_out=leave_out)
+    found = diagnose(plant, trials, leave_out=leave_out, patterns=patterns)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.fitted.parameters
     sealed = SealedErrors(rig, case) if found.named and with_sealed else None
@@ -91,11 +98,17 @@ def run_bench_case(
         "strength_consistency": {
             e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()
         },
-        "separable": separable(plant, trials, case, found.named),
+        "separable": separable(plant, trials, case, found.named, patterns),
     }  # fmt: skip
 
 
-def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequence[str]) -> bool:
+def separable(
+    plant: Plant,
+    trials: TrialSet,
+    case: BenchCase,
+    stand_ins: Sequence[str],
+    patterns: Sequence[ModelDiscrepancy] = (),
+) -> bool:
     """Whether the whole catalogue tells a denied effect from its stand-ins.
 
     It does where it names the effect, and no stand-in is among the declared look-alikes.
@@ -110,10 +123,12 @@ def separable(plant: Plant, trials: TrialSet, case: BenchCase, stand_ins: Sequen
         With the hidden effect.
     stand_ins : sequence of str
         Effects that were named without it.
+    patterns : sequence of ModelDiscrepancy
+        As for `run_bench_case`.
     """
     if case.kind != "outside":
         return True
-    found = diagnose(plant, trials)
+    found = diagnose(plant, trials, patterns=patterns)
     alike = {
         e for c in found.inclusions if set(c.effects) & set(case.hidden)
         for a in c.look_alikes for e in a.effects

@@ -17,6 +17,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from firmware_py.motion import Motion
+from models.rig.drawn_rig import LINK_DEVIATION
 
 DEFAULT_RIG: Final = "default"
 
@@ -55,12 +56,6 @@ SIGNED: Final = {
     "encoder_offset", "load_offset", "current_bias", "current_scale", "marker_frame_tilt",
     "sync_offset", "encoder_ripple", "cogging", "marker_scale", "cross_axis_coupling",
 }  # fmt: skip
-
-NUISANCE: Final = {
-    "stiffness.bending_n_m2": 0.1, "stiffness.root_nm_rad": 0.1, "link.mass_kg": 0.1,
-    "stiffness.damping_s": 0.2,
-}  # fmt: skip
-"""Standard deviation of the logarithm of the rig's own parameters."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +169,7 @@ def drawn_case(
     same_link : bool
         Whether the link is the one that the plant was identified on.
     """
-    nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
+    nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
     strengths = {e: _strength(rng, e, size) for e, size in hidden}
     nuisance = {} if same_link else nuisance
     return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig, joints)

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
 
 from bench.gap.cases import PAYLOADS_KG, motion_named
+from firmware_py.console import Progress
 from firmware_py.errors import InputError
+from models.gap.calibration.drawn_plants import plant_on_rig
+from models.gap.calibration.pattern_measurement import (
+    PatternWork,
+    learned_patterns,
+    run_pattern_work,
+)
+from models.gap.calibration.protocol import repeated
+from models.gap.estimation.model_discrepancy import write_patterns
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
-from models.plant.identification.identification import identify
-from models.plant.plant import Plant, read_plant
+from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
-from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
-from models.trials.trial_files import TrialSet
 
 SEED: Final = 1
 """Of the trials of identification; the cases draw others."""
+
+LINKS: Final = 3
+"""Changed links of each rig on which patterns are measured, as `python -m models calibrate`."""
 
 
 def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "study") -> Path:
@@ -56,20 +67,50 @@ def plant_for(rig: RigParameters, path: Path, joints: int = 1, motion: str = "st
     motion : str
         Name of the motion, of `bench.gap.cases.MOTIONS`.
     """
+    return plant_on_rig(rig, repeated(identification_cases(joints, motion), 2, SEED), path)
+
+
+def identification_cases(joints: int, motion: str) -> tuple[TrialCase, ...]:
+    """Conditions that a plant is identified on.
+
+    Parameters
+    ----------
+    joints : int
+        Driven joints of the robot, 1 or 2.
+    motion : str
+        Name of the motion, of `bench.gap.cases.MOTIONS`.
+    """
+    return tuple(
+        TrialCase(motion_named(motion, dof), payload_kg, 1)
+        for dof in range(1, joints + 1)
+        for payload_kg in PAYLOADS_KG
+    )
+
+
+def patterns_of_protocol(directory: Path, rigs: int, joints: int, motion: str) -> Path:
+    """File of the patterns of the plant's own error; measured where it is not there yet.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the files.
+    rigs : int
+        Drawn rigs that are measured, from `drawn_0` on: none of them is for tests.
+    joints : int
+        Driven joints, 1 or 2.
+    motion : str
+        Name of the motion, of `bench.gap.cases.MOTIONS`.
+    """
+    own = directory / f"{motion}_{joints}dof"
+    path = own / "patterns.npz"
     if not path.exists():
-        trials = TrialSet(
-            tuple(
-                run_case(rig, TrialCase(motion_named(motion, dof), payload_kg, trial, SEED))
-                for dof in range(1, joints + 1)
-                for payload_kg in PAYLOADS_KG
-                for trial in (1, 2)
-            )
-        )
-        found = with_noise_floor(identify(read_plant(), trials).plant, trials.trials)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = path.with_suffix(".part.json")
-        found.write(fresh)
-        fresh.replace(path)
+        cases = identification_cases(joints, motion)
+        diagnosed = tuple(c for c in cases if c.motion.dof == joints)
+        work = PatternWork(cases, diagnosed, LINKS, own)
+        progress = Progress(f"bench.gap calibrates {motion}", rigs)
+        with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+            run_pattern_work(work, range(rigs), pool, progress.step)
+        write_patterns(learned_patterns([work.file(k) for k in range(rigs)]), path)
     return path
 
 

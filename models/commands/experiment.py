@@ -126,6 +126,7 @@ def _repeated(
     recommended: tuple[Motion, float], hidden: dict[str, float], progress: Progress,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
+    from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.experiment.rival import credible_set, rivals_of
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.rig.study_protocol import run_case
@@ -144,7 +145,10 @@ def _repeated(
     progress.step("motion run on the rig", 2)
     inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
     every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
-    _, document, page = write_diagnosis(plant, every, inputs, directory / "gap", progress.step)
+    patterns = patterns_beside(Path(inputs.plant))
+    _, document, page = write_diagnosis(
+        plant, every, inputs, directory / "gap", progress.step, patterns=patterns
+    )
     before = credible_set(rivals_of(read_gap_document(args.gap).hypotheses))
     after = credible_set(rivals_of(document.hypotheses))
     result = {

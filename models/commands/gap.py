@@ -39,18 +39,20 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_trial_directories(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
+    from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
+    patterns = patterns_beside(args.plant)
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials)
     )
     found, document, page = write_diagnosis(
-        plant, trials, inputs, args.out, progress.step, args.without
+        plant, trials, inputs, args.out, progress.step, args.without, patterns
     )
     progress.step("done", 0)
     emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")

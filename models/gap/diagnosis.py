@@ -13,6 +13,7 @@ from models.gap.decision.posterior import Hypothesis, posterior_of
 from models.gap.decision.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.improved_plant import improved_plant
@@ -179,6 +180,7 @@ def diagnose(
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
     floor: NoiseFloor | None = None,
+    patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Diagnosis:
     """Find, name and add the effects that a plant lacks.
 
@@ -198,6 +200,9 @@ def diagnose(
         Tuned numbers.
     floor : NoiseFloor, optional
         In place of the plant file's.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error on such trials, where they were measured
+        (`models.gap.calibration`).
 
     Raises
     ------
@@ -211,7 +216,7 @@ def diagnose(
     recorded, trials = trials, in_time_blocks(plant, trials, settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
-    floor = floor or noise_floor_for(residuals)
+    floor = floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     result = search.search()
     decision = decide(search, result)

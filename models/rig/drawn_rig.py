@@ -22,7 +22,7 @@ from models.rig.rig_of_link import rig_of_link
 from models.rig.rig_parameters import RigParameters, read_rig
 from models.rig.rig_structure import RigStructure, named_structures
 
-__all__ = ["draw_rig", "rig_named", "rig_purpose"]
+__all__ = ["LINK_DEVIATION", "draw_rig", "drawn_link", "rig_named", "rig_purpose"]
 
 PREFIX: Final = "drawn_"
 """Beginning of the name of a drawn rig; its number follows."""
@@ -60,21 +60,29 @@ LOG_DEVIATION: Final = {
 }  # fmt: skip
 """Standard deviation of the logarithm of a value [assumed: makes of one kind of link and servo]."""
 
+LINK_DEVIATION: Final = {
+    "stiffness.bending_n_m2": 0.1, "stiffness.root_nm_rad": 0.1, "link.mass_kg": 0.1,
+    "stiffness.damping_s": 0.2,
+}  # fmt: skip
+"""Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
 
-def draw_rig(rng: np.random.Generator) -> RigParameters:
+
+def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
     """Draw a rig.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Of the draw.
+    make : RigParameters, optional
+        Rig of the make around which values are drawn; the study's where it is not given.
 
     Examples
     --------
     >>> draw_rig(np.random.default_rng(0)).structure.engine
     'mujoco'
     """
-    rig = read_rig("default")
+    rig = read_rig("default") if make is None else make
     values = {
         n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
     }
@@ -109,6 +117,24 @@ def rig_named(name: str) -> RigParameters:
             return rig_of_link(read_link(path), path)
         return read_rig(name)
     return draw_rig(np.random.default_rng([SEED, _drawn_number(name)]))
+
+
+def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
+    """Drawn rig with one of its links; link 0 is the rig's own.
+
+    Parameters
+    ----------
+    number, link : int
+        Numbers.
+    make : RigParameters, optional
+        As for `draw_rig`.
+    """
+    rig = draw_rig(np.random.default_rng([SEED, number]), make)
+    if not link:
+        return rig
+    rng = np.random.default_rng([SEED, number, link])
+    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
+    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()})
 
 
 def rig_purpose(name: str) -> Literal["tuning", "test"]:

@@ -23,95 +23,48 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 
-from bench.gap.calibration.pattern_check import pattern_sentence
 from bench.gap.case_run import bench_trials
-from bench.gap.cases import NUISANCE
-from bench.gap.rig_plants import plant_of_rig, required_noise_floor
+from bench.gap.rig_plants import identification_cases, plant_of_rig
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
+from models.gap.calibration.left_out_rigs import pattern_sentence
+from models.gap.calibration.pattern_measurement import (
+    PatternWork,
+    learned_patterns,
+    own_errors_of,
+    run_pattern_work,
+)
 from models.gap.diagnosis import diagnose
-from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.model_discrepancy import PATH as PATTERNS
-from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
-from models.gap.estimation.noise_floor import group_frequencies_hz
-from models.gap.estimation.noise_floor_fit import nuisance_and_variation
-from models.gap.residuals.residuals import Residuals
+from models.gap.estimation.model_discrepancy import read_patterns, write_patterns
 from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.search.null_distribution import calibrated_null_distribution, null_distributions
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import FIRST_TEST_NUMBER, rig_named
-from models.rig.rig_parameters import RigParameters
-from models.rig.study_protocol import run_case
+from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 SEED: Final = 9000
-"""Of the draws; the benchmark has others."""
+"""Of the trials; the benchmark has others."""
 
 
-def drawn_link(rig: int, link: int) -> RigParameters:
-    """Rig of a number with the link of a number; link 0 is the one that the plant knows.
-
-    Parameters
-    ----------
-    rig, link : int
-        Numbers.
-    """
-    drawn = rig_named(f"drawn_{rig}")
-    if not link:
-        return drawn
-    rng = np.random.default_rng([SEED, rig, link])
-    return drawn.changed(
-        **{n: drawn[n] * float(np.exp(s * rng.standard_normal())) for n, s in NUISANCE.items()}
-    )
-
-
-def pattern_case(rig: int, links: int, directory: str) -> None:
-    """Identify a plant on a rig; save what the nuisance fit leaves on other links.
-
-    Spectra by link, payload and signal, relative to the plant's own error.
+def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
+    """Measurement of the patterns of the study's motion.
 
     Parameters
     ----------
-    rig, links : int
-        Number of the rig, and how many other links.
-    directory : str
+    links : int
+        Changed links of each rig.
+    directory : Path
         Of the results.
+    joints : int
+        Driven joints, 1 or 2.
     """
-    path = _pattern_file(directory, rig)
-    rows: list[Any] = []
-    noise: list[Any] = []
-    about: dict[str, Any] = {}
-    try:
-        plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants"))
-    except InputError:  # the link folds
-        np.savez(path)
-        return
-    floor = required_noise_floor(plant)
-    for link in range(1, links + 1):
-        try:
-            trials = [
-                run_case(drawn_link(rig, link), TrialCase(Motion(), p, 1, SEED + link))
-                for p in PAYLOADS_KG
-            ]
-        except InputError:
-            continue
-        residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
-        estimator = GaussNewton(residuals, floor)
-        point = estimator.fit_nuisance(estimator.start())
-        (group,) = residuals.groups
-        hz = group_frequencies_hz(group, residuals.trials)
-        scale = np.array([floor.own_error(s, hz) for s in group.signals])
-        own = np.array([np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals])
-        rows.append((point.rows[0] - estimator.means[0]) / scale)
-        noise.append(own / scale**2)
-        about = {"key": group.key, "signals": np.array(group.signals)}
-    np.savez(path, rows=rows, noise=noise, **about)
+    diagnosed = tuple(TrialCase(Motion(dof=joints), payload_kg, 1) for payload_kg in PAYLOADS_KG)
+    own = directory / f"own_error_{joints}dof"
+    return PatternWork(identification_cases(joints, "study"), diagnosed, links, own)
 
 
 def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
@@ -145,19 +98,6 @@ def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
     path.write_text(json.dumps(row))
 
 
-def learn_patterns(files: Sequence[Path]) -> ModelDiscrepancy:
-    """Patterns from the files of `pattern_case`."""
-    loaded = [d for d in (dict(np.load(f)) for f in files) if len(d.get("rows", ()))]
-    print(pattern_sentence(loaded))
-    rows = np.concatenate([d["rows"] for d in loaded])
-    noise = np.mean(np.concatenate([d["noise"] for d in loaded]), axis=0)
-    table = patterns_of(rows, noise, DEFAULT_SETTINGS.discrepancy_patterns)
-    first = loaded[0]
-    return ModelDiscrepancy(
-        str(first["key"]), np.array(PAYLOADS_KG), tuple(first["signals"].tolist()), table
-    )
-
-
 def main() -> None:
     """Draw, run, and write both files."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -171,15 +111,30 @@ def main() -> None:
         parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for tests: take fewer")
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
-    out, rigs = str(args.out), range(args.rigs)
-    if args.joints == 2:
-        others = range(args.rigs, args.rigs + args.null)
-        write_null_distribution(others, range(args.links), out, 2)
-        return
-    _run(pattern_case, [(k, args.links, out) for k in rigs if not _pattern_file(out, k).exists()])
-    learn_patterns([_pattern_file(out, k) for k in rigs]).write(PATTERNS)
+    write_shipped_patterns(pattern_work(args.links, args.out, args.joints), range(args.rigs))
     others = range(args.rigs, args.rigs + args.null)
-    write_null_distribution(others, range(1, args.links + 1), out, args.joints)
+    links = range(0 if args.joints == 2 else 1, args.links + 1)
+    write_null_distribution(others, links, str(args.out), args.joints)
+
+
+def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
+    """Measure the patterns of a motion, and put them in the place of those that are shipped.
+
+    Parameters
+    ----------
+    work : PatternWork
+        What is measured.
+    rigs : sequence of int
+        Numbers of drawn rigs.
+    """
+    progress = Progress("bench.gap.calibration.plant_error", len(rigs))
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        run_pattern_work(work, rigs, pool, progress.step)
+    files = [work.file(k) for k in rigs]
+    for key, own in own_errors_of(files).items():
+        print(f"{key}: {pattern_sentence(own)}")
+    learned = {p.key: p for p in learned_patterns(files)}
+    write_patterns([*learned.values(), *(p for p in read_patterns() if p.key not in learned)])
 
 
 def write_null_distribution(
@@ -208,10 +163,6 @@ def write_null_distribution(
     found = msgspec.structs.replace(found, repetitions_pooled=pooled)
     tables = msgspec.json.encode({**known, str(joints): found})
     NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
-
-
-def _pattern_file(directory: str, rig: int) -> Path:
-    return Path(directory) / f"patterns_{rig}.npz"
 
 
 def _null_file(directory: str, rig: int, link: int, joints: int) -> Path:

@@ -112,7 +112,7 @@ class GaussNewton:
 
         With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
         """
-        if self.floor.patterns is None:
+        if not self.floor.patterns:
             return np.empty((0, 0)), np.empty(0)
         rows = [
             self.residuals.as_counted(g, self.floor.pattern_rows(g, self.residuals.trials))
@@ -125,14 +125,12 @@ class GaussNewton:
     def knowledge(self) -> dict[str, tuple[Knowledge, Knowledge]]:
         """How the plant's mean error and its patterns are known, by key of the group."""
         trials = self.residuals.trials
-        patterns = self.floor.patterns
         return {
             g.key: (
-                self.floor.curves_for(g, trials)[1],
-                patterns.table_for(g, trials)[1] if patterns else "unknown",
+                self.floor.curves_for(g, trials)[1], self.floor.pattern_knowledge(g, trials)
             )
             for g in self.residuals.groups
-        }
+        }  # fmt: skip
 
     def whitened(self, rows: list[Array]) -> list[Array]:
         """Residual spectra in noise floors, (trials, signals, K)."""

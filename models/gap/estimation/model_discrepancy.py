@@ -13,10 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from zipfile import BadZipFile
 
 import numpy as np
 
+from firmware_py.errors import InputError
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array
@@ -95,23 +97,80 @@ class ModelDiscrepancy:
         table = transferred(self.table, self.key, None, first, group.coefficients)
         return table, "unknown" if table is None else "transferred"
 
-    def write(self, path: Path = PATH) -> None:
-        """Write it to a .npz file, in single precision."""
-        np.savez_compressed(
-            path, key=self.key, payload_kg=self.payload_kg, signals=np.array(self.signals),
-            table=self.table.astype(np.float32),
-        )  # fmt: skip
+
+def write_patterns(patterns: Sequence[ModelDiscrepancy], path: Path = PATH) -> None:
+    """Write patterns of several motions to a .npz file, in single precision.
+
+    Parameters
+    ----------
+    patterns : sequence of ModelDiscrepancy
+        One for each motion.
+    path : Path
+        File to write.
+    """
+    arrays: dict[str, Any] = {}
+    for k, own in enumerate(patterns):
+        arrays |= {
+            f"key_{k}": own.key, f"payload_kg_{k}": own.payload_kg,
+            f"signals_{k}": np.array(own.signals), f"table_{k}": own.table.astype(np.float32),
+        }  # fmt: skip
+    fresh = path.with_suffix(".part.npz")
+    np.savez_compressed(fresh, **arrays)
+    fresh.replace(path)
 
 
-def discrepancy_of(plant: Plant) -> ModelDiscrepancy | None:
-    """Patterns of a plant: those measured for the link, none for other loads."""
-    if plant.load != "link" or not PATH.exists():
-        return None
-    with np.load(PATH) as file:
-        return ModelDiscrepancy(
-            str(file["key"]), file["payload_kg"], tuple(file["signals"].tolist()),
-            file["table"].astype(np.float64),
-        )  # fmt: skip
+def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
+    """Read patterns from a .npz file.
+
+    Parameters
+    ----------
+    path : Path
+        Of `write_patterns`.
+
+    Raises
+    ------
+    InputError
+        If the file is none of these.
+    """
+    try:
+        with np.load(path) as file:
+            return tuple(
+                ModelDiscrepancy(
+                    str(file[f"key_{k}"]), file[f"payload_kg_{k}"],
+                    tuple(file[f"signals_{k}"].tolist()), file[f"table_{k}"].astype(np.float64),
+                )
+                for k in range(sum(name.startswith("key_") for name in file))
+            )  # fmt: skip
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise InputError(
+            str(path), f"holds no patterns of a plant's own error ({error})",
+            "delete it, and run python -m models calibrate again",
+        ) from error  # fmt: skip
+
+
+def patterns_for(
+    plant: Plant, keys: Sequence[str], own: Sequence[ModelDiscrepancy] = ()
+) -> tuple[ModelDiscrepancy, ...]:
+    """Patterns of a plant for some motions: its own, else those shipped; none for other loads.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    keys : sequence of str
+        Of the groups of trials.
+    own : sequence of ModelDiscrepancy
+        Measured for its trials (`python -m models calibrate`).
+    """
+    if plant.load != "link":
+        return ()
+    wanted = {motion_of(key) for key in keys}
+    found: dict[str, ModelDiscrepancy] = {}
+    for patterns in (*own, *(read_patterns() if PATH.exists() else ())):
+        motion = motion_of(patterns.key)
+        if motion in wanted:
+            found.setdefault(motion, patterns)
+    return tuple(found.values())
 
 
 def patterns_of(residuals: Array, noise: Array, count: int) -> Array:

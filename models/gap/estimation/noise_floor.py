@@ -59,8 +59,9 @@ class NoiseFloor:
         correlated like the model's error.
     rest_s : dict of str to float
         Rest before the motion by group key of `curves`; the rig's where it is not told.
-    patterns : ModelDiscrepancy, optional
-        How the plant's own error varies from one link to the next, where that was measured.
+    patterns : tuple of ModelDiscrepancy
+        How the plant's own error varies from one link to the next, by motion, where that was
+        measured.
     link_change : float
         How much the link differs from the one that the plant was identified on, relative to the
         links that the patterns were measured on: the patterns grow with it.
@@ -79,7 +80,7 @@ class NoiseFloor:
     learned: bool = True
     formulation: PayloadCurves = field(default_factory=dict)
     rest_s: Mapping[str, float] = field(default_factory=dict)
-    patterns: ModelDiscrepancy | None = None
+    patterns: tuple[ModelDiscrepancy, ...] = ()
     link_change: float = 1.0
     ratios: PayloadRatios = NO_RATIOS
     amplification: Mapping[float, float] = field(default_factory=dict)
@@ -108,14 +109,31 @@ class NoiseFloor:
             All trials of the residuals.
         """
         shape = len(group.trials), len(group.signals), group.coefficients
-        if self.patterns is None:
+        if not self.patterns:
             return np.zeros((0, *shape))
-        rows, hz = self.patterns.rows(group, trials), group_frequencies_hz(group, trials)
+        rows = np.concatenate([patterns.rows(group, trials) for patterns in self.patterns])
+        hz = group_frequencies_hz(group, trials)
         for b, signal in enumerate(group.signals):
             rows[:, :, b] *= self.own_error(signal, hz) if signal in self.noise else 0.0
         for a, k in enumerate(group.trials):
             rows[:, a] *= np.sqrt(self._amplified(trials[k].meta.payload_kg))
         return self.link_change * rows
+
+    def pattern_knowledge(self, group: TrialGroup, trials: Sequence[Trial]) -> Knowledge:
+        """How the patterns of a group are known.
+
+        Parameters
+        ----------
+        group : TrialGroup
+            Of one motion.
+        trials : sequence of Trial
+            All trials of the residuals.
+        """
+        for patterns in self.patterns:
+            _, knowledge = patterns.table_for(group, trials)
+            if knowledge != "unknown":
+                return knowledge
+        return "unknown"
 
     def curves_for(
         self, group: TrialGroup, trials: Sequence[Trial]

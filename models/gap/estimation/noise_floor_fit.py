@@ -14,7 +14,7 @@ from models.gap.estimation.measured_floor import (
     floor_from_residuals,
     floor_of_residual,
 )
-from models.gap.estimation.model_discrepancy import discrepancy_of
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_for
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_record import floor_from_record, floor_to_record
 from models.gap.residuals.fit_parameters import (
@@ -121,7 +121,7 @@ def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoi
     return estimator.fit(estimator.start(), free)
 
 
-def noise_floor_for(residuals: Residuals) -> NoiseFloor:
+def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] = ()) -> NoiseFloor:
     """Floor of the plant file, or, for what that does not know, of the nuisance fit.
 
     A signal that `identify` did not see has the spectrum of the nuisance fit's residual.
@@ -130,10 +130,13 @@ def noise_floor_for(residuals: Residuals) -> NoiseFloor:
     ----------
     residuals : Residuals
         Of the trials where the gap is looked for.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error on such trials; for other motions those shipped.
     """
     known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
     if known is not None:
-        known = replace(known, patterns=discrepancy_of(residuals.plant))
+        keys = [g.key for g in residuals.groups]
+        known = replace(known, patterns=patterns_for(residuals.plant, keys, patterns))
     signals = {s for g in residuals.groups for s in g.signals}
     if known is not None and signals <= known.noise.keys():
         return known

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from models.gap.diagnosis import Diagnosis, diagnose
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_document
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
@@ -20,6 +21,7 @@ from models.trials.trial_files import TrialSet
 def write_diagnosis(
     plant: Plant, trials: TrialSet, inputs: DiagnosisInputs, out: Path,
     report: ReportProgress, leave_out: Sequence[str] = (),
+    patterns: Sequence[ModelDiscrepancy] = (),
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
@@ -37,13 +39,15 @@ def write_diagnosis(
         Called after each part of the work.
     leave_out : sequence of str
         Effects that may not be named.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error, as for `models.gap.diagnosis.diagnose`.
 
     Returns
     -------
     tuple
         The diagnosis, its document, and the page.
     """
-    found = diagnose(plant, trials, report, leave_out)
+    found = diagnose(plant, trials, report, leave_out, patterns=patterns)
     document = gap_document(found, trials, waterfall_steps(found, found.trials))
     document = msgspec.structs.replace(document, inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     """
     notes = (
         _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
-        _own_error(document), _amplification(document),
+        _own_error(document), _patterns(document), _amplification(document),
     )  # fmt: skip
     return [text for text in notes if text]
 
@@ -51,6 +51,22 @@ def _own_error(document: GapDocument) -> str:
     lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
     where = "; ".join(lacking)
     return where and f"the plant's own error is not known, so not subtracted, for: {where}"
+
+
+def _patterns(document: GapDocument) -> str:
+    """Trials for which nobody measured how the plant's own error varies; empty if there are none.
+
+    Told where the mean error is known: on other motions that lacks as well. Of other loads than the
+    link nothing can be measured.
+    """
+    floor = document.noise_floor
+    known = floor.own_error if floor.learned and "di" in floor.signals else {}
+    lacking = [k for k, o in known.items() if o.curve != "unknown" and o.patterns == "unknown"]
+    where = "; ".join(lacking)
+    return where and (
+        "how the plant's own error varies between links was not measured, so faint effects may be "
+        f"missed: run python -m models calibrate on the trials of the plant, for: {where}"
+    )
 
 
 def _amplification(document: GapDocument) -> str:

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import (
     ModelDiscrepancy,
-    discrepancy_of,
+    patterns_for,
     patterns_of,
+    read_patterns,
+    write_patterns,
 )
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
@@ -85,7 +88,7 @@ def test_what_could_be_a_pattern_counts_less_and_all_else_as_before(trials, grou
     floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, repeats=0.25)
     problem = Still(read_plant(), trials, [group])
     plain = GaussNewton(problem, floor)
-    aware = GaussNewton(problem, replace(floor, patterns=known))
+    aware = GaussNewton(problem, replace(floor, patterns=(known,)))
     pattern = 2 * known.rows(group, trials)[0]  # the plant's own error is the root of 1 / repeats
     elsewhere = rng.standard_normal(pattern.shape)
     elsewhere -= pattern * np.sum(pattern * elsewhere) / np.sum(pattern**2)
@@ -95,11 +98,54 @@ def test_what_could_be_a_pattern_counts_less_and_all_else_as_before(trials, grou
     assert np.allclose(aware.whitened([elsewhere])[0], plain.whitened([elsewhere])[0])
 
 
-def test_other_loads_have_none_and_the_links_file_holds_the_studys_motion():
-    known = discrepancy_of(read_plant())
-    assert known is not None and "1dof sinusoid" in known.key
+STUDY = "1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s"
+
+
+def patterns_named(key, size=1.0):
+    return ModelDiscrepancy(key, PAYLOADS_KG, ("x",), np.full((1, 2, 1, SIZE), size))
+
+
+def test_those_shipped_are_of_the_studys_motion():
+    (known,) = patterns_for(read_plant(), [STUDY])
+    assert known.key == STUDY
     assert np.isfinite(known.table).all() and known.table.shape[0] == MOST
     assert np.all(np.diff(known.payload_kg) > 0)
+
+
+def test_ones_own_come_before_those_shipped_and_other_motions_have_none():
+    plant, other = read_plant(), "1dof triangle 0.5236rad 4s 0rad 1001x0.017s"
+    own = [patterns_named(STUDY.replace("572", "828")), patterns_named(other)]
+    assert patterns_for(plant, [STUDY], own) == (own[0],)
+    assert patterns_for(plant, [other], own) == (own[1],)
+    assert patterns_for(plant, [other]) == ()
+    assert patterns_for(replace(plant, load="rigid"), [STUDY, other], own) == ()
+
+
+def test_patterns_of_several_motions_apply_each_to_its_own(trials, group):
+    hz, other = np.array([0.0, 1e3]), patterns_named("another", 5.0)
+    known = patterns_named(group.key, 2.0)
+    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, patterns=(other, known))
+    rows = floor.pattern_rows(group, trials)
+    assert len(rows) == 2 and not rows[0].any()
+    assert rows[1] == pytest.approx(2.0)
+    assert floor.pattern_knowledge(group, trials) == "measured"
+
+
+def test_patterns_are_read_as_they_were_written(tmp_path):
+    known = [patterns_named("one"), patterns_named("two", 3.0)]
+    write_patterns(known, tmp_path / "patterns.npz")
+    for read, written in zip(read_patterns(tmp_path / "patterns.npz"), known, strict=True):
+        assert (read.key, read.signals) == (written.key, written.signals)
+        assert np.array_equal(read.payload_kg, written.payload_kg)
+        assert np.allclose(read.table, written.table)
+
+
+def test_a_damaged_file_of_patterns_is_told_with_a_remedy(tmp_path):
+    path = tmp_path / "patterns.npz"
+    write_patterns([patterns_named("one")], path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(InputError, match="models calibrate"):
+        read_patterns(path)
 
 
 def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
@@ -158,7 +204,7 @@ def test_patterns_grow_with_the_change_of_the_link(trials, group):
     patterns, _ = planted(np.random.default_rng(4))
     known = ModelDiscrepancy(group.key, PAYLOADS_KG, ("x",), patterns[:1].reshape(1, 2, 1, SIZE))
     hz = np.array([0.0, 1e3])
-    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, patterns=known)
+    floor = NoiseFloor(hz, {"x": np.ones(2)}, {"x": np.zeros(2)}, patterns=(known,))
     for change in (0.3, 1.0, 2.0):
         rows = replace(floor, link_change=change).pattern_rows(group, trials)
         assert np.allclose(rows, change * floor.pattern_rows(group, trials))

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 from models.gap.report.trial_notes import notes_in_words
 
 
-def document(curve="measured", amplification=(), **others):
+def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
     floor = SimpleNamespace(
-        learned=True, amplification=dict(amplification),
-        own_error={"1dof steps": SimpleNamespace(curve=curve)},
+        learned=True, amplification=dict(amplification), signals=dict.fromkeys(signals),
+        own_error={"1dof steps": SimpleNamespace(curve=curve, patterns=patterns)},
     )  # fmt: skip
     plain = {"goal_not_followed_at_row": {}, "nuisance_bias": {}, "rows_fitted": {}}
     return SimpleNamespace(noise_floor=floor, **plain | others)
@@ -29,3 +29,12 @@ def test_everything_that_a_reader_has_to_know_is_noted():
         "not subtracted, for: 1dof steps", "3.9 times at 2 kg",
     ):  # fmt: skip
         assert words in said
+
+
+def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
+    (note,) = notes_in_words(document(patterns="unknown"))
+    assert "python -m models calibrate" in note and "1dof steps" in note
+    assert notes_in_words(document(patterns="transferred")) == []
+    (note,) = notes_in_words(document("unknown", patterns="unknown"))
+    assert "calibrate" not in note
+    assert notes_in_words(document(patterns="unknown", signals=("angle_1_rad",))) == []

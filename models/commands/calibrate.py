@@ -1,0 +1,111 @@
+"""Calibration of the gap workflow for one's own trials: patterns of the plant's own error.
+
+Draws rigs of other structure, runs the motions and payloads of the trials on them, identifies a
+plant on each and changes its link: what the plants then miss without any hidden effect belongs to
+the noise floor. Writes PLANT.calibration/patterns.npz, which `gap` takes from there, and a figure.
+It can be stopped: a rerun goes on with what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from firmware_py.console import DONE, Progress, emit
+from firmware_py.errors import InputError
+from models.gap.calibration.calibration_files import (
+    begin_work,
+    calibration_directory,
+    patterns_file,
+)
+from models.plant.plant import read_plant
+from models.rig.drawn_rig import rig_named
+from models.rig.rig_parameters import RigParameters
+from models.trials.trial_directories import read_trial_directories
+from models.trials.trial_files import TrialSet
+
+EXAMPLE = "python -m models calibrate build/trials --plant build/plant.json"
+
+COUNTS: Final = {
+    "rigs": (12, 2, "drawn rigs"),
+    "links": (3, 1, "changed links of each rig"),
+    "processes": (2, 1, "processes that work at once"),
+}
+"""Options that count something: usual and least value, and help."""
+
+SAME_SIZE_FRACTION: Final = 0.01
+"""Fraction by which the size of a trial's link may differ from that of the drawn rigs [assumed]."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "trials", type=Path, nargs="+", metavar="DIR", help="trials that the plant is identified on"
+    )
+    parser.add_argument("--plant", type=Path, required=True, help="plant that was identified")
+    parser.add_argument("--link", type=Path, help="description of the link, where not the study's")
+    for name, (value, _, help_text) in COUNTS.items():
+        parser.add_argument(f"--{name}", type=int, default=value, help=f"{help_text} ({value})")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure what is missing, learn, write and print."""
+    for name, (_, least, _) in COUNTS.items():
+        if getattr(args, name) < least:
+            raise InputError(f"--{name}", f"is {getattr(args, name)}", f"give {least} or more")
+    plant = read_plant(args.plant)
+    if plant.load != "link":
+        raise InputError(
+            str(args.plant), f"has the load {plant.load!r}, and only links are drawn",
+            "run gap without a calibration",
+        )  # fmt: skip
+    trials = read_trial_directories(args.trials, plant.signals)
+    make = _make(args.link, trials)
+    # CasADi and MuJoCo are loaded here, so that a wrong option is refused at once.
+    from models.gap.calibration.left_out_rigs import draw_left_out, pattern_sentence
+    from models.gap.calibration.pattern_measurement import (
+        PatternWork,
+        learned_patterns,
+        own_errors_of,
+        run_pattern_work,
+    )
+    from models.gap.calibration.protocol import protocol_of
+    from models.gap.estimation.curve_transfer import motion_of
+    from models.gap.estimation.model_discrepancy import write_patterns
+
+    cases = protocol_of(trials)
+    directory, patterns = calibration_directory(args.plant), patterns_file(args.plant)
+    work = PatternWork(cases, cases, args.links, directory, make, plant)
+    begin_work(work.fingerprint(), directory)
+    files = [work.file(k) for k in range(args.rigs)]
+    progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(args.processes, context) as pool:
+        run_pattern_work(work, range(args.rigs), pool, progress.step)
+    write_patterns(learned_patterns(files), patterns)
+    measured = own_errors_of(files)
+    picture = draw_left_out(measured, directory / "patterns.svg")
+    progress.step("done")
+    motions = {motion_of(key): pattern_sentence(own) for key, own in measured.items()}
+    data = {"patterns": str(patterns), "picture": str(picture), "motions": motions}
+    lines = [f"{motion}: {sentence}" for motion, sentence in motions.items()]
+    emit(args, data, "\n".join([*lines, f"{patterns}; look at {picture}"]))
+    return DONE
+
+
+def _make(link: Path | None, trials: TrialSet) -> RigParameters:
+    """Rig around which others are drawn; refused where a trial is of another size of link."""
+    make = rig_named("default" if link is None else str(link))
+    for trial in trials:
+        sizes = {"length": trial.meta.link_length_m, "width": trial.meta.link_width_m}
+        for name, size_m in sizes.items():
+            drawn_m = make[f"link.{name}_m"]
+            if abs(size_m - drawn_m) > SAME_SIZE_FRACTION * drawn_m:
+                raise InputError(
+                    trial.name, f"has a link {name} of {size_m:g} m, the drawn rigs {drawn_m:g} m",
+                    "describe the link with --link LINK.toml",
+                )  # fmt: skip
+    return make

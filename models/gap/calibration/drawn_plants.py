@@ -1,0 +1,45 @@
+"""Plants of drawn rigs, each identified on trials of its own rig without a hidden effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.plant.identification.identification import identify
+from models.plant.plant import Plant, read_plant
+from models.rig.rig_parameters import RigParameters
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
+from models.trials.trial_files import TrialSet
+
+
+def plant_on_rig(
+    rig: RigParameters, cases: Sequence[TrialCase], path: Path, start: Plant | None = None
+) -> Path:
+    """Plant file with a noise floor; identified on trials of a rig where it is not there yet.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Without a hidden effect.
+    cases : sequence of TrialCase
+        Trials to run; where some are repeated the plant has a noise floor.
+    path : Path
+        Of the file.
+    start : Plant, optional
+        Where the identification starts; the packaged plant where it is not given.
+
+    Raises
+    ------
+    InputError
+        If the link folds in a trial.
+    """
+    if not path.exists():
+        trials = TrialSet(tuple(run_case(rig, case) for case in cases))
+        found = identify(read_plant() if start is None else start, trials).plant
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh = path.with_suffix(".part.json")
+        with_noise_floor(found, trials.trials).write(fresh)
+        fresh.replace(path)
+    return path

@@ -1,0 +1,65 @@
+"""Protocol of measured trials: their motions, payloads and conditions, to be run on drawn rigs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from models.gap.residuals.residuals import trial_group_key
+from models.rig.recorded_motion import recorded_motion
+from models.rig.trial_case import TrialCase
+from models.trials.trial import Trial
+
+MOST_PAYLOADS: Final = 5
+"""Payloads of a motion that are run; patterns are interpolated between them."""
+
+
+def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
+    """One case for each motion and payload of the trials, in their order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Of the link.
+    """
+    first: dict[str, dict[float, Trial]] = {}
+    for trial in trials:
+        first.setdefault(trial_group_key(trial), {}).setdefault(trial.meta.payload_kg, trial)
+    return tuple(
+        _case(by_payload[payload_kg])
+        for by_payload in first.values()
+        for payload_kg in _spread(sorted(by_payload))
+    )
+
+
+def repeated(cases: Sequence[TrialCase], repetitions: int, seed: int) -> list[TrialCase]:
+    """Each case so many times, with the random numbers of a seed.
+
+    Parameters
+    ----------
+    cases : sequence of TrialCase
+        Of a protocol.
+    repetitions : int
+        Trials of each.
+    seed : int
+        Of variation and noise.
+    """
+    return [
+        TrialCase(c.motion, c.payload_kg, trial, seed, c.pressure_pa, c.gravity)
+        for c in cases
+        for trial in range(1, repetitions + 1)
+    ]
+
+
+def _case(trial: Trial) -> TrialCase:
+    meta = trial.meta
+    return TrialCase(recorded_motion(trial), meta.payload_kg, 1, 0, meta.pressure_pa, meta.gravity)
+
+
+def _spread(payloads_kg: Sequence[float]) -> list[float]:
+    """At most `MOST_PAYLOADS` of them, evenly spread, the ends among them."""
+    most = min(MOST_PAYLOADS, len(payloads_kg))
+    at = np.unique(np.round(np.linspace(0, len(payloads_kg) - 1, most)).astype(int))
+    return [payloads_kg[k] for k in at]

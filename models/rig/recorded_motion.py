@@ -1,0 +1,83 @@
+"""Motion of a recorded trial, to be run again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from firmware_py.motion import GLIDE_S, Motion
+from models.shared.kinematics import Array
+from models.trials.trial import Trial
+
+__all__ = ["RecordedMotion", "recorded_motion"]
+
+
+@dataclass(frozen=True)
+class RecordedMotion(Motion):
+    """Goals of a trial as a reference motion; between two samples they are interpolated.
+
+    Attributes
+    ----------
+    label : str
+        Name of the motion in its trials.
+    time_s : ndarray, shape (n,)
+        Since the start of the motion.
+    goals_rad : ndarray, shape (n, dof)
+        Goals at these times.
+    """
+
+    label: str = ""
+    time_s: Array = field(default_factory=lambda: np.zeros(1), compare=False)
+    goals_rad: Array = field(default_factory=lambda: np.zeros((1, 1)), compare=False)
+
+    def __post_init__(self) -> None:
+        """Accept what was recorded: the robot ran it."""
+
+    @property
+    def name(self) -> str:
+        """Name in trials."""
+        return self.label
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the start to the end of the last goal."""
+        return float(self.time_s[-1] + self.time_s[1] - self.time_s[0])
+
+    def goal_rad(self, time_s: ArrayLike) -> Array:
+        """Goals at given times: the first one before the start, and again after the end.
+
+        Parameters
+        ----------
+        time_s : array_like, shape (...)
+            Time since the start of the motion in s.
+        """
+        at_s = np.asarray(time_s, dtype=np.float64)
+        beyond = np.clip((at_s - self.duration_s) / GLIDE_S, 0.0, 1.0)
+        back = 0.5 - 0.5 * np.cos(np.pi * beyond)
+        joints = []
+        for goal in self.goals_rad.T:
+            own = np.interp(at_s, self.time_s, goal)
+            joints.append((1 - back) * own + back * goal[0])
+        return np.stack(joints, axis=-1)
+
+
+def recorded_motion(trial: Trial) -> RecordedMotion:
+    """Motion of a trial, without its rest.
+
+    Parameters
+    ----------
+    trial : Trial
+        With the goals of its joints.
+    """
+    meta, rows = trial.meta, trial.moving
+    return RecordedMotion(
+        amplitude_rad=meta.amplitude_rad,
+        period_s=meta.period_s,
+        phase_2_rad=meta.phase_2_rad,
+        dof=meta.dof,
+        label=meta.motion,
+        time_s=trial.time_s[rows] - trial.time_s[rows][0],
+        goals_rad=trial.goal_rad[rows],
+    )
