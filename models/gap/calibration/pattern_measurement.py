@@ -40,6 +40,10 @@ __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_
 SEED: Final = 9000
 """Of the trials on changed links; the benchmark has others."""
 
+LINKS_BETWEEN_SEEDS: Final = 100
+"""Each link of each rig has noise of its own: noise that rigs share would be taken for a pattern.
+"""
+
 IDENTIFICATION_SEED: Final = 1
 """Of the trials that the plants are identified on."""
 
@@ -135,7 +139,8 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
         own = drawn_link(rig, 0, work.make)
         plant = read_plant(plant_on_rig(own, cases, work.plant_file(rig), work.start))
         for link in range(1, work.links + 1):
-            _add_link(measured, plant, drawn_link(rig, link, work.make), work, SEED + link)
+            seed = SEED + LINKS_BETWEEN_SEEDS * rig + link
+            _add_link(measured, plant, drawn_link(rig, link, work.make), work, seed)
     except InputError:
         measured = {}
     arrays: dict[str, Any] = {}
