@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import zlib
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -22,11 +23,7 @@ from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
-from models.rig.rig_parameters import RigParameters
 from models.rig.trial_case import TrialCase
-
-SEED: Final = 1
-"""Of the trials of identification; the cases draw others."""
 
 LINKS: Final = 3
 """Changed links of each rig on which patterns are measured, as `python -m models calibrate`."""
@@ -50,24 +47,9 @@ def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "stud
     """
     name = rig if joints == 1 else f"{rig}_{joints}dof"
     name += "" if motion == "study" else f"_{motion}"
-    return plant_for(rig_named(rig), directory / f"{name}.json", joints, motion)
-
-
-def plant_for(rig: RigParameters, path: Path, joints: int = 1, motion: str = "study") -> Path:
-    """Plant file, identified on trials of a rig where it is not there yet.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Without a hidden effect.
-    path : Path
-        Of the file.
-    joints : int
-        Driven joints of the robot, 1 or 2.
-    motion : str
-        Name of the motion, of `bench.gap.cases.MOTIONS`.
-    """
-    return plant_on_rig(rig, repeated(identification_cases(joints, motion), 2, SEED), path)
+    seed = zlib.crc32(f"identification of {rig}".encode())  # rigs share no noise
+    cases = repeated(identification_cases(joints, motion), 2, seed)
+    return plant_on_rig(rig_named(rig), cases, directory / f"{name}.json")
 
 
 def identification_cases(joints: int, motion: str) -> tuple[TrialCase, ...]:

@@ -33,6 +33,7 @@ from models.gap.calibration.left_out_rigs import pattern_sentence
 from models.gap.calibration.pattern_measurement import (
     PatternWork,
     learned_patterns,
+    link_seed,
     own_errors_of,
     run_pattern_work,
 )
@@ -46,8 +47,6 @@ from models.rig.trial_case import TrialCase
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
-SEED: Final = 9000
-"""Of the trials; the benchmark has others."""
 
 
 def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
@@ -82,7 +81,7 @@ def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
     path = _null_file(directory, rig, link, joints)
     try:
         plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants", joints))
-        trials = bench_trials(drawn_link(rig, link), SEED + 100 * link, joints)
+        trials = bench_trials(drawn_link(rig, link), link_seed(rig, link), joints)
     except InputError:
         path.write_text("{}")
         return

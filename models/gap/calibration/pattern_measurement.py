@@ -37,15 +37,22 @@ from models.trials.trial import Trial
 
 __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_work"]
 
-SEED: Final = 9000
-"""Of the trials on changed links; the benchmark has others."""
 
-LINKS_BETWEEN_SEEDS: Final = 100
-"""Each link of each rig has noise of its own: noise that rigs share would be taken for a pattern.
-"""
+def link_seed(rig: int, link: int) -> int:
+    """Seed of the noise of a link of a drawn rig; the benchmark has others.
 
-IDENTIFICATION_SEED: Final = 1
-"""Of the trials that the plants are identified on."""
+    Noise that rigs share would be taken for a pattern.
+
+    Parameters
+    ----------
+    rig, link : int
+        Numbers; the trials that the plant is identified on have the number of no link.
+    """
+    return 9000 + 100 * rig + link
+
+
+IDENTIFICATION: Final = 99
+"""Number, in place of a link's, of the trials that a plant is identified on."""
 
 
 @dataclass(frozen=True)
@@ -135,12 +142,12 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     measured: dict[str, _GroupErrors] = {}
     try:
-        cases = repeated(work.identified_on, 2, IDENTIFICATION_SEED)
+        cases = repeated(work.identified_on, 2, link_seed(rig, IDENTIFICATION))
         own = drawn_link(rig, 0, work.make)
         plant = read_plant(plant_on_rig(own, cases, work.plant_file(rig), work.start))
         for link in range(1, work.links + 1):
-            seed = SEED + LINKS_BETWEEN_SEEDS * rig + link
-            _add_link(measured, plant, drawn_link(rig, link, work.make), work, seed)
+            own = drawn_link(rig, link, work.make)
+            _add_link(measured, plant, own, work, link_seed(rig, link))
     except InputError:
         measured = {}
     arrays: dict[str, Any] = {}
