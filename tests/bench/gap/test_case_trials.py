@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.gap import __main__ as command
+from bench.gap import benchmark_run, rig_plants
 from bench.gap.case_run import bench_trials
 from bench.gap.cases import MOTIONS, BenchCase, draw_cases, motion_named
 from bench.gap.rig_plants import plant_of_rig
@@ -49,6 +50,36 @@ def test_a_rig_has_a_plant_for_each_motion_and_number_of_joints(tmp_path):
     for name in names.values():
         (tmp_path / name).touch()
     assert {k: plant_of_rig("drawn_3", tmp_path, *k).name for k in names} == names
+
+
+def test_patterns_are_measured_once_for_a_motion_and_go_with_its_cases(monkeypatch, tmp_path):
+    measured, ran = [], []
+
+    def measure(work, rigs, executor, on_done):
+        measured.append((work.directory.name, list(rigs), len(work.diagnosed_on)))
+        work.directory.mkdir(parents=True)
+
+    monkeypatch.setattr(rig_plants, "run_pattern_work", measure)
+    monkeypatch.setattr(rig_plants, "learned_patterns", lambda files: ())
+    for _ in range(2):
+        path = rig_plants.patterns_of_protocol(tmp_path, 3, 1, "slow")
+        assert path.exists()
+    assert measured == [("slow_1dof", [0, 1, 2], 3)]
+
+    monkeypatch.setattr(benchmark_run, "plant_of_rig", lambda *_: tmp_path / "plant.json")
+    monkeypatch.setattr(
+        benchmark_run, "run_campaign_cases", lambda cases, *_: ran.extend(cases) or None
+    )
+    (tmp_path / "plant.json").touch()
+    (tmp_path / "calibration").mkdir()
+    path.parent.rename(tmp_path / "calibration" / "slow_1dof")
+    cases = [
+        BenchCase("null", {}, {}, n, "drawn_1", motion=m) for n, m in ((1, "study"), (2, "slow"))
+    ]
+    benchmark_run.run_benchmark(cases, None, tmp_path, sealed=False, calibration_rigs=3)
+    with_patterns = {c.config.case.motion: bool(c.config.patterns) for c in ran}
+    assert with_patterns == {"study": False, "slow": True}
+    assert len(measured) == 1
 
 
 def test_rigs_take_the_motions_in_turn(monkeypatch, tmp_path):

@@ -1,0 +1,96 @@
+"""Patterns learned from the files by rig, and what they leave on rigs left out."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from models.gap.calibration import pattern_measurement
+from models.gap.calibration.left_out_rigs import (
+    draw_left_out,
+    left_out_residuals,
+    pattern_sentence,
+)
+from models.gap.calibration.pattern_measurement import (
+    IDENTIFICATION,
+    PatternWork,
+    learned_patterns,
+    link_seed,
+    measure_own_error,
+    own_errors_of,
+    run_pattern_work,
+)
+from models.rig.trial_case import TrialCase
+
+SIGNALS, SIZE, LINKS = ("angle_1_rad", "tip_x_m"), 40, 3
+PAYLOADS_KG = np.array([0.0, 1.0])
+
+
+def write_rig(path, rng, shapes, key="1dof sinusoid"):
+    """Unit noise and errors of given shapes, each link's amplitude drawn anew."""
+    amplitude = rng.standard_normal((LINKS, len(shapes)))
+    rows = np.tensordot(amplitude, shapes, 1) + rng.standard_normal((LINKS, *shapes.shape[1:]))
+    np.savez(
+        path, key_0=key, payload_kg_0=PAYLOADS_KG, signals_0=np.array(SIGNALS), rows_0=rows,
+        noise_0=np.ones((LINKS, len(SIGNALS), SIZE)),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def files(tmp_path):
+    rng = np.random.default_rng(0)
+    shapes = 3 * rng.standard_normal((2, len(PAYLOADS_KG), len(SIGNALS), SIZE))
+    paths = [tmp_path / f"own_error_{k}.npz" for k in range(8)]
+    for path in paths:
+        write_rig(path, rng, shapes)
+    return paths
+
+
+def test_no_two_links_share_noise_nor_the_trials_that_a_plant_is_identified_on():
+    seeds = [link_seed(rig, n) for rig in range(50) for n in (*range(20), IDENTIFICATION)]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_what_rigs_have_in_common_is_taken_away_on_a_rig_left_out(files):
+    (rigs,) = own_errors_of(files).values()
+    without, with_patterns = (np.median(left_out_residuals(rigs, n)) for n in (0, 16))
+    noise = 1 / (1 + 1 / 2)  # the floor holds that of the mean curve of two trials as well
+    assert without > 5 * noise
+    assert with_patterns == pytest.approx(noise, rel=0.15)
+    assert "24 links of 8 rigs" in pattern_sentence(rigs)
+
+
+def test_patterns_keep_motion_payloads_and_signals(files, tmp_path):
+    (patterns,) = learned_patterns(files)
+    assert (patterns.key, patterns.signals) == ("1dof sinusoid", SIGNALS)
+    assert patterns.payload_kg.tolist() == PAYLOADS_KG.tolist()
+    assert draw_left_out(own_errors_of(files), tmp_path / "left.svg").stat().st_size > 1000
+
+
+def test_rigs_whose_link_folds_are_passed_over_unless_all_do(files, tmp_path):
+    folded = tmp_path / "own_error_9.npz"
+    np.savez(folded)
+    (before,), (after,) = learned_patterns(files), learned_patterns([folded, *files])
+    assert np.array_equal(before.table, after.table)
+    with pytest.raises(InputError, match="less payload"):
+        learned_patterns([folded])
+
+
+def test_a_link_that_folds_leaves_an_empty_file(tmp_path):
+    cases = (TrialCase(Motion(period_s=1.0), 30.0, 1),)
+    work = PatternWork(cases, cases, 1, tmp_path)
+    measure_own_error(work, 0)
+    assert own_errors_of([work.file(0)]) == {}
+
+
+def test_what_is_there_is_not_measured_again(files, tmp_path, monkeypatch):
+    measured = []
+    monkeypatch.setattr(
+        pattern_measurement, "measure_own_error", lambda work, rig: measured.append(rig)
+    )
+    work = PatternWork((), (), 1, tmp_path)
+    with ThreadPoolExecutor(2) as executor:
+        run_pattern_work(work, range(10), executor, lambda name: None)
+    assert sorted(measured) == [8, 9]
