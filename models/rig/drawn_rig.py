@@ -22,7 +22,14 @@ from models.rig.rig_of_link import rig_of_link
 from models.rig.rig_parameters import RigParameters, read_rig
 from models.rig.rig_structure import RigStructure, named_structures
 
-__all__ = ["LINK_DEVIATION", "draw_rig", "drawn_link", "rig_named", "rig_purpose"]
+__all__ = [
+    "LINK_DEVIATION",
+    "draw_rig",
+    "drawn_link",
+    "rig_named",
+    "rig_purpose",
+    "without_scatter",
+]
 
 PREFIX: Final = "drawn_"
 """Beginning of the name of a drawn rig; its number follows."""
@@ -66,6 +73,9 @@ LINK_DEVIATION: Final = {
 }  # fmt: skip
 """Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
 
+NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
+"""Noise of the sensors."""
+
 
 def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
     """Draw a rig.
@@ -90,6 +100,17 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
     values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
     values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
     return replace(rig.changed(**values), structure=_draw_structure(rng))
+
+
+def without_scatter(rig: RigParameters) -> RigParameters:
+    """Rig whose trials have neither noise nor variation: they show what it does itself.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Any rig.
+    """
+    return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
 
 
 def rig_named(name: str) -> RigParameters:

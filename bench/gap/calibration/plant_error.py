@@ -17,6 +17,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -33,7 +34,6 @@ from models.gap.calibration.left_out_rigs import pattern_sentence
 from models.gap.calibration.pattern_measurement import (
     PatternWork,
     learned_patterns,
-    link_seed,
     own_errors_of,
     run_pattern_work,
 )
@@ -162,6 +162,17 @@ def write_null_distribution(
     found = msgspec.structs.replace(found, repetitions_pooled=pooled)
     tables = msgspec.json.encode({**known, str(joints): found})
     NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
+
+
+def link_seed(rig: int, link: int) -> int:
+    """Seed of the trials of a link: no two links share noise.
+
+    Parameters
+    ----------
+    rig, link : int
+        Numbers.
+    """
+    return zlib.crc32(f"drawn_{rig}, link {link}".encode())
 
 
 def _null_file(directory: str, rig: int, link: int, joints: int) -> Path:

@@ -23,7 +23,7 @@ MotionErrors = Sequence[Mapping[str, Array]]
 
 
 def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
-    """Mean squared residual of each link, in floors, each rig left out of the patterns in turn.
+    """Mean squared error on each link, in noise floors, its rig left out of the patterns.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
     left = []
     for out, rig in enumerate(rigs):
         rest = [r for k, r in enumerate(rigs) if k != out]
-        noise = np.mean(rig["noise"], axis=0)
+        noise = rig["noise"]
         remains = DEFAULT_SETTINGS.model_error_left_fraction**2
         own = np.maximum(1 - noise / REPEATS, 0.0)
         scale = np.sqrt(noise + noise / REPEATS + remains * own)
         basis, kept = np.zeros((rig["rows"][0].size, 0)), np.zeros(0)
         if patterns and rest:
             rows = np.concatenate([r["rows"] for r in rest])
-            mean_noise = np.mean(np.concatenate([r["noise"] for r in rest]), axis=0)
+            mean_noise = np.mean([r["noise"] for r in rest], axis=0)
             table = patterns_of(rows, mean_noise, patterns) / scale
             basis, size, _ = np.linalg.svd(table.reshape(len(table), -1).T, full_matrices=False)
             kept = 1 - 1 / np.sqrt(1 + size**2)
@@ -67,8 +67,8 @@ def pattern_sentence(rigs: MotionErrors) -> str:
         parts.append(f"{np.median(left):.2f} (90 %: {np.quantile(left, 0.9):.2f}) with {count}")
     links = sum(len(r["rows"]) for r in rigs)
     return (
-        f"{links} links of {len(rigs)} rigs, each rig left out: median of the mean square in "
-        f"floors {' and '.join(parts)} patterns"
+        f"{links} links of {len(rigs)} rigs, each rig left out: median of the mean squared error, "
+        f"in noise floors, {' and '.join(parts)} patterns"
     )
 
 
@@ -102,10 +102,10 @@ def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
             ax.plot(links, with_patterns[order], "o", color=SIMULATED, label="and patterns")
             ax.set_yscale("log")
             ax.set_title(motion_of(key), fontsize=8)
-            ax.set_xlabel("links, by what is left", fontsize=8)
-        axes[0, 0].set_ylabel("mean squared residual in noise floors", fontsize=8)
+            ax.set_xlabel("links, by their error", fontsize=8)
+        axes[0, 0].set_ylabel("mean squared error in noise floors", fontsize=8)
         axes[0, 0].legend(fontsize=7)
-        figure.suptitle("Nothing is hidden: what is left of the plant's own error", fontsize=10)
+        figure.suptitle("The plant's own error on links that changed, nothing hidden", fontsize=10)
         figure.savefig(path, format="svg")
         pyplot.close(figure)
     return path

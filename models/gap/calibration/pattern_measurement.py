@@ -2,8 +2,9 @@
 
 A plant is identified on each rig, on the motions and payloads of the trials. Then the link's
 stiffness, mass and damping change a few times, and the nuisance is refitted: what is left beyond
-the plant's mean error gives the patterns (`models.gap.estimation.model_discrepancy`). A file by rig
-keeps what was measured, so that the work can be resumed.
+the error on the rig's own link gives the patterns (`models.gap.estimation.model_discrepancy`).
+These trials have neither noise nor variation, since a few links do not tell patterns from noise. A
+file by rig keeps what was measured, so that the work can be resumed.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import hashlib
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,36 +24,23 @@ from models.gap.calibration.drawn_plants import plant_on_rig
 from models.gap.calibration.protocol import repeated
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
-from models.gap.estimation.noise_floor import group_frequencies_hz
-from models.gap.estimation.noise_floor_fit import noise_floor_of, nuisance_and_variation
-from models.gap.residuals.residuals import Residuals, TrialGroup
+from models.gap.estimation.noise_floor import PayloadCurves, group_frequencies_hz
+from models.gap.estimation.noise_floor_fit import (
+    fitted_point,
+    noise_floor_of,
+    nuisance_and_variation,
+)
+from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant, read_plant
-from models.rig.drawn_rig import drawn_link
+from models.rig.drawn_rig import drawn_link, without_scatter
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 
 __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_work"]
-
-
-def link_seed(rig: int, link: int) -> int:
-    """Seed of the noise of a link of a drawn rig; the benchmark has others.
-
-    Noise that rigs share would be taken for a pattern.
-
-    Parameters
-    ----------
-    rig, link : int
-        Numbers; the trials that the plant is identified on have the number of no link.
-    """
-    return 9000 + 100 * rig + link
-
-
-IDENTIFICATION: Final = 99
-"""Number, in place of a link's, of the trials that a plant is identified on."""
 
 
 @dataclass(frozen=True)
@@ -140,21 +128,28 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
         Number of the drawn rig.
     """
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    measured: dict[str, _GroupErrors] = {}
+    errors: list[GroupError] = []
     try:
-        cases = repeated(work.identified_on, 2, link_seed(rig, IDENTIFICATION))
+        cases = repeated(work.identified_on, 2, rig)  # rigs share no noise
         own = drawn_link(rig, 0, work.make)
         plant = read_plant(plant_on_rig(own, cases, work.plant_file(rig), work.start))
+        own_trials = trials_without_scatter(own, work.diagnosed_on)
         for link in range(1, work.links + 1):
-            own = drawn_link(rig, link, work.make)
-            _add_link(measured, plant, own, work, link_seed(rig, link))
+            changed = drawn_link(rig, link, work.make)
+            try:
+                trials = trials_without_scatter(changed, work.diagnosed_on)
+            except InputError:  # this link folds
+                continue
+            errors += errors_on_another_link(plant, own_trials, trials)
     except InputError:
-        measured = {}
+        errors = []
     arrays: dict[str, Any] = {}
-    for k, (key, group) in enumerate(measured.items()):
+    for k, key in enumerate(dict.fromkeys(e.key for e in errors)):
+        group = [e for e in errors if e.key == key]
         arrays |= {
-            f"key_{k}": key, f"payload_kg_{k}": group.payload_kg, f"signals_{k}": group.signals,
-            f"rows_{k}": np.array(group.rows), f"noise_{k}": np.array(group.noise),
+            f"key_{k}": key, f"payload_kg_{k}": group[0].payload_kg,
+            f"signals_{k}": group[0].signals, f"rows_{k}": np.array([e.rows for e in group]),
+            f"noise_{k}": group[0].noise,
         }  # fmt: skip
     work.directory.mkdir(parents=True, exist_ok=True)
     fresh = work.file(rig).with_suffix(".part.npz")
@@ -162,55 +157,108 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
     fresh.replace(work.file(rig))
 
 
-@dataclass
-class _GroupErrors:
-    """Errors of one motion on several links, relative to the plant's own error."""
+@dataclass(frozen=True)
+class GroupError:
+    """Error of a plant on another link, in the trials of one motion.
 
+    Attributes
+    ----------
+    key : str
+        See `models.gap.residuals.residuals.TrialGroup`.
+    payload_kg : list of float
+        Of the trials.
+    signals : list of str
+        Signals.
+    rows : ndarray, shape (P, signals, K)
+        Spectra beyond those on the plant's own link, relative to
+        `models.gap.estimation.noise_floor.NoiseFloor.own_error`.
+    noise : ndarray, shape (signals, K)
+        Variance of the noise of the floor, relative likewise.
+    """
+
+    key: str
     payload_kg: list[float]
     signals: list[str]
-    rows: list[Array]
-    noise: list[Array]
+    rows: Array
+    noise: Array
 
 
-def _add_link(
-    measured: dict[str, _GroupErrors],
-    plant: Plant,
-    rig: RigParameters,
-    work: PatternWork,
-    seed: int,
-) -> None:
-    """Errors of the plant on a link, by motion; none if it folds."""
-    try:
-        trials = [run_case(rig, case) for case in repeated(work.diagnosed_on, 1, seed)]
-    except InputError:
-        return
-    for dof in sorted({t.meta.dof for t in trials}):
-        own = [t for t in trials if t.meta.dof == dof]
-        for group, rows, noise in _own_errors(plant, own, dof):
-            payloads = [own[k].meta.payload_kg for k in group.trials]
-            signals = list(group.signals)
-            known = measured.setdefault(group.key, _GroupErrors(payloads, signals, [], []))
-            known.rows.append(rows)
-            known.noise.append(noise)
+def trials_without_scatter(rig: RigParameters, cases: Sequence[TrialCase]) -> list[Trial]:
+    """Trials of a rig without noise and variation.
+
+    Parameters
+    ----------
+    rig : RigParameters
+        Any rig.
+    cases : sequence of TrialCase
+        Conditions.
+
+    Raises
+    ------
+    InputError
+        If the link folds in one of them.
+    """
+    quiet = without_scatter(rig)
+    return [run_case(quiet, case) for case in cases]
 
 
-def _own_errors(
-    plant: Plant, trials: Sequence[Trial], dof: int
-) -> list[tuple[TrialGroup, Array, Array]]:
-    """By group: error beyond the mean, (P, signals, K), and variance of noise, (signals, K)."""
-    floor = noise_floor_of(plant, dof)
-    if floor is None:
-        raise InputError(plant.name, f"has no noise floor for {dof} joint(s)", "repeat its trials")
-    residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
-    estimator = GaussNewton(residuals, floor)
-    point = estimator.fit_nuisance(estimator.start())
+def errors_on_another_link(
+    plant: Plant, own_trials: Sequence[Trial], trials: Sequence[Trial]
+) -> list[GroupError]:
+    """Error of a plant on another link by motion.
+
+    Parameters
+    ----------
+    plant : Plant
+        Identified on the own link, with a noise floor.
+    own_trials, trials : sequence of Trial
+        Of the own link and the other one, of the same conditions in the same order.
+
+    Raises
+    ------
+    InputError
+        If the plant carries no noise floor.
+    """
     found = []
-    for group, rows, mean in zip(residuals.groups, point.rows, estimator.means, strict=True):
-        hz = group_frequencies_hz(group, residuals.trials)
-        scale = np.array([floor.own_error(s, hz) for s in group.signals])
-        noise = np.array([np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals])
-        found.append((group, (rows - mean) / scale, noise / scale**2))
+    for dof in sorted({t.meta.dof for t in trials}):
+        floor = noise_floor_of(plant, dof)
+        if floor is None:
+            raise InputError(plant.name, "has no noise floor", "identify it on repeated trials")
+        own, other = ([t for t in every if t.meta.dof == dof] for every in (own_trials, trials))
+        parameters = nuisance_and_variation(plant, own)
+        is_variation = np.array([q.kind == "trial" for q in parameters])
+        residuals = Residuals(plant, own, parameters)
+        mean = fitted_point(residuals, replace(floor, curves={}), is_variation).rows
+        floor = replace(floor, curves=_curves(residuals, mean))
+        estimator = GaussNewton(
+            Residuals(plant, other, nuisance_and_variation(plant, other)), floor
+        )
+        point = estimator.fit_nuisance(estimator.start())
+        for group, rows, expected in zip(residuals.groups, point.rows, mean, strict=True):
+            hz = group_frequencies_hz(group, residuals.trials)
+            scale = np.array([floor.own_error(s, hz) for s in group.signals])
+            noise = np.array(
+                [np.interp(hz, floor.frequency_hz, floor.noise[s]) for s in group.signals]
+            )
+            payloads = [own[k].meta.payload_kg for k in group.trials]
+            found.append(
+                GroupError(
+                    group.key, payloads, list(group.signals), (rows - expected) / scale,
+                    noise / scale**2,
+                )
+            )  # fmt: skip
     return found
+
+
+def _curves(residuals: Residuals, rows: Sequence[Array]) -> dict[str, PayloadCurves]:
+    """Mean error by motion, payload and signal of trials without repetition."""
+    return {
+        group.key: {
+            residuals.trials[k].meta.payload_kg: dict(zip(group.signals, own, strict=True))
+            for k, own in zip(group.trials, errors, strict=True)
+        }
+        for group, errors in zip(residuals.groups, rows, strict=True)
+    }
 
 
 def learned_patterns(
@@ -239,7 +287,7 @@ def learned_patterns(
     found = []
     for key, rigs in measured.items():
         rows = np.concatenate([r["rows"] for r in rigs])
-        noise = np.mean(np.concatenate([r["noise"] for r in rigs]), axis=0)
+        noise = np.mean([r["noise"] for r in rigs], axis=0)
         table = patterns_of(rows, noise, settings.discrepancy_patterns)
         signals = tuple(rigs[0]["signals"].tolist())
         found.append(ModelDiscrepancy(key, rigs[0]["payload_kg"], signals, table))

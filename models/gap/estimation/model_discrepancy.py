@@ -179,21 +179,19 @@ def patterns_of(residuals: Array, noise: Array, count: int) -> Array:
     Parameters
     ----------
     residuals : ndarray, shape (links, P, signals, K)
-        Spectra of the nuisance fit's residual on each.
+        Spectra of the nuisance fit's residual on each, without noise.
     noise : ndarray, shape (signals, K)
-        Variance of the noise in them.
+        Variance of the noise that trials have.
     count : int
-        Number of patterns M (`GapSettings.discrepancy_patterns`).
+        Number of patterns M (`GapSettings.discrepancy_patterns`), at most that of the links.
 
     Returns
     -------
     ndarray, shape (M, P, signals, K)
-        Principal components, each with the standard deviation that noise does not account for.
+        Principal components, each with its standard deviation.
     """
     links = len(residuals)
     scale = np.sqrt(noise)
-    rows = (residuals / scale).reshape(links, -1)
-    _, sizes, patterns = np.linalg.svd(rows, full_matrices=False)
-    power = (sizes[:count] ** 2 - rows.shape[1]) / links  # noise gives each some of its own
-    scaled = np.sqrt(np.maximum(power, 0.0))[:, None] * patterns[:count]
+    _, sizes, patterns = np.linalg.svd((residuals / scale).reshape(links, -1), full_matrices=False)
+    scaled = (sizes / np.sqrt(links))[:count, None] * patterns[:count]
     return np.asarray(scaled.reshape(-1, *residuals.shape[1:]) * scale)
