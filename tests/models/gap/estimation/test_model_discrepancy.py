@@ -39,10 +39,9 @@ def group(trials):
 
 
 def planted(rng, links=60, sizes=(30.0, 15.0)):
-    """Unit noise with two patterns, each link's amplitude drawn anew."""
+    """Two patterns, each link's amplitude drawn anew."""
     patterns = np.linalg.qr(rng.standard_normal((2 * SIZE, len(sizes))))[0].T
-    amplitude = rng.standard_normal((links, len(sizes))) * sizes
-    rows = amplitude @ patterns + rng.standard_normal((links, 2 * SIZE))
+    rows = (rng.standard_normal((links, len(sizes))) * sizes) @ patterns
     return patterns, rows.reshape(links, 2, 1, SIZE)
 
 
@@ -51,9 +50,19 @@ def test_planted_patterns_are_found_with_their_size():
     found = patterns_of(rows, np.ones((1, SIZE)), MOST).reshape(MOST, -1)
     sizes = np.linalg.norm(found, axis=1)
     assert sizes[:2] == pytest.approx([30.0, 15.0], rel=0.35)
-    assert sizes[2:].max() < 2.0
+    assert sizes[2:].max() < 1e-9
     for k in (0, 1):
         assert abs(found[k] @ patterns[k]) / sizes[k] > 0.98
+
+
+def test_an_error_of_a_signal_with_less_noise_comes_first():
+    rows = np.zeros((2, 1, 2, SIZE))
+    rows[0, 0, 0, 3], rows[1, 0, 1, 5] = 2.0, 1.0
+    noise = np.stack([np.full(SIZE, 100.0), np.ones(SIZE)])
+    first, second = patterns_of(rows, noise, 2)
+    assert abs(first[0, 1, 5]) == pytest.approx(1 / np.sqrt(2))
+    assert abs(second[0, 0, 3]) == pytest.approx(2 / np.sqrt(2))
+    assert len(patterns_of(rows, noise, 48)) == 2
 
 
 def test_rows_follow_the_payload_and_vanish_for_another_motion(trials, group):
