@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 from firmware_py.console import Command, dispatch
 
+GAP_WORKFLOW = "models.commands.gap_workflow"
+
 COMMANDS = (
     Command("new", "models.commands.new", "describe a link of your own"),
     Command("simulate", "models.commands.simulate", "run the rig, write trials"),
@@ -14,9 +16,17 @@ COMMANDS = (
     Command("validate", "models.commands.validate", "check trials before a fit"),
     Command("identify", "models.commands.identify", "fit the plant to trials"),
     Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
-    Command("calibrate", "models.commands.calibrate", "measure the plant's own error for gap"),
-    Command("gap", "models.commands.gap", "find the effect that the plant lacks, add it"),
-    Command("experiment", "models.commands.experiment", "design the motion that separates best"),
+    Command(
+        "calibrate",
+        f"{GAP_WORKFLOW}.calibrate",
+        "measure the plant's own error for gap",
+    ),
+    Command("gap", f"{GAP_WORKFLOW}.gap", "find the effect that the plant lacks, add it"),
+    Command(
+        "experiment",
+        f"{GAP_WORKFLOW}.experiment",
+        "design the motion that separates best",
+    ),
     Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),
     Command("goalmap", "models.commands.goalmap", "map places of the tip to goals at rest"),
     Command("linearise", "models.commands.linearise", "linearise the twin for python-control"),

@@ -79,7 +79,7 @@ def test_no_folder_holds_more_files_than_can_be_overlooked():
 
 
 def test_every_module_has_a_name_of_its_own():
-    names = [(p.stem, place(p)) for p in (*SOURCE, *TESTS) if p.parent.name != "commands"]
+    names = [(p.stem, place(p)) for p in (*SOURCE, *TESTS) if "commands" not in p.parts]
     assert not repeated([n for n in names if n[0] not in REPEATED_FILES])
 
 

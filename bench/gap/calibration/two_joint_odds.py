@@ -1,4 +1,4 @@
-"""What trials of two joints add to the odds of the answers, all else held.
+"""Odds that trials of two joints add to the answers, all else held.
 
     python -m bench.gap.calibration.two_joint_odds build/tuning_two_joints --write
 

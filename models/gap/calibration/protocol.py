@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from models.gap.calibration.recorded_motion import recorded_motion
 from models.gap.residuals.residuals import trial_group_key
-from models.rig.recorded_motion import recorded_motion
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 
@@ -30,7 +30,7 @@ def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
     return tuple(
         _case(by_payload[payload_kg])
         for by_payload in first.values()
-        for payload_kg in _spread(sorted(by_payload))
+        for payload_kg in _evenly_chosen(sorted(by_payload))
     )
 
 
@@ -58,7 +58,7 @@ def _case(trial: Trial) -> TrialCase:
     return TrialCase(recorded_motion(trial), meta.payload_kg, 1, 0, meta.pressure_pa, meta.gravity)
 
 
-def _spread(payloads_kg: Sequence[float]) -> list[float]:
+def _evenly_chosen(payloads_kg: Sequence[float]) -> list[float]:
     """At most `MOST_PAYLOADS` of them, evenly spread, the ends among them."""
     most = min(MOST_PAYLOADS, len(payloads_kg))
     at = np.unique(np.round(np.linspace(0, len(payloads_kg) - 1, most)).astype(int))

@@ -100,5 +100,5 @@ def test_trials_without_scatter_repeat_and_differ_from_link_to_link():
     (other,) = trials_without_scatter(drawn_link(5, 1), [case])
     assert np.array_equal(first.current_a, again.current_a)
     # The camera's clock starts anywhere within a frame.
-    assert first.tip_m == pytest.approx(again.tip_m, abs=1e-5)
-    assert np.abs(other.tip_m - first.tip_m).max() > 1e-4
+    assert first.tip_m == pytest.approx(again.tip_m, abs=1e-4)
+    assert np.abs(other.tip_m - first.tip_m).max() > 1e-3
