@@ -6,9 +6,8 @@ Each rig has its own structure and values (`models.rig.drawn_rig`) and a plant t
 its trials. Then the link's stiffness, mass and damping change a few times, and the nuisance is
 refitted. What is left beyond the plant's mean error gives the patterns of its own error
 (`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
-gives the null distribution of every effect (`models/gap/search/null_distribution.json`). With
---joints 2 only the null distribution of two joints is measured, without patterns, the link that
-the plant knows among the links. Resumable: files by rig. No rig for tests is among them.
+gives the null distribution of every effect (`models/gap/search/null_distribution.json`), the link
+that the plant knows among the links. Resumable: files by rig. No rig for tests is among them.
 """
 
 from __future__ import annotations
@@ -101,19 +100,26 @@ def main() -> None:
     """Draw, run, and write both files."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="directory of results")
-    parser.add_argument("--rigs", type=int, default=16, help="drawn rigs for the patterns")
+    parser.add_argument(
+        "--rigs",
+        type=int,
+        default=22,
+        help="drawn rigs for the patterns; 0 leaves them as they are",
+    )
+    parser.add_argument("--first", type=int, help="first rig of the null distribution (RIGS)")
     parser.add_argument("--null", type=int, default=18, help="further rigs for the null")
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     parser.add_argument("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     args = parser.parse_args()
-    if args.rigs + args.null > FIRST_TEST_NUMBER:
+    first = args.rigs if args.first is None else args.first
+    if max(args.rigs, first + args.null) > FIRST_TEST_NUMBER:
         parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for tests: take fewer")
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
-    write_shipped_patterns(pattern_work(args.links, args.out, args.joints), range(args.rigs))
-    others = range(args.rigs, args.rigs + args.null)
-    links = range(0 if args.joints == 2 else 1, args.links + 1)
-    write_null_distribution(others, links, str(args.out), args.joints)
+    if args.rigs:
+        write_shipped_patterns(pattern_work(args.links, args.out, args.joints), range(args.rigs))
+    others = range(first, first + args.null)
+    write_null_distribution(others, range(args.links + 1), str(args.out), args.joints)
 
 
 def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:

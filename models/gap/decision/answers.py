@@ -68,8 +68,7 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     intercept : float
         Logarithm of the odds where all evidence is zero.
     coefficient : dict of str to float
-        By name of the evidence; that of `two_joints` is fitted with all else held, since few tests
-        are of two joints.
+        By name of the evidence.
     bounds : dict of str to tuple of float
         Least and largest value that counts, by name of the evidence: extreme values are rare and
         prove no more than usual ones. Evidence that is missing here counts in full.

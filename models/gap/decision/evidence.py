@@ -51,8 +51,6 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
         the servos' currents and of the tip. None in tests of names that do not need it
         (`bench.gap.calibration`).
-    two_joints : float
-        1 where the trials drive two joints, else 0.
     """
 
     named: float
@@ -64,7 +62,6 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rival: float
     servo: float | None = None
     tip: float | None = None
-    two_joints: float = 0.0
 
 
 def evidence_of(
@@ -101,7 +98,6 @@ def evidence_of(
         rival=_logarithm(rival_fraction(result)) if result.named else 0.0,
         servo=_logarithm(signal_residual(search, result.before, "current_")),
         tip=_logarithm(signal_residual(search, result.before, "tip_")),
-        two_joints=float(search.first.residuals.trials[0].meta.dof == 2),
     )
 
 

@@ -5,7 +5,6 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from scipy.special import expit, logit
 
 from bench.gap.calibration import answer_model, answer_tests
 from bench.gap.calibration.answer_model import (
@@ -17,13 +16,7 @@ from bench.gap.calibration.answer_model import (
     left_out,
     loss,
 )
-from bench.gap.calibration.answer_tests import (
-    AnswerTest,
-    labelled,
-    read_answer_tests,
-    weights,
-)
-from bench.gap.calibration.two_joint_odds import fitted_odds, left_out_odds
+from bench.gap.calibration.answer_tests import labelled, read_answer_tests, weights
 from bench.gap.calibration.whole_decisions import LEAST_PROBABILITIES
 from models.gap.decision.answers import read_answer_model
 from models.gap.decision.evidence import Evidence
@@ -194,26 +187,3 @@ def test_the_coefficients_in_use_tell_the_tests_of_the_table(monkeypatch):
                 for p, test in zip(said, rows, strict=True) if abs(p - 0.5) > 0.4]  # fmt: skip
         assert len(sure) > 50 and np.mean(sure) > 0.9
         assert loss(tests, question, said) < np.log(2) / 1.5
-
-
-@pytest.mark.parametrize("added", [-2.0, 0.0, 2.0])
-def test_two_joints_add_to_the_odds_what_their_tests_show_and_nothing_else_moves(added):
-    rng, base = np.random.default_rng(3), read_answer_model().catalogue
-    rows = []
-    for n in range(400):
-        own = evidence("outside", rng)
-        log_odds = logit(base.probability(own, ["creep"])) + added
-        true = rng.random() < expit(log_odds)
-        rows.append(
-            AnswerTest(
-                rig=f"drawn_{n % 5}", data_set=n, kind="single", same_link=True,
-                effects=("creep",), answer="catalogue" if true else "outside",
-                evidence=msgspec.structs.replace(own, two_joints=1.0),
-            )
-        )  # fmt: skip
-    found = fitted_odds(rows, OF_NAMES_ASKED, base)
-    assert found.coefficient["two_joints"] == pytest.approx(added, abs=0.5)
-    one = evidence("outside", rng)
-    assert found.probability(one, ["creep"]) == base.probability(one, ["creep"])
-    left = left_out_odds(rows, OF_NAMES_ASKED, base)
-    assert loss(rows, OF_NAMES_ASKED, left) < np.log(2)
