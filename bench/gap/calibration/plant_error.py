@@ -104,7 +104,7 @@ def main() -> None:
         "--rigs",
         type=int,
         default=22,
-        help="drawn rigs for the patterns; 0 leaves them as they are",
+        help="drawn rigs for the patterns; 0 keeps those in use",
     )
     parser.add_argument("--first", type=int, help="first rig of the null distribution (RIGS)")
     parser.add_argument("--null", type=int, default=18, help="further rigs for the null")

@@ -99,9 +99,7 @@ def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
             links = np.arange(1, len(order) + 1)
             ax.axhline(1.0, color=MUTED, linewidth=0.8)
             ax.plot(links, without[order], "o", color=MEASURED, label="mean error subtracted")
-            ax.plot(
-                links, with_patterns[order], "o", color=SIMULATED, label="with patterns as well"
-            )
+            ax.plot(links, with_patterns[order], "o", color=SIMULATED, label="patterns as well")
             ax.set_yscale("log")
             ax.set_title(motion_of(key), fontsize=8)
             ax.set_xlabel("links, by their error", fontsize=8)
