@@ -61,11 +61,11 @@ def pattern_sentence(rigs: MotionErrors) -> str:
     rigs : sequence of mapping
         Of one motion.
     """
-    parts = []
-    for count in (0, DEFAULT_SETTINGS.discrepancy_patterns):
+    parts, links = [], sum(len(r["rows"]) for r in rigs)
+    most = links - max(len(r["rows"]) for r in rigs)  # no more than links that they are learned on
+    for count in (0, min(DEFAULT_SETTINGS.discrepancy_patterns, most)):
         left = left_out_residuals(rigs, count)
         parts.append(f"{np.median(left):.2f} (90 %: {np.quantile(left, 0.9):.2f}) with {count}")
-    links = sum(len(r["rows"]) for r in rigs)
     return (
         f"{links} links of {len(rigs)} rigs, each rig left out: median of the mean squared error, "
         f"in noise floors, {' and '.join(parts)} patterns"

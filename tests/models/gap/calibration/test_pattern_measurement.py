@@ -56,7 +56,8 @@ def test_what_rigs_have_in_common_is_taken_away_on_a_rig_left_out(files):
     own = 0.3**2 / (1 + 1 / 2)  # the floor holds the noise of the mean curve of two trials as well
     assert without > 10 * own
     assert own / 4 < with_patterns < 2 * own
-    assert "24 links of 8 rigs" in pattern_sentence(rigs)
+    said = pattern_sentence(rigs)
+    assert "24 links of 8 rigs" in said and "with 21 patterns" in said
 
 
 def test_patterns_keep_motion_payloads_and_signals(files, tmp_path):
