@@ -16,6 +16,7 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -301,12 +302,22 @@ def own_errors_of(files: Sequence[Path]) -> dict[str, list[dict[str, Array]]]:
     ----------
     files : sequence of Path
         By rig.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged.
     """
     names = ("payload_kg", "signals", "rows", "noise")
     measured: dict[str, list[dict[str, Array]]] = {}
     for path in files:
-        with np.load(path) as file:
-            for k in range(sum(name.startswith("key_") for name in file)):
-                own = {name: file[f"{name}_{k}"] for name in names}
-                measured.setdefault(str(file[f"key_{k}"]), []).append(own)
+        try:
+            with np.load(path) as file:
+                for k in range(sum(name.startswith("key_") for name in file)):
+                    own = {name: file[f"{name}_{k}"] for name in names}
+                    measured.setdefault(str(file[f"key_{k}"]), []).append(own)
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
+            raise InputError(
+                str(path), f"holds no error of a plant ({error})", "delete it, and calibrate again"
+            ) from error
     return measured

@@ -76,6 +76,12 @@ def test_rigs_whose_link_folds_are_passed_over_unless_all_do(files, tmp_path):
         learned_patterns([folded])
 
 
+def test_a_damaged_file_is_told_with_a_remedy(files):
+    files[3].write_bytes(files[3].read_bytes()[:-300])
+    with pytest.raises(InputError, match=r"own_error_3\.npz.*calibrate again"):
+        learned_patterns(files)
+
+
 def test_a_link_that_folds_leaves_an_empty_file(tmp_path):
     cases = (TrialCase(Motion(period_s=1.0), 30.0, 1),)
     work = PatternWork(cases, cases, 1, tmp_path)
