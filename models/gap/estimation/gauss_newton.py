@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,8 @@ class FitPoint:
         Fit parameters whose derivatives these are; those of the others are zero.
     exact : bool
         Whether the derivatives are exact; secants otherwise.
+    origin : FitPoint, optional
+        Where the step to this point started, as long as nobody needs the derivatives here.
     """
 
     values: Array
@@ -56,10 +58,12 @@ class FitPoint:
         repr=False, default_factory=lambda: np.zeros(0, dtype=np.bool_)
     )
     exact: bool = False
+    origin: FitPoint | None = field(repr=False, default=None)
 
     def has_derivatives(self, wanted: Array) -> bool:
-        """Whether derivatives by these fit parameters are known."""
-        return bool(self.slopes) and bool(self.derived[np.flatnonzero(wanted)].all())
+        """Whether derivatives by these fit parameters are known, or those of the origin are."""
+        known = bool(self.slopes) or self.origin is not None
+        return known and bool(self.derived[np.flatnonzero(wanted)].all())
 
 
 class GaussNewton:
@@ -180,7 +184,7 @@ class GaussNewton:
                 rows[:, derived] = own.reshape(len(rows), int(derived.sum()))
                 white.append(rows)
             self._set_slopes(point, white)
-            point.derived, point.exact = derived, True
+            point.derived, point.exact, point.origin = derived, True, None
         return point
 
     def _set_slopes(
@@ -196,15 +200,26 @@ class GaussNewton:
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
         """Derivatives at the end of a step: those at its start, corrected along the step.
 
+        The search tries far more points than it goes on from: they are computed where a step from
+        the end needs them.
+
         Parameters
         ----------
         start : FitPoint
             With derivatives.
         end : FitPoint
-            Without; it gets them, and is returned.
+            Without; it is returned.
         """
-        if end.exact or end is start:
-            return end
+        if not (end.exact or end is start):
+            self._correct(start)
+            end.origin, end.derived = replace(start), start.derived  # the start may get exact ones
+        return end
+
+    def _correct(self, end: FitPoint) -> None:
+        """Compute the derivatives of a point from those of its origin, where it has one."""
+        if end.origin is None:
+            return
+        start, end.origin = end.origin, None
         moved = end.values - start.values
         weighted = np.diag(start.normal) * moved
         along = weighted / max(float(weighted @ moved), 1e-300)
@@ -217,8 +232,6 @@ class GaussNewton:
         update = np.outer(across, along)  # of J'J: a tenth of the time of a new product
         update = update + update.T + square * np.outer(along, along)
         self._set_slopes(end, slopes, start.normal + update)
-        end.derived = start.derived
-        return end
 
     def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
         """Bounded step of the free fit parameters (others zero), and the fall of cost it predicts.
@@ -232,6 +245,7 @@ class GaussNewton:
         """
         if not point.has_derivatives(free):
             self.linearise(point, free)
+        self._correct(point)
         index = np.flatnonzero(free)
         equation = NormalEquation.of(point.normal, index)
         size = equation.size

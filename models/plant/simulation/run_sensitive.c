@@ -29,6 +29,7 @@ typedef double Block __attribute__((vector_size(N_BLOCK * sizeof(double)), may_a
 typedef Block Slope[N_BLOCKS][N_ROWS];
 
 typedef void Function(const Real **, Real **, int);
+Function sensitivity_constants;
 Function sensitivity_begin, sensitivity_rate, sensitivity_finish, sensitivity_output;
 
 /* Entries of the derivatives of a function, side by side for each lane. */
@@ -47,6 +48,7 @@ typedef struct {
     Entries stages[4];
     Real value[MOST_VALUES], by_x[MOST_BY_X], by_p[MOST_BY_P];
     Real x[N_STATES], x_stage[N_STATES], x_sum[N_STATES], u[N_INPUTS + 1], p[N_PARAMETERS + 1];
+    Real constants[N_CONSTANTS + 1]; /* of p and the length of a step alone */
     int lanes, columns, blocks, chosen[N_COLUMNS + 1]; /* wanted columns, as chosen parameters */
     Additions initial, begin, rate, finish, output;
     const char *wanted; /* of each chosen parameter */
@@ -82,7 +84,7 @@ static void select_columns(Run *r, int *place) {
 /* Values and entries of the derivatives of a function at a state. */
 static void evaluate(Run *r, Function function, const Jacobian *j, const Additions *add,
                      const Real *x, const Real *time, Entries *own) {
-    const Real *arg[] = {x, r->u, r->p, time};
+    const Real *arg[] = {x, r->u, r->p, r->constants, time};
     Real *res[] = {r->value, r->by_x, r->by_p};
     function(arg, res, r->lanes);
     if (!r->blocks) return;
@@ -242,6 +244,9 @@ static int run_all(Run *r, long steps, double step_s, double max_substep_s, cons
         else
             for (int i = 0; i < N_STATES; i++) r->x[i][l] = r->x[i][lane];
     }
+    const Real *arg[] = {r->p, &time};
+    Real *res[] = {r->constants};
+    sensitivity_constants(arg, res, lanes);
     read_inputs(r, steps ? u : first, steps ? steps : 1, 0);
     observe_all(r, steps + 1, 0, y, slope);
     for (long k = 0; k < steps && !failed; k++) {

@@ -3,7 +3,9 @@
 A function of the model becomes a C function with three results: the value, and the entries of its
 derivatives by the states and by the chosen parameters, row after row. Constant tables in `tables.h`
 tell the place of each entry; `run_sensitive.c` reads them. All but the start, which is evaluated
-once, is written for several trials in lockstep (`models.plant.simulation.lanes_c`).
+once, is written for several trials in lockstep (`models.plant.simulation.lanes_c`). What depends on
+the parameters and the length of a step alone is calculated once in a run: a function of its own
+gives these constants.
 """
 
 from __future__ import annotations
@@ -66,18 +68,25 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
     }  # fmt: skip
     lines = [f"#define N_{name} {size}" for name, size in tables.items()]
     lines.append(_table("CHOSEN", columns))
-    most = np.ones(3, dtype=int)
+    most, results = np.ones(3, dtype=int), {}
     for what, own in derived.items():
         rows = own.rows(what, states)
         by_x = own.by_x[rows, states if own.by_x.size2() else []].T
         by_p = own.by_p[rows, columns if what != "output" else range(len(index))].T
-        function = ca.Function(
-            f"sensitivity_{what}", own.arguments, ca.cse([own.value, by_x.nz[:], by_p.nz[:]])
-        )
-        (others[_FILE[what]] if what in _FILE else start).add(function)
-        most = np.maximum(most, [function.numel_out(k) for k in range(3)])
+        results[what] = ca.cse([own.value, ca.vec(by_x.nz[:]), ca.vec(by_p.nz[:])])
+        most = np.maximum(most, [part.numel() for part in results[what]])
         place = rows if what == "output" else [states.index(i) for i in rows]
         lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
+    start.add(ca.Function("sensitivity_initial", derived["initial"].arguments, results["initial"]))
+    constants = _Constants(len(model.parameters))
+    parts = {w: constants.take_out(results[w], *_constant_in(w, derived)) for w in _FILE}
+    symbols = ca.vertcat(*constants.symbols)
+    others["step"].add(constants.function("sensitivity_constants"))
+    for what, file in _FILE.items():
+        x, u, p, *time = derived[what].arguments
+        function = ca.Function(f"sensitivity_{what}", [x, u, p, symbols, *time], parts[what])
+        others[file].add(function)
+    lines.append(f"#define N_CONSTANTS {symbols.numel()}")
     lines += [
         f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
     ]
@@ -88,6 +97,59 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
         sources[what].write_text(in_lanes(generator.dump()))
     sources["initial"].write_text(_NOT_OPTIMISED + sources["initial"].read_text())
     return [*sources.values()]
+
+
+class _Constants:
+    """What functions of a model calculate from the parameters and the length of a step alone.
+
+    Parameters
+    ----------
+    parameters : int
+        Number of the model's parameters.
+    """
+
+    def __init__(self, parameters: int) -> None:
+        self._p, self._step_s = ca.SX.sym("p", parameters), ca.SX.sym("step_s")
+        self.symbols: list[Any] = []
+        self._values: list[Any] = []
+
+    def take_out(self, results: Sequence[Any], p: Any, lengths: Sequence[Any]) -> list[Any]:
+        """Results of a function in which symbols stand for what is constant.
+
+        Parameters
+        ----------
+        results : sequence of casadi.SX
+            Column vectors.
+        p : casadi.SX
+            Parameters of the function.
+        lengths : sequence of casadi.SX
+            Arguments of the function that hold the length of a step.
+        """
+        ends = np.cumsum([0, *(part.numel() for part in results)]).tolist()
+        whole, known = ca.vertcat(*results), [p, *lengths]
+        left, symbols, values = ca.extract_parametric(whole, ca.vertcat(*known))
+        self.symbols += symbols
+        self._values += ca.substitute(values, known, [self._p, *[self._step_s] * len(lengths)])
+        return [*ca.vertsplit(left, ends)]
+
+    def function(self, name: str) -> Any:
+        """Function from the parameters and the length of a step to what was taken out."""
+        results = ca.cse([ca.vertcat(*self._values)])
+        return ca.Function(name, [self._p, self._step_s], results)
+
+
+def _constant_in(what: str, derived: dict[str, _Derivatives]) -> tuple[Any, list[Any]]:
+    """Parameters of a function, and its arguments that hold the length of a step.
+
+    `begin` may keep that length in a state, which the rates find there; `output` is evaluated
+    before the first step too, when the state does not hold it yet.
+    """
+    x, _, p, *step_s = derived[what].arguments
+    if what == "rate":
+        kept, own = derived["begin"].value, derived["begin"].arguments[3]
+        held = [i for i in range(x.numel()) if derived["rate"].value[i].is_zero()]
+        step_s = [x[i] for i in held if ca.is_equal(kept[i], own)]
+    return p, step_s
 
 
 class _Derivatives:

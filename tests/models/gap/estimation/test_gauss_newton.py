@@ -43,3 +43,24 @@ def test_a_fit_with_nothing_free_ends_where_it_starts(estimator):
     start = estimator.at(np.zeros(len(estimator.low)))
     end = estimator.fit(start, np.zeros(len(estimator.low), dtype=bool))
     assert end.cost == start.cost and not end.values.any()
+
+
+def test_a_point_gets_its_derivatives_where_a_step_needs_them_and_they_follow_the_step(estimator):
+    free = np.arange(len(estimator.low)) < 4
+    start = estimator.linearise(estimator.at(np.zeros(len(estimator.low))), free)
+    step, _ = estimator.step(start, free)
+    end = estimator.search(start, step)
+    assert not end.slopes and end.has_derivatives(free) and not end.has_derivatives(~free)
+    slopes = [slope.copy() for slope in start.slopes]
+    start.slopes = []  # what becomes of the start later does not count
+    estimator.step(end, free)
+    moved = end.values - start.values
+    for own, before, a, b in zip(
+        end.slopes,
+        slopes,
+        estimator.whitened(start.rows),
+        estimator.whitened(end.rows),
+        strict=True,
+    ):
+        np.testing.assert_allclose(own @ moved, (a - b).ravel(), rtol=0, atol=1e-8)
+        assert np.abs(before @ moved - (a - b).ravel()).max() > 1e-3

@@ -7,10 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from models.gap.residuals.fit_parameters import plant_with_every_effect
 from models.plant.plant import read_plant
 from models.plant.simulation import sensitivity
 from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.simulation.sensitivity_c import write_sensitivity_c
 from models.plant.step_model import names
 
 STEP_S = 0.017
@@ -40,6 +42,18 @@ def test_slopes_are_finite_differences_of_the_run(bench, unit):
         slope = slopes[:, :, k]
         assert np.abs(slope).max() > 0
         assert np.allclose(slope, difference, atol=1e-4 * np.abs(slope).max()), name
+
+
+def test_what_is_constant_in_a_run_is_calculated_once(tmp_path):
+    model = plant_with_every_effect(read_plant()).step_model(1, "twin")
+    write_sensitivity_c(model, [], tmp_path)
+    functions = (tmp_path / "sensitivity_step.c").read_text().split("\nvoid ")
+    code = {own.split("(")[0]: own for own in functions if "{" in own.splitlines()[0]}
+    # The goal decays by exp(-step_s / decay_s), the gear's peak friction is a power of parameters.
+    assert "lanes_pow(" in code["sensitivity_constants"]
+    assert "lanes_exp(" in code["sensitivity_constants"]
+    assert "lanes_pow(" not in code["sensitivity_rate"]
+    assert "lanes_exp(" not in code["sensitivity_rate"]
 
 
 def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
