@@ -25,6 +25,9 @@ class GapConfig(CaseConfig, frozen=True, kw_only=True):
     ----------
     plant : str
         Plant as it was identified, with its noise floor.
+    patterns : str
+        Patterns of the plant's own error, of `python -m models calibrate`; those shipped where it
+        is empty.
     rig : str
         Structure, `drawn_K`, file that changes a structure, or link.
     effects : dict of str to float
@@ -44,6 +47,7 @@ class GapConfig(CaseConfig, frozen=True, kw_only=True):
     """
 
     plant: str
+    patterns: str = ""
     rig: str = "default"
     effects: dict[str, float] = msgspec.field(default_factory=dict)
     factors: dict[str, float] = msgspec.field(default_factory=dict)
@@ -69,6 +73,8 @@ class GapKind(CaseKind[GapConfig]):
     def files(self, config: GapConfig) -> dict[str, str]:
         """See `CaseKind.files`."""
         found = {"plant": config.plant}
+        if config.patterns:
+            found["patterns"] = config.patterns
         return found | ({"rig": config.rig} if Path(config.rig).is_file() else {})
 
     def check(self, config: GapConfig) -> None:
@@ -87,11 +93,14 @@ class GapKind(CaseKind[GapConfig]):
 
         from firmware_py.motion import Motion
         from models.gap.diagnosis import diagnose  # loads CasADi
+        from models.gap.estimation.model_discrepancy import read_patterns
         from models.plant.plant import read_plant
         from models.rig.study_protocol import run_case  # loads MuJoCo
         from models.rig.trial_case import TrialCase
         from models.trials.trial_files import TrialSet
 
+        plant = read_plant(config.plant)
+        patterns = read_patterns(Path(config.patterns)) if config.patterns else ()
         rig = changed_rig(config.rig, config.factors).hide(config.effects)
         kind = next(k for k in MOTIONS if k == config.motion)
         trials = TrialSet(
@@ -102,7 +111,7 @@ class GapKind(CaseKind[GapConfig]):
             )
         )
         start_s = time.perf_counter()
-        found = diagnose(read_plant(config.plant), trials, leave_out=list(config.leave_out))
+        found = diagnose(plant, trials, leave_out=config.leave_out, patterns=patterns)
         context.parts_s["diagnosis"] = time.perf_counter() - start_s
         values = found.improved.parameters
         wanted = set(config.effects) - set(config.leave_out)

@@ -60,3 +60,13 @@ def test_kinds_and_worker_are_light_to_import():
 def test_what_is_no_kind_is_refused(module):
     with pytest.raises(InputError, match=r"is not known|cannot be imported"):
         load_kind(module)
+
+
+def test_patterns_of_a_calibration_are_a_file_of_the_diagnosis(tmp_path):
+    kind, plant = load_kind("gap"), str(ROOT / "models/plant/nominal.toml")
+    damaged = tmp_path / "patterns.npz"
+    damaged.write_bytes(b"no patterns")
+    values = {"plant": plant, "patterns": str(damaged)}
+    assert kind.files(msgspec.convert(values, kind.config)) == values
+    with pytest.raises(InputError, match=r"patterns\.npz: holds no patterns"):
+        result_of(kind, tmp_path, **values)
