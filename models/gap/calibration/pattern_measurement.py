@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -42,6 +42,9 @@ from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 
 __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_work"]
+
+REASON: Final = "reason"
+"""Entry of a rig's file: why one of its links does not count, most often since it folds."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def run_pattern_work(
 def measure_own_error(work: PatternWork, rig: int) -> None:
     """Identify a plant on a rig; save what the nuisance fit leaves on other links.
 
-    A rig whose link folds in these trials has an empty file.
+    The file of a rig that cannot run these trials, as where its link folds, holds the reason alone.
 
     Parameters
     ----------
@@ -130,6 +133,7 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
     """
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     errors: list[GroupError] = []
+    arrays: dict[str, Any] = {}
     try:
         cases = repeated(work.identified_on, 2, rig)  # rigs share no noise
         own = drawn_link(rig, 0, work.make)
@@ -139,12 +143,12 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
             changed = drawn_link(rig, link, work.make)
             try:
                 trials = trials_without_scatter(changed, work.diagnosed_on)
-            except InputError:  # this link folds
+            except InputError as error:
+                arrays[REASON] = str(error)
                 continue
             errors += errors_on_another_link(plant, own_trials, trials)
-    except InputError:
-        errors = []
-    arrays: dict[str, Any] = {}
+    except InputError as error:
+        errors, arrays[REASON] = [], str(error)
     for k, key in enumerate(dict.fromkeys(e.key for e in errors)):
         group = [e for e in errors if e.key == key]
         arrays |= {
@@ -277,14 +281,17 @@ def learned_patterns(
     Raises
     ------
     InputError
-        If the link folds on every rig.
+        If no rig can run the trials, as where the link folds on every one.
     """
     measured = own_errors_of(files)
     if not measured:
+        with np.load(files[0]) as first:
+            reason = str(first[REASON])
         raise InputError(
-            str(files[0].parent), "holds no error of any plant: the link folds on every drawn rig",
+            str(files[0].parent),
+            f"holds no error of any plant: no drawn rig can run these trials ({reason})",
             "give trials with less payload or amplitude, or describe the link with --link",
-        )  # fmt: skip
+        )
     found = []
     for key, rigs in measured.items():
         rows = np.concatenate([r["rows"] for r in rigs])

@@ -69,10 +69,10 @@ def test_patterns_keep_motion_payloads_and_signals(files, tmp_path):
 
 def test_rigs_whose_link_folds_are_passed_over_unless_all_do(files, tmp_path):
     folded = tmp_path / "own_error_9.npz"
-    np.savez(folded)
+    np.savez(folded, reason="the link folds 3.1 s after power-up")
     (before,), (after,) = learned_patterns(files), learned_patterns([folded, *files])
     assert np.array_equal(before.table, after.table)
-    with pytest.raises(InputError, match="less payload"):
+    with pytest.raises(InputError, match=r"no drawn rig.*folds 3\.1 s.*less payload"):
         learned_patterns([folded])
 
 
@@ -82,11 +82,13 @@ def test_a_damaged_file_is_told_with_a_remedy(files):
         learned_patterns(files)
 
 
-def test_a_link_that_folds_leaves_an_empty_file(tmp_path):
+def test_a_rig_whose_link_folds_leaves_the_reason_alone(tmp_path):
     cases = (TrialCase(Motion(period_s=1.0), 30.0, 1),)
     work = PatternWork(cases, cases, 1, tmp_path)
     measure_own_error(work, 0)
     assert own_errors_of([work.file(0)]) == {}
+    with pytest.raises(InputError, match="the link folds"):
+        learned_patterns([work.file(0)])
 
 
 def test_what_is_there_is_not_measured_again(files, tmp_path, monkeypatch):
