@@ -24,6 +24,10 @@ from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
 
+WITHOUT_PATTERNS: Final = " without patterns"
+"""Follows the number of joints in the key of a distribution that was measured without patterns of
+the plant's own error (`models.gap.estimation.model_discrepancy`)."""
+
 
 class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Distribution of d′ where nothing is missing; the content of `null_distribution.json`.
@@ -102,7 +106,7 @@ def null_distributions() -> dict[str, NullDistribution]:
 
 
 def null_distribution_of(
-    plant: Plant, dof: int, settings: GapSettings = DEFAULT_SETTINGS
+    plant: Plant, dof: int, patterns: bool = True, settings: GapSettings = DEFAULT_SETTINGS
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
 
@@ -112,6 +116,9 @@ def null_distribution_of(
         As given.
     dof : int
         Number of joints of the trials.
+    patterns : bool
+        Whether patterns of the plant's own error are known for them. With one joint the
+        distribution with patterns holds for all trials.
     settings : GapSettings
         Tuned numbers.
     """
@@ -120,7 +127,8 @@ def null_distribution_of(
         threshold=settings.uncalibrated_threshold,
         explained=settings.uncalibrated_residual_limit,
     )
-    return measured.get(str(dof), assumed)
+    found = measured.get(str(dof), assumed)
+    return found if patterns else measured.get(f"{dof}{WITHOUT_PATTERNS}", found)
 
 
 def calibrated_null_distribution(

@@ -1,8 +1,17 @@
 """Two joints: a noise floor of their own, and verdicts that need one."""
 
+import numpy as np
 import pytest
 
-from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.gap.estimation.noise_floor_fit import (
+    noise_floor_for,
+    nuisance_and_variation,
+    with_noise_floor,
+)
+from models.gap.residuals.residuals import Residuals
+from models.gap.search.effect_search import EffectSearch
 from models.gap.search.null_distribution import null_distribution_of
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
@@ -33,6 +42,21 @@ def test_each_number_of_joints_has_a_null_distribution():
     assert (one.repetitions_pooled, two.repetitions_pooled) == (False, True)
     for null in (one, two):
         assert null.for_link_change(0.0).explained >= DEFAULT_SETTINGS.noise_residual
+
+
+def test_where_no_patterns_are_known_more_counts_as_noise(two_joints, trials_of):
+    plant = read_plant()
+    known, unknown = (null_distribution_of(plant, 2, patterns) for patterns in (True, False))
+    assert unknown.explained > known.explained
+    assert null_distribution_of(plant, 1, False) == null_distribution_of(plant, 1)
+    trials = trials_of(two_joints, 7, dof=2).trials
+    residuals = Residuals(two_joints, trials, nuisance_and_variation(two_joints, trials))
+    (group,) = residuals.groups
+    table = np.zeros((1, 1, len(group.signals), group.coefficients))
+    own = ModelDiscrepancy(group.key, np.zeros(1), group.signals, table)
+    for patterns, null in (((own,), known), ((), unknown)):
+        estimator = GaussNewton(residuals, noise_floor_for(residuals, patterns))
+        assert EffectSearch(estimator, []).unchanged_null == null
 
 
 @pytest.mark.parametrize(
