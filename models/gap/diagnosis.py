@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from threadpoolctl import threadpool_limits
+
 from firmware_py.errors import InputError
 from models.gap.decision.decision import JudgedNames, decide
 from models.gap.decision.gap_verdict import GapVerdict
@@ -218,8 +220,9 @@ def diagnose(
     residuals = Residuals(plant, trials.trials, parameters, settings)
     floor = floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
-    result = search.search()
-    decision = decide(search, result)
+    with threadpool_limits(limits=1, user_api="blas"):  # the simulations take both processors
+        result = search.search()
+        decision = decide(search, result)
     result, accepted = decision.result, decision.accepted
     hypotheses = posterior_of(search, result, decision.answers)
     report("tested on what was left out", 1)
