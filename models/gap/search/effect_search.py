@@ -75,10 +75,9 @@ class EffectSearch:
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
         residuals = estimator.residuals
-        robot = residuals.plant, residuals.trials[0].meta.dof
         patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
-        self.unchanged_null = null_distribution_of(*robot, patterns, self.settings)
-        self.null_distribution = self.unchanged_null
+        given = residuals.plant, residuals.trials[0].meta.dof, patterns, self.settings
+        self.null_distribution = self.unchanged_null = null_distribution_of(*given)
         self.fit_parameters = residuals.fit_parameters
         self.base = np.array([q.kind != "effect" for q in self.fit_parameters])
         self.of = {
