@@ -286,7 +286,7 @@ def learned_patterns(
     measured = own_errors_of(files)
     if not measured:
         with np.load(files[0]) as first:
-            reason = str(first[REASON])
+            reason = str(first.get(REASON, "a file of an older version tells none"))
         raise InputError(
             str(files[0].parent),
             f"holds no error of any plant: no drawn rig can run these trials ({reason})",
