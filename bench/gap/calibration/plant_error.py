@@ -25,7 +25,7 @@ from typing import Any, Final
 import msgspec
 
 from bench.gap.case_run import bench_trials
-from bench.gap.rig_plants import identification_cases, plant_of_rig
+from bench.gap.rig_plants import identification_cases, plant_of_rig, required_noise_floor
 from firmware_py.console import Progress
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
@@ -39,7 +39,11 @@ from models.gap.calibration.pattern_measurement import (
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.model_discrepancy import read_patterns, write_patterns
 from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
-from models.gap.search.null_distribution import calibrated_null_distribution, null_distributions
+from models.gap.search.null_distribution import (
+    WITHOUT_PATTERNS,
+    calibrated_null_distribution,
+    null_distributions,
+)
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
@@ -65,7 +69,7 @@ def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
     return PatternWork(identification_cases(joints, "study"), diagnosed, links, own)
 
 
-def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
+def null_case(rig: int, link: int, directory: str, joints: int, patterns: bool) -> None:
     """Save the d′ of each effect on one link, and the residual without any.
 
     Parameters
@@ -76,15 +80,18 @@ def null_case(rig: int, link: int, directory: str, joints: int = 1) -> None:
         Of the results.
     joints : int
         Driven joints, 1 or 2.
+    patterns : bool
+        Whether patterns of the plant's own error count.
     """
-    path = _null_file(directory, rig, link, joints)
+    path = _null_file(directory, rig, link, joints, patterns)
     try:
         plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants", joints))
         trials = bench_trials(drawn_link(rig, link), link_seed(rig, link), joints)
     except InputError:
         path.write_text("{}")
         return
-    found = diagnose(plant, TrialSet(tuple(trials)))
+    floor = None if patterns else required_noise_floor(plant, joints)
+    found = diagnose(plant, TrialSet(tuple(trials)), floor=floor)
     separations = dict(found.screened)
     for effect, separation in found.refitted.items():
         separations[effect] = max(separations[effect], separation)
@@ -110,6 +117,11 @@ def main() -> None:
     parser.add_argument("--null", type=int, default=18, help="further rigs for the null")
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     parser.add_argument("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
+    parser.add_argument(
+        "--without-patterns",
+        action="store_true",
+        help="null distribution of trials whose patterns are unknown (with --rigs 0)",
+    )
     args = parser.parse_args()
     first = args.rigs if args.first is None else args.first
     if max(args.rigs, first + args.null) > FIRST_TEST_NUMBER:
@@ -119,7 +131,8 @@ def main() -> None:
     if args.rigs:
         write_shipped_patterns(pattern_work(args.links, args.out, args.joints), range(args.rigs))
     others = range(first, first + args.null)
-    write_null_distribution(others, range(args.links + 1), str(args.out), args.joints)
+    links, patterns = range(args.links + 1), not args.without_patterns
+    write_null_distribution(others, links, str(args.out), args.joints, patterns)
 
 
 def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
@@ -143,7 +156,7 @@ def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
 
 
 def write_null_distribution(
-    rigs: Sequence[int], links: Sequence[int], directory: str, joints: int
+    rigs: Sequence[int], links: Sequence[int], directory: str, joints: int, patterns: bool
 ) -> None:
     """Diagnose links without an effect; write the null distribution of a number of joints.
 
@@ -155,18 +168,21 @@ def write_null_distribution(
         Of the results.
     joints : int
         Driven joints, 1 or 2.
+    patterns : bool
+        Whether patterns of the plant's own error count.
     """
-    work = [(k, n, directory, joints) for n in links for k in rigs]
-    files = [_null_file(directory, k, n, joints) for k, n, *_ in work]
+    work = [(k, n, directory, joints, patterns) for n in links for k in rigs]
+    files = [_null_file(directory, k, n, joints, patterns) for k, n, *_ in work]
     _run(null_case, [w for w, f in zip(work, files, strict=True) if not f.exists()])
     rows = [r for r in (json.loads(f.read_text()) for f in files) if r]
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )
     known = null_distributions()
-    pooled = known[str(joints)].repetitions_pooled  # as in the search that was measured
+    key = f"{joints}" if patterns else f"{joints}{WITHOUT_PATTERNS}"
+    pooled = known.get(key, known[str(joints)]).repetitions_pooled  # as in the search just measured
     found = msgspec.structs.replace(found, repetitions_pooled=pooled)
-    tables = msgspec.json.encode({**known, str(joints): found})
+    tables = msgspec.json.encode({**known, key: found})
     NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
 
 
@@ -181,8 +197,8 @@ def link_seed(rig: int, link: int) -> int:
     return zlib.crc32(f"drawn_{rig}, link {link}".encode())
 
 
-def _null_file(directory: str, rig: int, link: int, joints: int) -> Path:
-    suffix = "" if joints == 1 else f"_{joints}dof"
+def _null_file(directory: str, rig: int, link: int, joints: int, patterns: bool) -> Path:
+    suffix = ("" if joints == 1 else f"_{joints}dof") + ("" if patterns else "_without_patterns")
     return Path(directory) / f"null_{rig}_{link}{suffix}.json"
 
 
