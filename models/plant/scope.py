@@ -17,6 +17,7 @@ import casadi as ca
 import msgspec
 
 from firmware_py.link.marker_layout import MarkerLayout
+from models.plant.delayed_staircase import DelayedStaircase
 from models.plant.parameter import Parameter
 from models.plant.sensor_low_pass import SensorLowPass
 from models.plant.step_model import Variable
@@ -82,6 +83,11 @@ class Scope:
         Goal after the command port; coordinate of the joint at the start.
     goal_change, current_change : dict by joint
         Change of a goal in the step that has a shape within it; jump of the current by all of it.
+    goal_without_staircase : dict by joint
+        Declares what it needs and returns the line through the middles of a goal's steps, where
+        the goal has a shape within the step.
+    delayed_staircase : dict by joint
+        Delay of such a goal, where there is one.
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
     mean_acceleration : dict by joint
@@ -145,6 +151,8 @@ class Scope:
     start: dict[int, Expr] = field(default_factory=dict)
     goal_change: dict[int, Expr] = field(default_factory=dict)
     current_change: dict[int, Expr] = field(default_factory=dict)
+    goal_without_staircase: dict[int, Callable[[], Expr]] = field(default_factory=dict)
+    delayed_staircase: dict[int, DelayedStaircase] = field(default_factory=dict)
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)

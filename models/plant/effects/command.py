@@ -8,6 +8,7 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
+from models.plant.delayed_staircase import DelayedStaircase
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
@@ -36,14 +37,21 @@ class DeadTime(Effect):
         Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="delay of the goal on its way to the servo's loop",
                   source='docs/sources.md, "Control tables": line time, 1 to 26 ms'),
+        Parameter(name="dead_time_phase_{j}", unit="1", value=0.0, low=-1.0, high=1.0,
+                  role="effect", description="phase by which the current is sampled later after "
+                  "the goal's jump than without the delay",
+                  source="unknown: the current may be a mean or be sampled", prior_deviation=0.5),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         """Replace the goal by its delayed value."""
         for j in scope.joints:
-            goal, dead_s = scope.goal[j], scope.p("dead_time_{j}_s", j)
+            held = scope.goal[j]
+            smooth = scope.goal_without_staircase
+            goal = smooth[j]() if j in smooth else held
+            dead_s = scope.p("dead_time_{j}_s", j)
             delay_s = ca.sqrt(dead_s**2 + SHORTEST_S**2)
-            first = scope.state(Variable(f"delayed_{j}_1", "1"), goal)
+            first = scope.state(Variable(f"delayed_{j}_1", "1"), held)
             second = scope.state(Variable(f"delayed_{j}_2", "1"))
             third = scope.state(Variable(f"delayed_{j}_3", "1"))
             scope.states[first.name()].rate = second / delay_s
@@ -52,7 +60,12 @@ class DeadTime(Effect):
                 60 * (goal - first) - 36 * second - 9 * third
             ) / delay_s
             delayed = first - 2 * second / 5 + third / 20
-            scope.goal[j] = goal + dead_s / delay_s * (delayed - goal)
+            rate = (3 * (goal - first) - 0.8 * second - 0.85 * third) / delay_s
+            share = dead_s / delay_s
+            scope.goal[j] = held + share * (delayed - held)
+            if j in smooth:
+                shift = scope.p("dead_time_phase_{j}", j)
+                scope.delayed_staircase[j] = DelayedStaircase(share, rate, shift)
 
 
 class CurrentSaturation(Effect):

@@ -9,10 +9,9 @@ import casadi as ca
 from models.plant.components.drives.drive_protocol import friction_speed_parameter
 from models.plant.components.drives.goal_shape import (
     declare_shaped_goal,
-    declare_step_length,
     goal_shape_parameters,
-    sawtooth_above_end,
     sawtooth_above_mean,
+    staircase_in_current,
 )
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
@@ -86,12 +85,9 @@ class Cascade:
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
             per_goal = gain * scope.p("position_gain_{j}_per_s", j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
-            jump = per_goal * (at_once * scope.goal_change[j])
             scope.current_change[j] = per_goal * scope.goal_change[j]
-            above_end = sawtooth_above_end(
-                scope, j, declare_step_length(scope), self._decay_s(scope, j)
-            )
-            scope.current[j] = current + jump * above_end
+            staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
+            scope.current[j] = current + per_goal * at_once * staircase
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""

@@ -14,6 +14,10 @@ The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which de
 τ = J / (k_t k_v); a steady motion adds the jumps of the earlier steps. Sampled at the phase φ, the
 current is above its value at the end of the step by the jump times (e^{−φh/τ} − r) / (1 − r), and
 above its mean by the jump times e^{−φh/τ} / (1 − r) − τ/h, with r = e^{−h/τ}.
+
+A dead time of the goal moves the jumps within the step, and hardly any filter delays a staircase
+without smoothing it. So the goal without its staircase is delayed, and the saw-tooth of the current
+is added to its mean (`DelayedStaircase`).
 """
 
 from __future__ import annotations
@@ -25,6 +29,9 @@ from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT, p
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
+
+PHASE_STATE = "step_phase"
+"""State that holds the phase of the step, 0 to 1."""
 
 STEP_STATE = "step_s"
 """State that holds the length of the step, for outputs and rates."""
@@ -92,6 +99,31 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
     scope.states[shaped.name()].rate = (1 - held) * change / step_s
     scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
     scope.goal_change[joint] = change
+    scope.goal_without_staircase[joint] = lambda: _without_staircase(scope, joint)
+
+
+def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
+    """Change of the goal in a step, times the sampled current above that of the twin per jump.
+
+    Parameters
+    ----------
+    scope : Scope
+        After the command port.
+    joint : int
+        Number of the joint.
+    decay_s : SX
+        Time constant of the velocity loop.
+    """
+    step_s = declare_step_length(scope)
+    at_once = scope.goal_change[joint] * sawtooth_above_end(scope, joint, step_s, decay_s)
+    if joint not in scope.delayed_staircase:
+        return at_once
+    late = scope.delayed_staircase[joint]
+    phase = scope.p("current_phase_{j}", joint) - scope.p("goal_delay_{j}_s", joint) / step_s
+    phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
+    left = ca.exp(-step_s / decay_s)
+    above_mean = ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
+    return at_once + late.share * (late.rate * step_s * above_mean - at_once)
 
 
 def sawtooth_above_end(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:
@@ -122,3 +154,14 @@ def sawtooth_above_mean(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -
     left = ca.exp(-step_s / decay_s)
     at_end = left / (1 - left) - decay_s / step_s
     return at_end + sawtooth_above_end(scope, joint, step_s, decay_s)
+
+
+def _without_staircase(scope: Scope, joint: int) -> Expr:
+    """Goal with the line through the middles of its steps in place of the staircase."""
+    if PHASE_STATE not in scope.states:
+        scope.state(Variable(PHASE_STATE, "1"), 0.0)
+        scope.states[PHASE_STATE].begin = ca.SX(0.0)
+        scope.states[PHASE_STATE].rate = 1 / declare_step_length(scope)
+    held = 1 - scope.p("goal_interpolation_{j}", joint)
+    phase = scope.states[PHASE_STATE].symbol
+    return scope.goal[joint] + held * scope.goal_change[joint] * (phase - 0.5)

@@ -31,6 +31,36 @@ def test_dead_time_shifts_every_output_by_its_value(bench, dead_s):
         assert found == pytest.approx(dead_s, rel=0.02), name
 
 
+@pytest.mark.parametrize("phase", [0.3, 1.0])
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_a_dead_time_of_whole_steps_is_that_of_goals_sent_later(bench, steps, phase):
+    """The saw-tooth of the current is that of a staircase, not of a smoothed one."""
+    sent = 0.5 * np.sin(1.44 * bench.step_s * np.arange(600))
+    sampled = {"current_phase_1": phase}
+    later = bench.run(["dead_time"], sampled, goal=np.r_[np.zeros(steps), sent[:-steps]], count=600)
+    delay = {"dead_time_1_s": steps * bench.step_s}
+    found = bench.run(["dead_time"], sampled | delay, goal=sent, count=600)
+    for name in ("angle_1_rad", "current_1_a", "tip_x_m"):
+        error = (found[name] - later[name])[200:].std()
+        assert error < 0.02 * later[name][200:].std(), name
+
+
+def test_the_phase_at_which_a_late_goal_meets_the_sampling_moves_the_current_alone(bench):
+    sent = 0.5 * np.sin(1.44 * bench.step_s * np.arange(600))
+    cases = [
+        {"dead_time_1_s": dead_s, "dead_time_phase_1": shift}
+        for dead_s, shift in ((0.0, 0.0), (0.0, -0.5), (0.02, 0.0), (0.02, -0.5))
+    ]
+    none, none_shifted, late, shifted = (
+        bench.run(["dead_time"], case, goal=sent, count=600) for case in cases
+    )
+    assert np.array_equal(none["current_1_a"], none_shifted["current_1_a"]), "no delay, no phase"
+    assert np.array_equal(late["angle_1_rad"], shifted["angle_1_rad"])
+    rate = np.gradient(late["angle_1_rad"], bench.step_s)[200:]
+    above = (shifted["current_1_a"] - late["current_1_a"])[200:]
+    assert np.corrcoef(above, rate)[0, 1] > 0.95, "sooner after a jump the current is larger"
+
+
 def test_a_step_passes_only_after_the_dead_time(bench):
     step = np.r_[np.zeros(20), np.full(100, 0.2)]
     after = bench.run(["dead_time"], {"dead_time_1_s": 0.102}, goal=step, count=120)
