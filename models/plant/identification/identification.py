@@ -7,7 +7,8 @@ The trials to fit to are those that `TrialSet.split` gives; all others are held 
 2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
    Without a servo loop a wrong gain cannot hide a wrong stiffness.
 3. Fit the drive and its friction: the twin, driven by the goals, to angle and current. In the first
-   round also with profiled goals (`models.plant.identification.goal_profile_fit`).
+   round also with profiled goals; where the goals of two joints differ in shape, also with either
+   shape for both (`models.plant.identification.drive_starts`).
 4. Repeat both on all trials, weighted by the errors of the first round. The first round uses the
    trials with the fewest joints only, which take the least time.
 
@@ -28,12 +29,13 @@ from firmware_py.errors import InputError
 from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
-from models.plant.identification.evaluation import evaluate_plant
-from models.plant.identification.goal_profile_fit import (
+from models.plant.identification.drive_starts import (
     PROFILE_FALL,
     profiled_starts,
+    starts_with_alike_servos,
     with_profile_of,
 )
+from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.simulation_fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, ModelKind, Plant
@@ -184,6 +186,12 @@ def _fit_link_and_drive(
         best = min(profiled, key=lambda s: s.cost, default=second)
         if best.cost < (1 - PROFILE_FALL) * second.cost:
             second = best
+    if planes == 2:
+        alike = [
+            _fit_stage(start, prior, "twin", extremes, drive, DRIVE_SIGNALS, angles, report)
+            for start in starts_with_alike_servos(second.plant)
+        ]
+        second = min([second, *alike], key=lambda s: s.cost)
     angles = {n: v for n, v in second.rms.items() if n.startswith("angle_")}
     return second.plant, angles | first.rms
 

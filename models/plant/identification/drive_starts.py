@@ -1,7 +1,9 @@
-"""Starts of the drive's fit in which the goals follow a profile of limited acceleration.
+"""Further starts of the drive's fit, where its cost has separate valleys.
 
-A servo without a limit and one with a low limit form separate valleys of the cost: above the
-motion's own acceleration the limit changes nothing, so no step leads from "none" to a limit.
+A servo without a limit of its acceleration and one with a low limit: above the motion's own
+acceleration the limit changes nothing, so no step leads from "none" to a limit. A servo that holds
+its goals and one that interpolates them: by the phase at which the current is sampled the one
+passes for the other. The servos of one robot most often do the same.
 """
 
 from __future__ import annotations
@@ -24,6 +26,12 @@ STARTS_RAD_S2: Final = (30.0, 10.0)
 
 PROFILE_FALL: Final = 0.05
 """Least fall of the drive's cost for which a profile is kept [assumed]."""
+
+SHAPE: Final = ("goal_interpolation_{j}", "current_phase_{j}", "goal_delay_{j}_s")
+"""Parameters of a goal's shape within the step."""
+
+SHAPES_DIFFER: Final = 0.3
+"""Difference of two joints' interpolation beyond which each is tried for both [assumed]."""
 
 
 def profiled_starts(plant: Plant) -> list[Plant]:
@@ -58,6 +66,26 @@ def with_profile_of(plant: Plant, other: Plant) -> Plant:
         Of one kind of drive.
     """
     return _with_parameters(plant, (q for n, q in other.parameters.items() if n.startswith(LIMIT)))
+
+
+def starts_with_alike_servos(plant: Plant) -> list[Plant]:
+    """Plants in which each joint's goals have the shape of the other's; none where both are alike.
+
+    Parameters
+    ----------
+    plant : Plant
+        As fitted to both joints.
+    """
+    interpolation = [plant.parameters.get(SHAPE[0].format(j=j)) for j in (1, 2)]
+    values = [q.value for q in interpolation if q is not None and q.role != "fixed"]
+    if len(values) < 2 or abs(values[0] - values[1]) <= SHAPES_DIFFER:
+        return []
+    return [
+        plant.with_values(
+            {q.format(j=b): plant.parameters[q.format(j=a)].value for q in SHAPE}
+        )
+        for a, b in ((1, 2), (2, 1))
+    ]  # fmt: skip
 
 
 def _with_parameters(plant: Plant, parameters: Iterable[Parameter]) -> Plant:
