@@ -81,7 +81,8 @@ def test_console_and_page_name_the_effect(document, late, tmp_path):
 def test_a_value_at_its_bound_is_said(document, late, tmp_path):
     found, trials = late
     (row,) = document.named
-    (name,) = row.parameters
+    name, phase = row.parameters  # of the dead time: its strength, and where it meets the sampling
+    assert row.parameters[phase].unit == "1"
     assert row.parameters[name].bound is None and "bound)" not in gap_in_words(document)
     high = found.fitted.parameters[name].high
     ended = found.fitted.with_values({name: high})
