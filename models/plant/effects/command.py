@@ -30,6 +30,11 @@ class DeadTime(Effect):
     (ωD)²/6. Being strictly proper it passes no step at once. States of a delay of zero would be
     infinitely fast: the states delay by D = √(θ² + D_0²) and their output counts by θ/D, so that
     the mean delay is θ exactly, at zero the goal passes untouched, and all is smooth in θ.
+
+    It smooths steps. A goal with a shape within the step is therefore delayed without its
+    staircase, whose saw-tooth in the current the drive adds (`DelayedStaircase`). A second
+    parameter shifts the phase at which the current meets it; a drive without a staircase ignores
+    that.
     """
 
     name = "dead_time"
@@ -60,6 +65,7 @@ class DeadTime(Effect):
                 60 * (goal - first) - 36 * second - 9 * third
             ) / delay_s
             delayed = first - 2 * second / 5 + third / 20
+            # derivative of `delayed`, by the rates of its states above
             rate = (3 * (goal - first) - 0.8 * second - 0.85 * third) / delay_s
             share = dead_s / delay_s
             scope.goal[j] = held + share * (delayed - held)
