@@ -97,7 +97,7 @@ class RigServo:
         return self._register.value_a
 
     def send(self, goal_rad: float, time_s: float) -> None:
-        """Send a goal; it takes effect after the dead time.
+        """Send a goal; it takes effect at the integration step nearest to the end of the dead time.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class RigServo:
         time_s : float
             Time at which it is sent.
         """
-        self._pending.append((time_s + self._delay_s, goal_rad))
+        self._pending.append((time_s + self._delay_s - 0.5 * self._step_s, goal_rad))
 
     def step(self, time_s: float, joint_rad: float, joint_rad_s: float) -> float:
         """Advance rotor and firmware by one step.

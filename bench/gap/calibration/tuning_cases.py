@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -38,6 +38,7 @@ def tuning_cases(
     seed: int,
     same_link: bool,
     joints: int = 1,
+    effects: Sequence[str] = (),
 ) -> Iterator[BenchCase]:
     """Draw the cases of one rig.
 
@@ -55,13 +56,15 @@ def tuning_cases(
         Whether the link is the one that the plant was identified on.
     joints : int
         Driven joints, 1 or 2.
+    effects : sequence of str
+        Effects to draw from; all of the catalogue where it is empty.
     """
     rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
 
     def case(kind: Kind, *hidden: tuple[str, float]) -> BenchCase:
         return drawn_case(rng, kind, hidden, rig, same_link, joints)
 
-    catalogue = list(TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL)
+    catalogue = list(effects or (TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL))
     names = rng.permutation(catalogue).tolist()
     yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])
     yield from (case("single", (e, FAINT_SIZE)) for e in names[usual : usual + faint])
@@ -88,13 +91,21 @@ def main() -> None:
     add("--pairs", type=int, default=1, help="data sets with two effects")
     add("--outside", type=int, default=1, help="effect denied to the catalogue")
     add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
+    add(
+        "--effects",
+        nargs="+",
+        default=[],
+        choices=TYPICAL_OF_TWO_JOINTS,
+        metavar="NAME",
+        help="draw from these effects (all)",
+    )
     add("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args()
     for rig in args.rigs:
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for tests: nothing is set on it")
     counts = args.usual, args.faint, args.nulls, args.pairs, args.outside
-    links = args.seed, args.same_link, args.joints
+    links = args.seed, args.same_link, args.joints, args.effects
     cases = [c for rig in args.rigs for c in tuning_cases(rig, *counts, *links)]
     ran = run_benchmark(cases, None, args.out, sealed=False).ran
     if lost := sum(ran.values()) - ran.get("done", 0):

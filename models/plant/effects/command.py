@@ -33,8 +33,7 @@ class DeadTime(Effect):
 
     It smooths steps. A goal with a shape within the step is therefore delayed without its
     staircase, whose saw-tooth in the current the drive adds (`DelayedStaircase`). A second
-    parameter shifts the phase at which the current meets it; a drive without a staircase ignores
-    that.
+    parameter shifts the phase at which the current meets it; a drive without a staircase has none.
     """
 
     name = "dead_time"
@@ -47,6 +46,14 @@ class DeadTime(Effect):
                   "the goal's jump than without the delay",
                   source="unknown: the current may be a mean or be sampled", prior_deviation=0.5),
     )  # fmt: skip
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters, without the phase where the drive has no staircase."""
+        declared = super().parameters(scope)
+        if "goal shape" in scope.features:
+            return declared
+        phases = {scope.name("dead_time_phase_{j}", j) for j in scope.joints}
+        return tuple(q for q in declared if q.name not in phases)
 
     def apply(self, scope: Scope) -> None:
         """Replace the goal by its delayed value."""

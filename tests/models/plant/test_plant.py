@@ -29,6 +29,16 @@ def test_a_document_comes_back_the_same(tmp_path, suffix):
     assert (again.drive, again.load, again.effects) == (plant.drive, plant.load, plant.effects)
 
 
+def test_a_parameter_that_an_older_file_lacks_has_its_default(tmp_path):
+    path = tmp_path / "plant.json"
+    read_plant().with_effects("dead_time").write(path)
+    document = json.loads(path.read_text())
+    for joint in (1, 2):
+        del document["parameters"][f"dead_time_phase_{joint}"]
+    path.write_text(json.dumps(document))
+    assert read_plant(path).parameters["dead_time_phase_1"].value == 0.0
+
+
 def test_the_nominal_plant_names_value_unit_bounds_and_source_of_everything():
     plant, text = read_plant(), NOMINAL.read_text()
     for name, q in plant.parameters.items():

@@ -125,8 +125,9 @@ def test_friction_at_constant_speed_is_coulomb_plus_viscous_plus_load(parameters
     assert servo.current_a * 6.83 == pytest.approx(load + friction, rel=0.02)
 
 
-def test_dead_time_delays_the_goal(parameters):
-    servo = RigServo(parameters.changed(**{"servo.dead_time_s": 0.05}), STEP_S)
+@pytest.mark.parametrize("dead_s", [0.0496, 0.05, 0.0504])
+def test_dead_time_delays_the_goal_to_the_nearest_step(parameters, dead_s):
+    servo = RigServo(parameters.changed(**{"servo.dead_time_s": dead_s}), STEP_S)
     servo.send(0.1, 0.0)
     for k in range(50):
         servo.step(k * STEP_S, 0.0, 0.0)

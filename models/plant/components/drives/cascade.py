@@ -8,9 +8,10 @@ import casadi as ca
 
 from models.plant.components.drives.drive_protocol import friction_speed_parameter
 from models.plant.components.drives.goal_shape import (
+    above_mean,
     declare_shaped_goal,
     goal_shape_parameters,
-    sawtooth_above_mean,
+    sampling_phase,
     staircase_in_current,
 )
 from models.plant.parameter import Parameter
@@ -111,8 +112,10 @@ class Cascade:
         goal_rate = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
         jump = gain * follow_per_s * step_s * goal_rate
         held = 1 - scope.p("goal_interpolation_{j}", joint)
-        above_mean = sawtooth_above_mean(scope, joint, step_s, self._decay_s(scope, joint))
-        return scope.current[joint] + held * jump * above_mean
+        phase = sampling_phase(scope, joint, step_s)
+        return scope.current[joint] + held * jump * above_mean(
+            phase, step_s, self._decay_s(scope, joint)
+        )
 
     def _decay_s(self, scope: Scope, joint: int) -> Expr:
         """Time constant of the velocity loop."""

@@ -115,45 +115,35 @@ def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
         Time constant of the velocity loop.
     """
     step_s = declare_step_length(scope)
-    at_once = scope.goal_change[joint] * sawtooth_above_end(scope, joint, step_s, decay_s)
+    phase = sampling_phase(scope, joint, step_s)
+    above_end = above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
+    at_once = scope.goal_change[joint] * above_end
     if joint not in scope.delayed_staircase:
         return at_once
     late = scope.delayed_staircase[joint]
-    phase = scope.p("current_phase_{j}", joint) - scope.p("goal_delay_{j}_s", joint) / step_s
-    phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
-    left = ca.exp(-step_s / decay_s)
-    above_mean = ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
-    return at_once + late.share * (late.rate * step_s * above_mean - at_once)
+    late_phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
+    delayed = late.rate * step_s * above_mean(late_phase, step_s, decay_s)
+    return at_once + late.share * (delayed - at_once)
 
 
-def sawtooth_above_end(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:
-    """Sampled current above that at the end of the step, per jump of the current.
+def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
+    """Phase of the step at which the current is sampled, from the jump of the goal on."""
+    delay_s = scope.p("goal_delay_{j}_s", joint)
+    return scope.p("current_phase_{j}", joint) - delay_s / step_s
+
+
+def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
+    """Current at a phase of the step above its mean, per jump of the current.
 
     Parameters
     ----------
-    scope : Scope
-        With the phase of the sampling.
-    joint : int
-        Number of the joint.
+    phase : SX
+        From the jump on, 0 to 1.
     step_s, decay_s : SX
         Length of the step; time constant of the velocity loop.
     """
     left = ca.exp(-step_s / decay_s)
-    since_jump_s = scope.p("current_phase_{j}", joint) * step_s - scope.p("goal_delay_{j}_s", joint)
-    return (ca.exp(-since_jump_s / decay_s) - left) / (1 - left)
-
-
-def sawtooth_above_mean(scope: Scope, joint: int, step_s: Expr, decay_s: Expr) -> Expr:
-    """Sampled current above the mean of the step, per jump of the current.
-
-    Parameters
-    ----------
-    scope, joint, step_s, decay_s
-        As for `sawtooth_above_end`.
-    """
-    left = ca.exp(-step_s / decay_s)
-    at_end = left / (1 - left) - decay_s / step_s
-    return at_end + sawtooth_above_end(scope, joint, step_s, decay_s)
+    return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
 
 
 def _without_staircase(scope: Scope, joint: int) -> Expr:

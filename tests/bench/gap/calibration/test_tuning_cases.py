@@ -33,6 +33,14 @@ def test_two_joints_may_hide_the_coupling_of_their_planes():
     )
 
 
+def test_cases_may_be_drawn_from_some_effects_alone():
+    cases = tuning_cases(
+        "drawn_1", **COUNTS | {"pairs": 0}, seed=3, same_link=True, effects=["creep"]
+    )
+    hidden = [tuple(c.hidden) for c in cases]
+    assert set(hidden) == {("creep",), ()} and hidden.count(()) == COUNTS["nulls"]
+
+
 def test_a_rig_for_tests_is_refused(monkeypatch, capsys, tmp_path):
     given = ["tuning_cases", "--rigs", "drawn_901", "--out", str(tmp_path / "out")]
     monkeypatch.setattr("sys.argv", given)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from models.plant.components.drives.cascade import Cascade
 from models.plant.components.drives.drive_protocol import declare_goal
 from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT
-from models.plant.components.drives.goal_shape import sawtooth_above_mean
+from models.plant.components.drives.goal_shape import above_mean
 from models.plant.components.link import Link
 from models.plant.composition.twin import compose_twin
 from models.plant.identification.simulation_fit import Objective, fit_objective
@@ -158,14 +158,10 @@ def test_the_defaults_are_the_cascade_without_a_shape():
 
 
 def test_the_sawtooth_has_no_mean_over_the_phases():
-    scope = Scope((1,))
-    scope.declare(Cascade().parameters(scope))
-    phase, delay_s = scope.p("current_phase_{j}", 1), scope.p("goal_delay_{j}_s", 1)
-    step_s, decay_s = ca.SX.sym("h"), ca.SX.sym("decay")
-    sampled = sawtooth_above_mean(scope, 1, step_s, decay_s)
-    above = ca.Function("above", [phase, delay_s, step_s, decay_s], [sampled])
+    symbols = [ca.SX.sym(name) for name in ("phase", "step_s", "decay_s")]
+    above = ca.Function("above", symbols, [above_mean(*symbols)])
     for decay in (0.002, 0.007, 0.03):
-        mean = quad(lambda at, tau=decay: float(above(at, 0.0, STEP_S, tau)), 0.0, 1.0)[0]
+        mean = quad(lambda at, tau=decay: float(above(at, STEP_S, tau)), 0.0, 1.0)[0]
         assert mean == pytest.approx(0.0, abs=1e-9)
 
 
