@@ -50,11 +50,9 @@ def gap_verdict(
 
     Where what is named is believed the verdict is "closed", or "reduced" where more is left than
     noise explains, or a further effect would explain more than noise and an error in the equations
-    of those named. Else it is the likelier one of "no gap" and "not in the catalogue"; the latter
-    only where something exceeds what noise reaches: the residual, a deviation that all trials
-    share, or the d′ of an effect. Without a learned noise floor nobody knows what noise is: the
-    verdict is "no floor", or "not in the catalogue" where strengths differ or all trials deviate
-    alike.
+    of those named. Else it is the likelier one of "no gap" and "not in the catalogue". Without a
+    learned noise floor nobody knows what noise is: the verdict is "no floor", or "not in the
+    catalogue" where strengths differ or all trials deviate alike.
 
     Parameters
     ----------
@@ -79,9 +77,7 @@ def gap_verdict(
     if believed:
         more = further is not None and further.is_missing
         return "reduced" if biased or more or search.has_gap(result.after) else "closed"
-    beyond_noise = biased or search.has_gap(result.before) or bool(result.chosen)
-    outside = beyond_noise and answers.outside > answers.nothing
-    return "not in the catalogue" if outside else "no gap"
+    return "not in the catalogue" if answers.outside > answers.nothing else "no gap"
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:
