@@ -48,6 +48,8 @@ class Effect:
         Names are patterns ({j}, {angle}, {torque}); one of each for every joint.
     shared : tuple of Parameter
         One for all joints.
+    of_staircase : tuple of str
+        Names in `per_joint` that only a drive with a shape of the goal within the step has.
     needs : tuple of str
         Features that the drive or the load must have.
     search_start : mapping of str to float
@@ -58,6 +60,7 @@ class Effect:
     port: ClassVar[Port]
     per_joint: ClassVar[tuple[Parameter, ...]] = ()
     shared: ClassVar[tuple[Parameter, ...]] = ()
+    of_staircase: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[Need, ...]] = ()
     search_start: ClassVar[Mapping[str, float]] = {}
 
@@ -72,6 +75,7 @@ class Effect:
         named = [
             _for_joint_kind(q, scope.name(q.name, j), scope)
             for q in self.per_joint
+            if q.name not in self.of_staircase or "goal shape" in scope.features
             for j in scope.joints
         ]
         return (*named, *(_for_joint_kind(q, scope.name(q.name), scope) for q in self.shared))

@@ -37,6 +37,7 @@ class DeadTime(Effect):
     """
 
     name = "dead_time"
+    of_staircase = ("dead_time_phase_{j}",)
     per_joint = (
         Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="delay of the goal on its way to the servo's loop",
@@ -46,14 +47,6 @@ class DeadTime(Effect):
                   "the goal's jump than without the delay",
                   source="unknown: the current may be a mean or be sampled", prior_deviation=0.5),
     )  # fmt: skip
-
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters, without the phase where the drive has no staircase."""
-        declared = super().parameters(scope)
-        if "goal shape" in scope.features:
-            return declared
-        phases = {scope.name("dead_time_phase_{j}", j) for j in scope.joints}
-        return tuple(q for q in declared if q.name not in phases)
 
     def apply(self, scope: Scope) -> None:
         """Replace the goal by its delayed value."""

@@ -129,6 +129,7 @@ class SensorLag(Effect):
     """
 
     name = "sensor_lag"
+    of_staircase = ("sensor_lag_jump_{j}",)
     per_joint = (
         Parameter(name="sensor_lag_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="mean delay of the low-pass of the measured current",
@@ -147,14 +148,6 @@ class SensorLag(Effect):
         Parameter(name="sensor_lag_mocap_s", unit="s", value=0.0, low=0.0, high=0.05,
                   description="low-pass of the motion capture", source="assumed absent"),
     )  # fmt: skip
-
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters, without the saw-tooth where the drive has none."""
-        declared = super().parameters(scope)
-        if "goal shape" in scope.features:
-            return declared
-        jumps = {scope.name("sensor_lag_jump_{j}", j) for j in scope.joints}
-        return tuple(q for q in declared if q.name not in jumps)
 
     def apply(self, scope: Scope) -> None:
         """Set the low-pass of every joint's signals and of the motion capture."""

@@ -18,7 +18,7 @@ __all__ = ["check_weight", "doubts"]
 
 LARGE_FRACTION: Final = 0.1
 """Error of the tip, as a fraction of its deflection, beyond which a payload is named [assumed; 10
-of 133 plants of drawn rigs exceed it, most of them with a link near its limit moment]."""
+of 133 plants of drawn rigs exceed it]."""
 
 LARGE_M: Final = 5e-3
 """Error of the tip below which a large fraction is that of a small deflection [assumed]."""
