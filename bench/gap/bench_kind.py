@@ -67,17 +67,13 @@ KIND = BenchKind()
 def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
     """Results of a run of the benchmark by key, each with its case and its times.
 
-    Of a case that ran again with other code, or another plant, the latest result counts. A run from
-    before campaigns has one plain file for each case.
+    Of a case that ran again with other code, or another plant, the latest result counts.
 
     Parameters
     ----------
     directory : Path
         Of the run.
     """
-    if not (directory / "results").is_dir():
-        files = sorted(directory.glob("*.json"))
-        return {path.stem: json.loads(path.read_text()) for path in files}
     store = ResultStore(directory)
     times = {row["key"]: json.loads(row["parts_s"]) for row in store.read_costs()}
     files = (directory / "results").rglob("*.json")

@@ -32,7 +32,6 @@ from firmware_py.safety.limits import Limits
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.experiment.experiment import design_experiment
-from models.gap.experiment.motion_design import INSEPARABLE
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import SeparationModel
 from models.gap.improved_plant import written_values
@@ -59,6 +58,8 @@ PAIRS: Final = (
 )
 """Effect that is hidden, its strength, and the effect that it is mistaken for. The first three were
 declared look-alikes by diagnoses of three trials of the study's motion [chosen before any run]."""
+INSEPARABLE: Final = DEFAULT_SETTINGS.indistinguishable_separation
+"""d′ below which a pair stays together."""
 LOOK_ALIKE_SEPARATION: Final = 2.0
 """d′ of a pair on the trial at hand, below that of separated pairs."""
 FIT_STEPS: Final = 8

@@ -35,10 +35,6 @@ BUDGET_NS: Final = {
 }  # fmt: skip
 """99th percentile that a stage may take, the wait of the read left out. Tails do not add up, so the
 sum may exceed the 1 ms of the whole. Reported, not judged."""
-CPU_FRACTION: Final = 0.04
-"""Target for the fraction of the time in which the loop computes."""
-EXCHANGE_RATIO: Final = 1.15
-"""Target for read and write together against their transmission time."""
 LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
 """Targets for the lateness of the loop against the reference beside it."""
 

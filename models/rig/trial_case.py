@@ -11,7 +11,6 @@ import numpy as np
 
 from firmware_py.motion import STUDY_PERIOD_S, Motion
 
-STUDY_PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 STUDY_PRESSURE_PA: Final = 41_300.0
 DOWN: Final = (0.0, 0.0, -1.0)
 """Direction of gravity where the robot is upright."""

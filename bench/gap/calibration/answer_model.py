@@ -38,7 +38,6 @@ from bench.gap.calibration.answer_tests import (
 )
 from bench.gap.calibration.whole_decisions import (
     LEAST_PROBABILITIES,
-    MORE_THAN_HALF,
     decisions_table,
     mean_cost,
     whole_decisions,
@@ -61,6 +60,9 @@ INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 TAILS: Final = (0.0, 0.1, 0.2)
 """Fractions of the tests on either side whose evidence counts as no more extreme than that of the
 rest; the one with the least loss on rigs left out is taken."""
+
+EVEN: Final = 0.5
+"""Probability beyond which an answer counts as said in the table that is printed."""
 
 WITHOUT_BOUNDS: Final = ("named", "clearness")
 """Evidence that counts in full: however large d′ is, a larger one is less likely noise."""
@@ -287,7 +289,7 @@ def _told(
         right = [
             test.kind
             for test, p in zip(rows, own, strict=True)
-            if (p > MORE_THAN_HALF) == (test.answer == question.answer)
+            if (p > EVEN) == (test.answer == question.answer)
         ]
         counts = [
             f"{kind} {right.count(kind)} of {sum(test.kind == kind for test in rows)}"

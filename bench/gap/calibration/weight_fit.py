@@ -34,7 +34,7 @@ ODDS: Final = (6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 24.0)
 MEANS: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Values that are tried."""
 
-LEAST_PROBABILITY: Final = 0.01
+LOGARITHM_FLOOR: Final = 0.01
 """Least probability whose logarithm is taken: one wrong name in a hundred is not the rule."""
 
 
@@ -77,7 +77,7 @@ class ExplainedSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             probability[e] if e in self.missing else 1 - probability[e]
             for e in {*probability, *self.missing}
         ]
-        return float(-np.sum(np.log(np.maximum(rows, LEAST_PROBABILITY))))
+        return float(-np.sum(np.log(np.maximum(rows, LOGARITHM_FLOOR))))
 
 
 def explained_sets(results: Iterable[dict[str, Any]]) -> list[ExplainedSets]:

@@ -14,6 +14,7 @@ from typing import Final, Literal
 
 from bench.gap.calibration.answer_tests import KIND_WEIGHT, AnswerTest
 from bench.gap.cases import Kind
+from models.gap.decision.answers import Answers, set_order
 
 LEAST_PROBABILITIES: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 """Of names that are given; the one that costs least is taken."""
@@ -21,9 +22,6 @@ LEAST_PROBABILITIES: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
 WRONG_NAME_COST: Final = 2.0
 """Cost of a wrong name, over that of any other mistake: somebody looks for an effect that is not
 there, and the plant that is written has it [assumed]."""
-
-MORE_THAN_HALF: Final = 0.5
-"""Probability beyond which something outside of the catalogue is said."""
 
 Outcome = Literal["right name", "wrong name", "nothing", "outside"]
 
@@ -55,13 +53,13 @@ def whole_decisions(
         tests[test.rig, test.data_set].append(test)
     found: list[tuple[AnswerTest, Outcome]] = []
     for own in tests.values():
-        believed = [test for test in own if test.effects and names[test] > least]
-        if believed:
-            best = max(believed, key=lambda test: (len(test.effects), names[test]))
+        believed = {test: bool(test.effects) and names[test] > least for test in own}
+        best = max(own, key=lambda t: set_order(len(t.effects), believed[t], names[t]))
+        if believed[best]:
             found.append((own[0], "right name" if best.answer == "catalogue" else "wrong name"))
         else:
-            likeliest = max(own, key=lambda test: names[test])
-            said = outside.get(likeliest, 0.0) > MORE_THAN_HALF
+            beyond = outside.get(best, 0.0)
+            said = Answers(nothing=1 - beyond, catalogue=0.0, outside=beyond).is_outside
             found.append((own[0], "outside" if said else "nothing"))
     return found
 

@@ -33,9 +33,11 @@ from bench.gap.scores.result_predicates import (
     is_said_outside,
     is_strength_covered,
 )
+from models.gap.report.gap_words import DECIDED
+from models.gap.settings import DEFAULT_SETTINGS
 from models.rig.drawn_rig import rig_purpose
 
-WORSE_FRACTION: Final = 0.05
+WORSE_FRACTION: Final = DEFAULT_SETTINGS.harm_fraction
 """Rise of a signal's error on data that nothing was fitted to, from which a plant is worse."""
 
 Figures = dict[str, Any]
@@ -79,7 +81,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
         ),
         "outside_said_all": fraction_with_interval([is_said_outside(r) for r in outside]),
         "probable_right": fraction_with_interval(
-            [right for probability, right in _said(possible) if probability >= 0.9]
+            [right for probability, right in _said(possible) if probability >= DECIDED]
         ),
         "brier": _brier(decided),
         "reliability": bins,

@@ -49,7 +49,7 @@ def benchmark_figures(directory: Path) -> dict[str, Any]:
         "top_1_unique": fraction_with_interval(
             [is_first_name_right(r) for r in detected if not first_turn(r)[1]]
         ),
-        "class": fraction_with_interval([is_in_class(r) for r in detected]),
+        "class_of_named": fraction_with_interval([is_in_class(r) for r in detected]),
         "nothing_beside": fraction_with_interval([len(r["named"]) == 1 for r in detected]),
         "false_alarms": fraction_with_interval([r["verdict"] != "no gap" for r in of("null")]),
         "largest_on_nulls": sorted(round(r["largest"], 2) for r in of("null"))[-5:],

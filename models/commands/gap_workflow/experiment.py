@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     limits = read_config(args.limits).limits_in_force
     hidden = parse_strengths(args.hide)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
+    from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.experiment.experiment import (
         design_experiment,
         experiment_in_words,
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("experiment", 0)
     found = design_experiment(
         rivals_of(document.hypotheses), plant, trials, limits, args.seconds, args.payloads,
-        args.seed, progress.step, document.settings,
+        args.seed, progress.step, document.settings, patterns_beside(Path(inputs.plant)),
     )  # fmt: skip
     write_motion(found.design.document, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))

@@ -35,7 +35,7 @@ import numpy as np
 
 from models.gap.decision.accepted_fit import AcceptedFit, refit_is_earned
 from models.gap.decision.answers import Answers
-from models.gap.decision.gap_verdict import consistencies_of_named
+from models.gap.decision.evidence import consistencies_of_named
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
 from models.gap.residuals.fit_parameters import plant_with_searched_effects
@@ -148,7 +148,7 @@ class Acceptance:
             Of the evidence for its effects.
         """
         named = self.result.named
-        if answers.outside > answers.nothing:
+        if answers.is_outside:
             if "motions" in self.held_out.folds and np.any(accepted.free):
                 return accepted
             reason = STAND_IN.format(answers.catalogue, answers.outside)

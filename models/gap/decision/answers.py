@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -25,7 +25,6 @@ from models.gap.decision.evidence import Evidence
 PATH: Final = Path(__file__).with_name("answers.json")
 
 Answer = Literal["nothing", "catalogue", "outside"]
-ANSWERS: Final = get_args(Answer)
 
 OF_NAMES: Final = ("named", "gap", "clearness", "difference", "rise", "further", "rival")
 """Evidence that tells the missing effects from what stands in for them."""
@@ -50,6 +49,11 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nothing: float
     catalogue: float
     outside: float
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether something outside of the catalogue is likelier than nothing."""
+        return self.outside > self.nothing
 
     def without_nothing(self) -> Answers:
         """The same where something is known to be missing."""
@@ -144,6 +148,24 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             Of the evidence for the names.
         """
         return answers.catalogue > self.least_probability
+
+
+def set_order(effects: int, believed: bool, probability: float) -> tuple[int, float]:
+    """Order of the sets of effects that one data set was tested for; the largest is decided on.
+
+    It grows with the effects that are believed, then with the belief in them: fewer effects are
+    always likelier to be right.
+
+    Parameters
+    ----------
+    effects : int
+        Number in the set.
+    believed : bool
+        Whether they are named (`AnswerModel.believes`).
+    probability : float
+        That they are what is missing.
+    """
+    return believed * effects, probability
 
 
 def read_answer_model() -> AnswerModel:

@@ -23,15 +23,11 @@ from models.gap.decision.answers import (
     AnswerModel,
     Answers,
     read_answer_model,
+    set_order,
 )
-from models.gap.decision.evidence import Evidence, evidence_of
+from models.gap.decision.evidence import Evidence, consistencies_of_named, evidence_of
 from models.gap.decision.further_effect import FurtherEffect, further_effect_of
-from models.gap.decision.gap_verdict import (
-    GapVerdict,
-    consistencies_of_named,
-    gap_left_fraction,
-    gap_verdict,
-)
+from models.gap.decision.gap_verdict import GapVerdict, gap_left_fraction, gap_verdict
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.refused_effect import RefusalKind, RefusedEffect
@@ -91,8 +87,8 @@ class JudgedAcceptance:
 
     @property
     def order(self) -> tuple[int, float]:
-        """Grows with the effects that are believed, then with the belief in them."""
-        return self.believed * len(self.tested.effects), self.tested.answers.catalogue
+        """See `models.gap.decision.answers.set_order`."""
+        return set_order(len(self.tested.effects), self.believed, self.tested.answers.catalogue)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.held_out_errors import HeldOutErrors
-from models.gap.search.strength_consistency import StrengthConsistency
+from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
 
 LEAST_FRACTION: Final = 1e-2
 """Least fraction whose logarithm is taken: what is smaller proves no more."""
@@ -62,6 +62,26 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rival: float
     servo: float | None = None
     tip: float | None = None
+
+
+def consistencies_of_named(
+    search: EffectSearch, result: SearchResult
+) -> dict[str, StrengthConsistency]:
+    """Strength consistency of each named effect; not of one with a dead zone.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run.
+    """
+    free = search.free(result.named)
+    return {
+        effect: strength_consistency_of(search.estimator, result.after, free, search.of[effect])
+        for effect in result.named
+        if effect not in result.unexcited
+    }
 
 
 def evidence_of(

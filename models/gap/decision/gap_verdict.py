@@ -13,29 +13,9 @@ from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
+from models.gap.search.strength_consistency import StrengthConsistency
 
 GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
-
-
-def consistencies_of_named(
-    search: EffectSearch, result: SearchResult
-) -> dict[str, StrengthConsistency]:
-    """Strength consistency of each named effect; not of one with a dead zone.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run.
-    """
-    free = search.free(result.named)
-    return {
-        effect: strength_consistency_of(search.estimator, result.after, free, search.of[effect])
-        for effect in result.named
-        if effect not in result.unexcited
-    }
 
 
 def gap_verdict(
@@ -77,7 +57,7 @@ def gap_verdict(
     if believed:
         more = further is not None and further.is_missing
         return "reduced" if biased or more or search.has_gap(result.after) else "closed"
-    return "not in the catalogue" if answers.outside > answers.nothing else "no gap"
+    return "not in the catalogue" if answers.is_outside else "no gap"
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:

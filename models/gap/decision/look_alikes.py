@@ -16,8 +16,9 @@ from models.gap.decision.set_weights import set_weights
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 
-CLASS_PROBABILITY: Final = 0.95
-"""Probability that a name and its look-alikes hold together (requirement)."""
+HELD_PROBABILITY: Final = 0.95
+"""Probability that a set of hypotheses holds together: a name and its look-alikes, or what is left
+after an experiment (requirement)."""
 
 
 @dataclass(frozen=True)
@@ -58,5 +59,5 @@ def look_alikes_of(result: SearchResult, turn: int) -> tuple[LookAlike, ...]:
     return tuple(
         LookAlike(c.effects, c.separation, c.point.values)
         for c, held in zip(rows, before / weights.sum(), strict=True)
-        if c is not chosen and held < CLASS_PROBABILITY
+        if c is not chosen and held < HELD_PROBABILITY
     )

@@ -23,7 +23,7 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 
-LEAST_PROBABILITY: Final = 1e-3
+LISTED_PROBABILITY: Final = 1e-3
 """Hypotheses below this are not listed."""
 
 
@@ -91,7 +91,7 @@ def posterior_of(
             )
             for k, (effects, point) in enumerate(points.items())
         ]  # fmt: skip
-    listed = [h for h in hypotheses if h.probability >= LEAST_PROBABILITY]
+    listed = [h for h in hypotheses if h.probability >= LISTED_PROBABILITY]
     return tuple(sorted(listed, key=lambda h: -h.probability))
 
 

@@ -48,6 +48,7 @@ def rejected_effects(
     for effect, size in sorted(result.screened.items(), key=lambda row: -row[1]):
         if effect in result.named:
             continue
+        least = round(null_distribution.least([effect]), 3)
         if effect in refused:
             reason = refused[effect]
         elif effect in result.unexcited:
@@ -56,9 +57,10 @@ def rejected_effects(
             reason = "its gain does not hold on trials left out"
         elif result.named:
             reason = "explains less than what was named"
+        elif size > least and refused:
+            reason = "explains less than what was refused"
         else:
             reason = "explains no more than noise"
-        least = round(null_distribution.least([effect]), 3)
         rows.append(RejectedEffect(effect, round(size, 3), least, reason))
     known = {row.effect for row in rows} | set(result.named)
     rows += [

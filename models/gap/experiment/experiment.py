@@ -15,7 +15,9 @@ from firmware_py.motion_document import MotionDocument
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
-from models.gap.experiment.motion_design import INSEPARABLE, REST_SAMPLES, Design, MotionDesigner
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.gap.experiment.motion_design import Design, MotionDesigner
+from models.gap.experiment.motion_limits import REST_SAMPLES
 from models.gap.experiment.motion_twin import planned_trial
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import PairSeparation, SeparationModel
@@ -64,6 +66,8 @@ class Experiment:
         With every payload.
     limits : Limits
         Of the robot.
+    least_separation : float
+        d′ from which two hypotheses count as separated.
     """
 
     rivals: tuple[Rival, ...]
@@ -71,6 +75,7 @@ class Experiment:
     design: Design
     fixed: tuple[FixedMotion, ...]
     limits: Limits
+    least_separation: float
 
     @property
     def separable(self) -> tuple[int, ...]:
@@ -78,7 +83,7 @@ class Experiment:
         every = [self.design.pairs, *(f.pairs for f in self.fixed)]
         return tuple(
             k for k in range(len(self.pairs))
-            if max(own[k].separation for own in every) >= INSEPARABLE
+            if max(own[k].separation for own in every) >= self.least_separation
         )  # fmt: skip
 
     @property
@@ -108,7 +113,7 @@ class Experiment:
 
     def _separated(self, pairs: Sequence[PairSeparation]) -> tuple[int, float]:
         """How much a motion separates: number of pairs, then the least gain."""
-        count = sum(q.separation >= INSEPARABLE for q in pairs)
+        count = sum(q.separation >= self.least_separation for q in pairs)
         return count, self.least_gain(pairs)
 
     def least_gain(self, pairs: Sequence[PairSeparation]) -> float:
@@ -125,13 +130,14 @@ class Experiment:
         """Pairs that the recommended motion leaves together."""
         fixed = self.better_fixed
         pairs = fixed.pairs if fixed else self.design.pairs
-        return [self.label(k) for k, q in enumerate(pairs) if q.separation < INSEPARABLE]
+        return [self.label(k) for k, q in enumerate(pairs) if q.separation < self.least_separation]
 
 
 def design_experiment(
     rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
     payloads_kg: Sequence[float] = (), seed: int = 0,
     report: ReportProgress = lambda text, further: None, settings: GapSettings = DEFAULT_SETTINGS,
+    patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Experiment:  # fmt: skip
     """Design the motion that separates the hypotheses of a diagnosis best.
 
@@ -155,6 +161,8 @@ def design_experiment(
         Called with one phrase after each step.
     settings : GapSettings
         Of the diagnosis.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error, measured for it (`models.gap.calibration`).
 
     Raises
     ------
@@ -169,7 +177,7 @@ def design_experiment(
         raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
     if len(rivals) < 2:
         raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
-    model = SeparationModel(plant, trials.trials, rivals, settings)
+    model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
     report("trials at hand judged", 3)
     payloads = tuple(payloads_kg) or default_payloads_kg(trials)
     fixed = _fixed_motions(
@@ -180,7 +188,8 @@ def design_experiment(
     design = designer.design(payloads)
     rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
     check_motion(rows, limits, PERIOD_S, "the designed motion")
-    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits)
+    least = settings.indistinguishable_separation
+    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits, least)
 
 
 def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from firmware_py.motion import Motion
 from models.gap.experiment.experiment import Experiment, better_fixed_in_words
-from models.gap.experiment.motion_design import INSEPARABLE
 from models.gap.experiment.rival import Rival
 from models.shared.html_page import render_page
 from models.shared.page_parts import Cell, Figure, LegendEntry, Paragraph, Part, Section, Table
@@ -77,7 +76,7 @@ def _bars(found: Experiment) -> Figure:
     with Drawing(0.9 + 0.45 * len(pairs)) as (drawing, ax):
         for k, (colour, values) in enumerate(rows):
             ax.barh(place + (k - (len(rows) - 1) / 2) * high, values, 0.9 * high, color=colour)
-        ax.axvline(INSEPARABLE, color=MUTED, dashes=(3, 2), linewidth=0.9)
+        ax.axvline(found.least_separation, color=MUTED, dashes=(3, 2), linewidth=0.9)
         ax.set_yticks(place, [found.label(k).replace("_", " ") for k in range(len(pairs))])
         ax.invert_yaxis()
         ax.set_xlabel("d′")

@@ -20,13 +20,11 @@ from scipy.optimize import linprog
 from firmware_py.motion import Motion
 from firmware_py.motion_document import JointSeries, MotionDocument
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
-from models.gap.estimation.curve_transfer import STUDY_REST_S
+from models.gap.experiment.motion_limits import REST_SAMPLES, ROW_STEP, goal_limits, twin_limits
 from models.gap.experiment.motion_twin import CoefficientTwin, planned_trial
 from models.gap.experiment.separation import PairSeparation, SeparationModel
 from models.gap.residuals.spectrum import Array
 from models.gap.search.effect_search import ReportProgress
-from models.gap.settings import DEFAULT_SETTINGS
 from models.trials.trial import Trial
 
 FREQUENCIES_HZ: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -35,14 +33,6 @@ the link's first modes, 1.4 to 3.5 Hz (docs/sources.md, "The link"), where the p
 large. Measured: with up to 2.7 Hz a prebend of 0.02 was mistaken for a softening afterwards."""
 COEFFICIENT_DIGITS: Final = 6
 """Digits of a coefficient: 1 µrad is less than a servo resolves."""
-REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
-"""Rows at rest before a planned motion."""
-GOAL_MARGIN: Final = 0.97
-"""Part of a limit of the goals that is used: the LP sees every third row [assumed]."""
-TWIN_MARGIN: Final = 0.85
-"""Part of a limit of current, following error and tip that the twin may use; the rest is for the
-difference between twin and robot [assumed]."""
-ROW_STEP: Final = 3
 FIRST_RADIUS: Final = 0.25
 LEAST_RADIUS: Final = 0.004
 """Trust region, as a fraction of what one harmonic alone may have [assumed]."""
@@ -51,15 +41,22 @@ MOST_GRADIENTS: Final = 8
 STEPS: Final = 20
 """Most linear programmes from one start [assumed]."""
 SHRINKING: Final = 0.3
-"""Part of the violation of a limit by which a motion is made smaller at once [assumed]."""
+"""Fraction of the violation of a limit by which a motion is made smaller at once [assumed]."""
+CORRECTION: Final = 0.015
+"""Fraction by which a step that exceeds a limit of the twin is made smaller, up to three times
+[assumed]."""
+NEAR_A_LIMIT: Final = 0.4
+"""Distance from a limit, as a fraction of it, from which a row enters a linear programme
+[assumed]."""
+RADIUS_GROWTH: Final = 1.5
+"""Growth of the trust region after a step that raised the score; it is halved after any other
+[assumed]."""
 TOLERATED_EXCESS: Final = 0.01
 """Violation during the search; the result has none [assumed]."""
 RANDOM_STARTS: Final = 4
 """Random series among the starts [assumed]."""
 KEPT_STARTS: Final = 2
 """Starts that are optimised, best first [assumed]."""
-INSEPARABLE: Final = DEFAULT_SETTINGS.indistinguishable_separation
-"""d′ below which a pair stays together."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +121,7 @@ class MotionDesigner:
     ) -> None:  # fmt: skip
         self.model, self.limits, self.report = model, limits, report
         self.duration_s, self.dof = seconds, model.like.meta.dof
+        self.least_separation = model.settings.indistinguishable_separation
         self.harmonics = tuple(sorted({max(1, round(f * seconds)) for f in FREQUENCIES_HZ}))
         self._rng = np.random.default_rng(seed)
         self.twin = CoefficientTwin(
@@ -137,30 +135,7 @@ class MotionDesigner:
         hz = np.array(self.harmonics) / seconds
         alone = np.minimum(min(-low, high), limits.rate_rad_s / (2 * np.pi * hz))
         self.scale = np.tile(alone, 2 * self.dof)
-        self._goal_rows, self._goal_limit = self._goal_constraints()
-
-    def _goal_constraints(self) -> tuple[Array, Array]:
-        """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals."""
-        basis, limits = self.twin.basis, self.limits
-        rate = np.diff(basis, axis=0) / PERIOD_S
-        both: tuple[tuple[Array, float, float], ...] = (
-            (basis, limits.angle_rad[1], -limits.angle_rad[0]),
-            (rate, limits.rate_rad_s, limits.rate_rad_s),
-            (
-                np.diff(rate, axis=0) / PERIOD_S,
-                limits.acceleration_rad_s2,
-                limits.acceleration_rad_s2,
-            ),
-        )
-        rows, limit = [], []
-        for table, high, low in both:
-            moving = table[REST_SAMPLES::ROW_STEP]
-            for sign, most in ((1.0, high), (-1.0, low)):
-                rows.append(sign * moving)
-                limit.append(np.full(len(moving), GOAL_MARGIN * most))
-        one = np.concatenate(rows)
-        every = np.asarray(np.kron(np.eye(self.dof), one), dtype=np.float64)
-        return every, np.tile(np.concatenate(limit), self.dof)
+        self._goal_rows, self._goal_limit = goal_limits(self.twin.basis, limits, self.dof)
 
     def document(self, x: Array, payload_kg: float, notes: str = "") -> MotionDocument:
         """Motion of coefficients, joint after joint: the sines, then the cosines."""
@@ -219,12 +194,19 @@ class MotionDesigner:
         full += [
             self.scale * self._rng.standard_normal(len(self.scale)) for _ in range(RANDOM_STARTS)
         ]
-        return [self._within_goal_limits(x) for x in full]
+        return [self._scaled_to_goal_limits(x) for x in full]
+
+    def _scaled_to_goal_limits(self, x: Array) -> Array:
+        """Coefficients made larger or smaller until the goals just meet a limit."""
+        return np.asarray(x / max(self._used_of_goal_limits(x), 1e-9))
 
     def _within_goal_limits(self, x: Array) -> Array:
-        """Coefficients made smaller as far as the limits of the goals demand."""
-        used = np.max(self._goal_rows @ x / self._goal_limit)
-        return np.asarray(x / max(used, 1e-9))
+        """Coefficients made smaller where the goals exceed a limit."""
+        return np.asarray(x / max(self._used_of_goal_limits(x), 1.0))
+
+    def _used_of_goal_limits(self, x: Array) -> float:
+        """Largest goal, rate or acceleration, as a fraction of its limit."""
+        return float(np.max(self._goal_rows @ x / self._goal_limit))
 
     def _within_twin_limits(self, x: Array, payload_kg: float) -> Array:
         """Coefficients made smaller until every rival stays within the twin's limits."""
@@ -240,29 +222,12 @@ class MotionDesigner:
             y = self.model.twin.run(trial, values)
             if not np.isfinite(y).all():
                 return np.inf
-            worst = max(worst, *(float(v.max()) for v, _ in self._twin_limits(y, trial.goal_rad)))
+            worst = max(worst, *(float(v.max()) for v, _ in self._limits_of(y, trial)))
         return worst
 
-    def _twin_limits(self, y: Array, goal_rad: Array) -> list[tuple[Array, dict[str, float]]]:
-        """Violations (n,) of each limit as a part of it, and the weights of the outputs in it."""
-        outputs, limits, result = self.model.twin.outputs, self.limits, []
-
-        def add(name: str, value: Array, most: float) -> None:
-            for sign in (1.0, -1.0):
-                result.append((sign * value / most - TWIN_MARGIN, {name: sign / most}))
-
-        for j in range(self.dof):
-            current, angle = f"current_{j + 1}_a", f"angle_{j + 1}_rad"
-            add(current, y[:, outputs.index(current)], limits.current_a)
-            error = y[:, outputs.index(angle)] - goal_rad[:, j]
-            add(angle, error, limits.following_error_rad)
-        for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
-            middle = (limits.tip_max_m[k] + limits.tip_min_m[k]) / 2
-            half = (limits.tip_max_m[k] - limits.tip_min_m[k]) / 2
-            value = (y[:, outputs.index(name)] - middle) / half
-            result.append((value - 0.98, {name: 1 / half}))
-            result.append((-value - 0.98, {name: -1 / half}))
-        return result
+    def _limits_of(self, y: Array, trial: Trial) -> list[tuple[Array, dict[str, float]]]:
+        """See `models.gap.experiment.motion_limits.twin_limits`."""
+        return twin_limits(y, self.model.twin.outputs, trial.goal_rad, self.limits)
 
     def _raised(self, x: Array, payload_kg: float) -> Design:
         """Series of linear programmes from one start."""
@@ -274,20 +239,20 @@ class MotionDesigner:
         while steps < STEPS and active.any():
             steps += 1
             programme = programme or self._programme(x, trial, pairs, active)
-            tried = self._within_goal_limits_if_needed(x + programme.step(radius) * self.scale)
+            tried = self._within_goal_limits(x + programme.step(radius) * self.scale)
             for _ in range(3):
                 if self.twin_excess(tried, payload_kg) > TOLERATED_EXCESS:
-                    tried = 0.985 * tried
+                    tried = (1 - CORRECTION) * tried
             new_trial = self.trial(tried, payload_kg)
             new = self.model.separations(new_trial)
             risen = self.scores(new)[active].min() - self.scores(pairs)[active].min()
             if risen > 0 and self.twin_excess(tried, payload_kg) <= TOLERATED_EXCESS:
                 x, trial, pairs, programme = tried, new_trial, new, None
-                radius = min(1.5 * radius, 1.0)
+                radius = min(RADIUS_GROWTH * radius, 1.0)
             else:
                 radius *= 0.5
             if radius < LEAST_RADIUS or (steps == STEPS // 2):
-                together = active & np.array([q.separation < INSEPARABLE for q in pairs])
+                together = active & np.array([q.separation < self.least_separation for q in pairs])
                 if not together.any() or together.all():
                     if radius < LEAST_RADIUS:
                         break
@@ -296,15 +261,11 @@ class MotionDesigner:
         x = self._within_twin_limits(x, payload_kg)
         trial = self.trial(x, payload_kg)
         pairs = self.model.separations(trial)
-        separable = np.array([q.separation >= INSEPARABLE for q in pairs])
+        separable = np.array([q.separation >= self.least_separation for q in pairs])
         kept = separable if separable.any() else np.ones(len(pairs), dtype=bool)
         # A design that separates more pairs wins, then the one with the larger least score.
         score = 1e6 * int(separable.sum()) + float(self.scores(pairs)[kept].min())
         return Design(self.document(x, payload_kg), trial, tuple(pairs), score)
-
-    def _within_goal_limits_if_needed(self, x: Array) -> Array:
-        used = np.max(self._goal_rows @ x / self._goal_limit)
-        return x if used <= 1 else np.asarray(x / used)
 
     def _programme(
         self, x: Array, trial: Trial, pairs: list[PairSeparation], active: Array
@@ -320,8 +281,8 @@ class MotionDesigner:
         goals = np.kron(np.eye(self.dof), self.twin.basis)
         goals = goals.reshape(self.dof, len(self.twin.basis), -1)
         for y, slope in by_rival.values():
-            for value, weights in self._twin_limits(y, trial.goal_rad):
-                near = np.flatnonzero(value > -0.4)[::ROW_STEP]
+            for value, weights in self._limits_of(y, trial):
+                near = np.flatnonzero(value > -NEAR_A_LIMIT)[::ROW_STEP]
                 for name, weight in weights.items():
                     by_x = weight * slope[near, model.twin.outputs.index(name)]
                     if name.startswith("angle_"):

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from models.gap.decision.look_alikes import HELD_PROBABILITY
 from models.gap.report.gap_json import HypothesisRecord
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
 from models.gap.residuals.spectrum import Array
@@ -15,7 +16,7 @@ from models.plant.plant import Plant
 
 MOST_RIVALS: Final = 6
 """Hypotheses that a motion is designed for, likeliest first; 15 pairs [assumed]."""
-LEAST_PROBABILITY: Final = 0.02
+RIVAL_PROBABILITY: Final = 0.02
 """Hypotheses below this do not count, but for the two likeliest: together with 0.95 at the first
 they would be less than the set that holds 0.95 leaves out [assumed]."""
 
@@ -68,7 +69,7 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
     total = sum(r.probability for r in rivals)
     ranked = sorted(rivals, key=lambda r: (-r.probability, r.effects))
     ranked = [replace(r, probability=r.probability / total) for r in ranked]
-    kept = [r for k, r in enumerate(ranked) if k < 2 or r.probability >= LEAST_PROBABILITY]
+    kept = [r for k, r in enumerate(ranked) if k < 2 or r.probability >= RIVAL_PROBABILITY]
     return tuple(kept[:MOST_RIVALS])
 
 
@@ -100,7 +101,7 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
     return values
 
 
-def credible_set(rivals: Sequence[Rival], held: float = 0.95) -> tuple[Rival, ...]:
+def credible_set(rivals: Sequence[Rival], held: float = HELD_PROBABILITY) -> tuple[Rival, ...]:
     """Fewest hypotheses that together hold a probability, likeliest first.
 
     Parameters

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.estimation.normal_equation import NormalEquation
 from models.gap.experiment.motion_twin import MotionTwin
@@ -86,6 +87,8 @@ class SeparationModel:
         At least two.
     settings : GapSettings
         Of the diagnosis.
+    patterns : sequence of ModelDiscrepancy
+        Of the plant's own error, measured for it.
 
     Attributes
     ----------
@@ -98,15 +101,16 @@ class SeparationModel:
     """
 
     def __init__(
-        self, plant: Plant, trials: Sequence[Trial], rivals: Sequence[Rival], settings: GapSettings
-    ) -> None:
+        self, plant: Plant, trials: Sequence[Trial], rivals: Sequence[Rival], settings: GapSettings,
+        patterns: Sequence[ModelDiscrepancy] = (),
+    ) -> None:  # fmt: skip
         self.rivals, self.settings, self.like = tuple(rivals), settings, trials[0]
         effects = sorted({e for r in rivals for e in r.effects})
         dof = trials[0].meta.dof
         own = [q for e in effects for q in effect_fit_parameters(plant, e, dof)]
         every = nuisance_and_variation(plant, trials, settings) + own
         residuals = Residuals(plant, trials, every, settings)
-        self._estimator = GaussNewton(residuals, noise_floor_for(residuals))
+        self._estimator = GaussNewton(residuals, noise_floor_for(residuals, patterns))
         floor = self._estimator.floor
         self.floor = replace(floor, formulation={})
         self.signals = residuals.groups[0].signals

@@ -43,8 +43,9 @@ __all__ = ["errors_in_floors", "gap_document"]
 
 MOST_LOCATED: Final = 40
 MOST_REMAINING: Final = 10
-LISTED_PROBABILITY: Final = 0.01
 """Significant regions that are listed before and after; `map` holds all."""
+LISTED_PROBABILITY: Final = 0.01
+"""Least probability of an effect that is listed."""
 
 
 def gap_document(

@@ -221,7 +221,7 @@ def _named_in_words(row: NamedEffect) -> list[str]:
         differs = row.evidence.strength_standard_deviation
         lines.append(
             f"  its strength would have to differ by {differs:.0%} between payloads, signals "
-            "and frequencies: it stands in for another effect"
+            "and frequencies: it may stand in for another effect, or its equation is too simple"
         )
     return lines
 

@@ -10,7 +10,7 @@ left out is fitted to it, within its prior.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -24,8 +24,12 @@ from models.trials.trial import Trial
 FittedModel = tuple[FitPoint, Array]
 """Point where a model was fitted, and its free fit parameters."""
 
-LOSSES_WEIGHT: Final = 2.0
-"""Times that the losses of some folds count against the gain of all [assumed]."""
+FOLD_KEYS: Final[Mapping[str, Callable[[Trial], object]]] = {
+    "payloads": lambda t: t.meta.payload_kg,
+    "conditions": lambda t: sorted(t.meta.conditions.items()),
+    "motions": lambda t: (t.meta.motion, t.meta.amplitude_rad, t.meta.period_s),
+}
+"""What trials that are left out together have in common, by what is left out."""
 
 
 def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
@@ -59,8 +63,8 @@ def held_out_gain(
     not exceed its standard error, whatever its size. What speaks against it are folds that lose.
     """
     gains = held_out_gains(estimator, without, with_)
-    losses = np.minimum(gains, 0.0)
-    return float(gains.sum()), LOSSES_WEIGHT * float(np.linalg.norm(losses))
+    losses = np.linalg.norm(np.minimum(gains, 0.0))
+    return float(gains.sum()), estimator.settings.held_out_losses_weight * float(losses)
 
 
 def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:
@@ -75,13 +79,17 @@ def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) 
     least : float
         Sum of these in a fold from which the effect acts on it.
     """
-    for condition in ("payload_kg", "conditions", "motion", "trial"):
-        keys = [str(getattr(t.meta, condition)) for t in trials]
+    for key in (*FOLD_KEYS.values(), _repetition):
+        keys = [str(key(t)) for t in trials]
         folds = [[i for i, k in enumerate(keys) if k == own] for own in sorted(set(keys))]
         acted_on = [fold for fold in folds if contributions[fold].sum() > least]
         if len(acted_on) > 1:
             return acted_on
     return [[i] for i in range(len(trials))]
+
+
+def _repetition(trial: Trial) -> object:
+    return trial.meta.trial
 
 
 def _contributions(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:

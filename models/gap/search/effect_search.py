@@ -174,9 +174,9 @@ class EffectSearch:
     def _candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
-        gain, same = here.cost - point.cost, self.unchanged_null.for_link_change(LEAST)
+        same = self.unchanged_null.for_link_change(LEAST, self.settings)
         least = self.least(effects, point), same.least(effects)
-        return Candidate(effects, point, gain, *least, predicted)
+        return Candidate(effects, point, here.cost - point.cost, *least, predicted)
 
     def least(self, effects: Sequence[str], point: FitPoint) -> float:
         """Least d′ that effects must reach together in a fit that holds them.
@@ -185,7 +185,7 @@ class EffectSearch:
         need: the plant's own error is that of a link that changed as that fit says.
         """
         change = min(link_change(self.fit_parameters, point.values), self.first.floor.link_change)
-        return self.unchanged_null.for_link_change(change).least(effects)
+        return self.unchanged_null.for_link_change(change, self.settings).least(effects)
 
     def free(self, effects: Sequence[str]) -> Array:
         """Fit parameters that are fitted when these effects are named, ndarray of bool."""
@@ -321,7 +321,7 @@ class EffectSearch:
             repeated = with_repeated_trials if pooled else with_amplified_scatter
             floor = repeated(floor, residuals, point.rows)
         self.first = GaussNewton(residuals, floor)
-        self.null_distribution = self.unchanged_null.for_link_change(change)
+        self.null_distribution = self.unchanged_null.for_link_change(change, self.settings)
         gap = [r - m for r, m in zip(point.rows, self.first.means, strict=True)]
         wider = floor.widened(residuals.groups, residuals.trials, gap, self.settings)
         self.estimator = GaussNewton(residuals, wider)

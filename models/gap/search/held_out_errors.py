@@ -23,6 +23,7 @@ from models.gap.residuals.partial_residuals import PartialResiduals, SquaredErro
 from models.gap.residuals.residuals import Residuals, TrialGroup
 from models.gap.residuals.spectrum import Array
 from models.gap.residuals.time_blocks import is_time_block
+from models.gap.search.cross_validation import FOLD_KEYS
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import Trial
@@ -47,11 +48,7 @@ def held_out_folds(
         Tuned numbers.
     """
     found: dict[str, list[Fold]] = {}
-    for words, key in (
-        ("payloads", lambda t: t.meta.payload_kg),
-        ("conditions", lambda t: sorted(t.meta.conditions.items())),
-        ("motions", lambda t: (t.meta.motion, t.meta.amplitude_rad, t.meta.period_s)),
-    ):
+    for words, key in FOLD_KEYS.items():
         folds = _by_value(trials, key)
         if len(folds) > 1:
             found[words] = folds

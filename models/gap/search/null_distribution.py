@@ -29,7 +29,9 @@ WITHOUT_PATTERNS: Final = " without patterns"
 the plant's own error (`models.gap.estimation.model_discrepancy`)."""
 
 
-class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class NullDistribution(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
+):
     """Distribution of d′ where nothing is missing; the content of `null_distribution.json`.
 
     Attributes
@@ -37,7 +39,8 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sets : int
         Data sets without an effect that it was measured on.
     threshold : float
-        Least d′ of a named effect, in standard deviations of its d′ here.
+        Least d′ of a named effect, in standard deviations of its d′ here. That of the settings: the
+        file does not hold it.
     explained : float
         Mean squared residual, in noise floors, up to which nothing counts as left, on a link that
         changed by one.
@@ -52,14 +55,16 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """
 
     sets: int = 0
-    threshold: float
+    threshold: float = DEFAULT_SETTINGS.least_threshold
     explained: float
     explained_growth: float = 0.0
     repetitions_pooled: bool = False
     standard_deviation: dict[str, float] = {}
     unchanged_deviation: dict[str, float] = {}
 
-    def for_link_change(self, change: float) -> NullDistribution:
+    def for_link_change(
+        self, change: float, settings: GapSettings = DEFAULT_SETTINGS
+    ) -> NullDistribution:
         """Distribution for a link that changed by another amount.
 
         A residual of `GapSettings.noise_residual` is noise on any link.
@@ -69,11 +74,13 @@ class NullDistribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         change : float
             Relative to the links that it was measured on
             (`models.gap.estimation.link_change`).
+        settings : GapSettings
+            Tuned numbers.
         """
         explained = self.explained * float(np.exp(self.explained_growth * (change - 1)))
         return msgspec.structs.replace(
             self,
-            explained=max(explained, DEFAULT_SETTINGS.noise_residual),
+            explained=max(explained, settings.noise_residual),
             standard_deviation={
                 e: float(np.sqrt((1 - change**2) * self._unchanged(e) ** 2 + change**2 * s**2))
                 for e, s in self.standard_deviation.items()
@@ -127,8 +134,12 @@ def null_distribution_of(
         threshold=settings.uncalibrated_threshold,
         explained=settings.uncalibrated_residual_limit,
     )
-    found = measured.get(str(dof), assumed)
-    return found if patterns else measured.get(f"{dof}{WITHOUT_PATTERNS}", found)
+    known = measured.get(str(dof))
+    if known is not None and not patterns:
+        known = measured.get(f"{dof}{WITHOUT_PATTERNS}", known)
+    if known is None:
+        return assumed
+    return msgspec.structs.replace(known, threshold=settings.least_threshold)
 
 
 def calibrated_null_distribution(

@@ -10,6 +10,7 @@ import pytest
 
 from bench.gap import peer
 from bench.gap.library import Equation, missing_in_equations
+from bench.gap.scores import score_summary
 from bench.gap.scores.score_summary import peer_comparison
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
@@ -96,12 +97,13 @@ def test_without_the_package_one_sentence_says_how_to_get_it(monkeypatch, capsys
     assert "pip install pysindy" in said and said.count("\n") == 1
 
 
-def test_both_are_counted_on_the_cases_that_both_have(tmp_path):
-    def result(path, kind, hidden, named):
-        path.parent.mkdir(exist_ok=True)
+def test_both_are_counted_on_the_cases_that_both_have(tmp_path, monkeypatch):
+    def result(kind, hidden, named):
         verdict = "reduced" if named else "no gap"
-        row = {"case": {"kind": kind, "hidden": hidden}, "named": named, "verdict": verdict}
-        path.write_text(json.dumps(row))
+        return {"case": {"kind": kind, "hidden": hidden}, "named": named, "verdict": verdict}
+
+    own = {"e": result("null", {}, ["creep"])}  # the peer has not come to it yet
+    (tmp_path / "peer").mkdir()
 
     single, pair = {"creep": 0.3}, {"creep": 0.3, "backlash": 0.01}
     for name, kind, hidden, ours, peers in (
@@ -110,9 +112,9 @@ def test_both_are_counted_on_the_cases_that_both_have(tmp_path):
         ("c", "pair", pair, ["creep"], ["backlash", "creep", "prebend"]),
         ("d", "null", {}, [], ["creep"]),
     ):
-        result(tmp_path / f"{name}.json", kind, hidden, ours)
-        result(tmp_path / "peer" / f"{name}.json", kind, hidden, peers)
-    result(tmp_path / "e.json", "null", {}, ["creep"])  # the peer has not come to it yet
+        own[name] = result(kind, hidden, ours)
+        (tmp_path / "peer" / f"{name}.json").write_text(json.dumps(result(kind, hidden, peers)))
+    monkeypatch.setattr(score_summary, "bench_results", lambda directory: own)
     figures = peer_comparison(tmp_path)
     counted = {
         who: [round(f["fraction"] * f["of"]) for f in rows.values()]

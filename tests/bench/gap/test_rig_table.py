@@ -167,15 +167,17 @@ def test_effects_that_have_a_true_answer_count_as_reliable():
 
 def test_rigs_for_tests_are_not_mixed_with_those_for_tuning(tmp_path):
     rigs = ("default", "drawn_899", "drawn_900", "drive", "test_a")
+    store = ResultStore(tmp_path)
     for k, rig in enumerate(rigs):
         row = result({"creep": 0.3}, ["creep"], rig=rig)
-        (tmp_path / f"{k}.json").write_text(json.dumps(row))
+        config = bench_configuration(BenchCase(**row.pop("case")), tmp_path / "plant.json")
+        store.write(f"{k:02d}", "gap benchmark", rig, config, json.dumps(row))
     figures = figures_by_rig(tmp_path)
     assert figures["all for test"]["cases"] == 2
     assert figures["all for tuning"]["cases"] == 3
     header = rig_table_text(figures).splitlines()[0]
     assert all(name in header for name in rigs)
-    assert [c.rig for c in cases_of_run(tmp_path)] == list(rigs)
+    assert {c.rig for c in cases_of_run(tmp_path)} == set(rigs)
 
 
 def test_nothing_is_calibrated_on_a_rig_for_tests(tmp_path, monkeypatch, capsys):

@@ -36,7 +36,7 @@ def results(tmp_path_factory):
 def test_what_is_hidden_is_found_and_nothing_else(results):
     figures = benchmark_figures(results)
     assert figures["detected"]["fraction"] == 1.0
-    assert figures["class"]["fraction"] == 1.0
+    assert figures["class_of_named"]["fraction"] == 1.0
     assert figures["nothing_beside"]["fraction"] == 1.0
     assert figures["false_alarms"]["fraction"] == 0.0
     # Most of it: this is one case, of friction whose level and speed make up for each other.

@@ -1,9 +1,12 @@
 """Cross-validation of an effect: which gains on the trials left out speak for it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from models.gap.search import cross_validation
+from models.gap.settings import DEFAULT_SETTINGS
 
 
 @pytest.mark.parametrize(
@@ -21,6 +24,7 @@ from models.gap.search import cross_validation
 )
 def test_an_effect_must_gain_more_than_twice_what_it_loses(monkeypatch, gains, helps):
     monkeypatch.setattr(cross_validation, "held_out_gains", lambda *fits: np.array(gains))
-    gain, least = cross_validation.held_out_gain(None, None, None)
+    estimator = SimpleNamespace(settings=DEFAULT_SETTINGS)
+    gain, least = cross_validation.held_out_gain(estimator, None, None)
     assert gain == pytest.approx(sum(gains))
     assert (gain > least) == helps
