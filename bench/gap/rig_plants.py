@@ -77,7 +77,7 @@ def patterns_of_protocol(directory: Path, rigs: int, joints: int, motion: str) -
     directory : Path
         Of the files.
     rigs : int
-        Drawn rigs that are measured, from `drawn_0` on: none of them is for tests.
+        Drawn rigs that are measured, from `drawn_0` on: none of them is for testing.
     joints : int
         Driven joints, 1 or 2.
     motion : str

@@ -12,13 +12,13 @@ __all__ = ["DEFAULT_SETTINGS", "GapSettings"]
 
 
 class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Every tuned number of the gap workflow.
+    """Tuned numbers of residuals, noise floor, search and tests of the gap workflow.
 
-    The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`) were measured with
-    the default values. Whoever changes those of the residuals, the noise floor or the estimation
-    measures them again (`python -m bench.gap.calibration.plant_error`). A fraction is of the
-    quantity named. Residuals and d′ are in standard deviations of the noise floor, costs in their
-    squares.
+    The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`,
+    `equation_error.json`, `answers.json`) were measured with the default values. Whoever changes
+    those of the residuals, the noise floor or the estimation measures them again
+    (docs/gap/calibration.md). A fraction is of the quantity named. Residuals and d′ are in standard
+    deviations of the noise floor, costs in their squares.
 
     Examples
     --------

@@ -38,7 +38,7 @@ SEED: Final = 9000
 """Of the drawn rigs that have names."""
 
 FIRST_TEST_NUMBER: Final = 900
-"""Drawn rigs from this number on are for tests."""
+"""Drawn rigs from this number on are for testing."""
 
 FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "hinges": (6, 8, 10, 13),

@@ -11,7 +11,7 @@ no more than usual one: all but d′ counts within bounds. Effects that often st
 believed less. Printed is how the coefficients in use do on the tests, how new ones do on each rig
 when that rig is left out, and what is decided on whole data sets then
 (`bench.gap.calibration.whole_decisions`). With --write the new ones replace those in use
-(`models/gap/decision/answers.json`). No rig for tests may be among them.
+(`models/gap/decision/answers.json`). No rig for testing may be among them.
 """
 
 from __future__ import annotations
@@ -256,7 +256,7 @@ def main() -> None:
     tests = with_new(read_answer_tests(), new)
     for rig in sorted({test.rig for test in tests}):
         if rig_purpose(rig) == "test":
-            parser.error(f"{rig} is for tests: nothing is set on it")
+            parser.error(f"{rig} is for testing: nothing is set on it")
     data_sets = len({(test.rig, test.data_set) for test in tests})
     print(f"{data_sets} data sets, {len(tests)} tests")
     in_use = read_answer_model()

@@ -7,7 +7,7 @@ its trials. Then the link's stiffness, mass and damping change a few times, and 
 refitted. What is left beyond the plant's mean error gives the patterns of its own error
 (`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
 gives the null distribution of every effect (`models/gap/search/null_distribution.json`), the link
-that the plant knows among the links. Resumable: files by rig. No rig for tests is among them.
+that the plant knows among the links. Resumable: files by rig. No rig for testing is among them.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def main() -> None:
     args = parser.parse_args()
     first = args.rigs if args.first is None else args.first
     if max(args.rigs, first + args.null) > FIRST_TEST_NUMBER:
-        parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for tests: take fewer")
+        parser.error(f"rigs from drawn_{FIRST_TEST_NUMBER} on are for testing: take fewer")
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     args.out.mkdir(parents=True, exist_ok=True)
     if args.rigs:

@@ -11,7 +11,7 @@ taken to follow Student's, and what is written is scaled so that 1.96 standard e
 
 The strengths of the runs are added to those in `strengths.jsonl`; the same one found again counts.
 Written is `models/gap/equation_error.json`. Printed is how many strengths lie in their
-95 % interval when their rig is left out. No rig for tests may be among them.
+95 % interval when their rig is left out. No rig for testing may be among them.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def main() -> None:
     strengths = [*(s for s in known if s.hidden_in not in again), *new]
     for rig in sorted({s.rig for s in strengths}):
         if rig_purpose(rig) == "test":
-            parser.error(f"{rig} is for tests: nothing is set on it")
+            parser.error(f"{rig} is for testing: nothing is set on it")
     strengths.sort(key=lambda s: (s.effect, s.rig, s.hidden))
     left_out = {
         log_deviation: deviations_left_out(strengths, log_deviation)

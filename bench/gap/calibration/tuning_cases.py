@@ -5,7 +5,7 @@
 
 `python -m bench.gap` draws usual effects before faint ones, so a short run has none of these, and
 probabilities that are fitted to it believe what is faint too little. Here each rig has both, of
-different effects. No rig for tests may be among them.
+different effects. No rig for testing may be among them.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def main() -> None:
     args = parser.parse_args()
     for rig in args.rigs:
         if rig_purpose(rig) == "test":
-            parser.error(f"{rig} is for tests: nothing is set on it")
+            parser.error(f"{rig} is for testing: nothing is set on it")
     counts = args.usual, args.faint, args.nulls, args.pairs, args.outside
     links = args.seed, args.same_link, args.joints, args.effects
     cases = [c for rig in args.rigs for c in tuning_cases(rig, *counts, *links)]

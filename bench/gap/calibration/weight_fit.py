@@ -10,7 +10,7 @@ The sets of the runs are added to those in `explained_sets.jsonl`. Printed is th
 pair of values, marked where it is within a standard error of the least one (one-standard-error
 rule, Hastie, Tibshirani and Friedman 2009, section 7.10). Of those the pair of the least odds, then
 the largest mean, is the least sure: what is fitted to few rigs is too sure of others. The pair in
-use stands in `models/gap/decision/set_weights.py`. No rig for tests may be among the runs.
+use stands in `models/gap/decision/set_weights.py`. No rig for testing may be among the runs.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def main() -> None:
     found = [*(row for row in known if (row.rig, row.data_set) not in again), *new]
     for rig in sorted({row.rig for row in found}):
         if rig_purpose(rig) == "test":
-            parser.error(f"{rig} is for tests: nothing is set on it")
+            parser.error(f"{rig} is for testing: nothing is set on it")
     ordered = sorted(found, key=lambda row: (row.rig, row.data_set))
     TABLE.write_bytes(msgspec.json.Encoder().encode_lines(ordered))
     print(f"{len(found)} data sets; in use: odds {ODDS_OF_WHOLE_GAP:g}, mean {MEAN_NUMBER:g}")

@@ -1,6 +1,6 @@
 """Figures of the benchmark by rig and by group of effects.
 
-Rigs for tuning are those that numbers of the workflow were set on; the others are for tests alone
+Rigs for tuning are those that numbers of the workflow were set on; the others are for testing alone
 (`models.rig.drawn_rig.rig_purpose`), and only their figures say how the workflow does on a rig that
 it has never seen.
 """
@@ -94,7 +94,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
 
 
 def figures_by_rig(directory: Path) -> dict[str, Figures]:
-    """Figures of every rig, of those for tuning, and of those for tests.
+    """Figures of every rig, of those for tuning, and of those for testing.
 
     Parameters
     ----------

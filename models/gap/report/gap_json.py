@@ -251,8 +251,7 @@ class GapDocument(Document, frozen=True):
     rows_fitted : dict of str to int
         Rows that were fitted of each trial that is too long to be fitted as a whole.
     refused : tuple of RefusedEffect
-        Effects that were taken out again, and refitted values that were undone; none in documents
-        of earlier versions.
+        Effects that were taken out again, and refitted values that were undone.
     held_out : HeldOutSummary
         Errors on what was left out in turn.
     hypotheses : tuple of HypothesisRecord
@@ -263,7 +262,7 @@ class GapDocument(Document, frozen=True):
         Effects that were judged together, in turn, with the evidence for them and the probabilities
         of the answers; the last ones led to the verdict. None without a learned noise floor.
     inputs : DiagnosisInputs or None
-        Files of the diagnosis; none in documents of earlier versions.
+        Files of the diagnosis; None where it was run from Python.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.

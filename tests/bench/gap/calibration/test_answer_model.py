@@ -1,4 +1,4 @@
-"""Fit of the answers: it finds in which direction evidence speaks, and refuses rigs for tests."""
+"""Fit of the answers: it finds in which direction evidence speaks, and refuses rigs for testing."""
 
 import json
 
@@ -157,7 +157,7 @@ def test_rigs_for_tests_are_refused_and_nothing_is_written(monkeypatch, files, c
     rng = np.random.default_rng(0)
     with pytest.raises(SystemExit):
         calibrate(monkeypatch, [result("single", "drawn_900", rng)], "run")
-    assert "drawn_900 is for tests" in capsys.readouterr().err
+    assert "drawn_900 is for testing" in capsys.readouterr().err
     assert not (files / "answers.json").exists() and read_answer_tests() == []
 
 

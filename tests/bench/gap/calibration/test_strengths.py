@@ -83,7 +83,7 @@ def test_rigs_for_tests_are_refused_and_nothing_is_written(monkeypatch, files, c
     monkeypatch.setattr("sys.argv", ["strengths", "run"])
     with pytest.raises(SystemExit):
         strengths.main()
-    assert "drawn_900 is for tests" in capsys.readouterr().err
+    assert "drawn_900 is for testing" in capsys.readouterr().err
     assert not (files / "equation_error.json").exists()
     assert not (files / "strengths.jsonl").read_bytes()
 

@@ -1,4 +1,4 @@
-"""Cases for tuning: usual and faint effects, each of another name, and no rig for tests."""
+"""Cases for tuning: usual and faint effects, each of another name, and no rig for testing."""
 
 import pytest
 
@@ -46,5 +46,5 @@ def test_a_rig_for_tests_is_refused(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("sys.argv", given)
     with pytest.raises(SystemExit) as ended:
         main()
-    assert ended.value.code == 2 and "drawn_901 is for tests" in capsys.readouterr().err
+    assert ended.value.code == 2 and "drawn_901 is for testing" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
