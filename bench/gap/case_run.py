@@ -24,6 +24,8 @@ from models.trials.trial import Trial
 from models.trials.trial_files import TrialSet
 
 HANGING_RAD = 0.1
+"""Following error at the start from which the arm hangs: its current limit does not hold it
+[assumed]."""
 DELAY_OF = {"dead_time": "goal_delay_1_s"}
 """Parameters in which a plant without the effect holds the rig's own."""
 
@@ -67,7 +69,10 @@ def run_bench_case(
         "named": list(found.named),
         "chosen": [list(c.effects) for c in found.inclusions],
         "separation": [c.separation for c in found.inclusions],
-        "hypotheses": [[h.effects, h.gain, h.least, h.probability] for h in found.hypotheses],
+        "hypotheses": [
+            [h.effects, h.squared_separation, h.squared_least, h.probability]
+            for h in found.hypotheses
+        ],
         "effects": len(found.screened),
         "tested": msgspec.to_builtins(found.tested),
         "bias": found.nuisance_bias,
@@ -93,7 +98,7 @@ def run_bench_case(
         "sealed": sealed and sealed.in_noise_floors(plant, found.improved),
         "sealed_rms": sealed.rms(plant, found.improved) if sealed else {},
         "unsaid_bounds": unsaid_bounds(found),
-        "amplification": {f"{kg:g}": power for kg, power in found.amplification.items()},
+        "amplification_power": {f"{kg:g}": p for kg, p in found.amplification_power.items()},
         "left": [found.residual_before, found.residual_after, found.gap_left_fraction],
         "strength_consistency": {
             e: [c.standard_deviation, c.probability] for e, c in found.strength_consistency.items()

@@ -133,7 +133,7 @@ class Diagnosis:
         Of all of them with the named effects.
     link_change : float
         See `models.gap.estimation.link_change`; of the nuisance fit.
-    amplification : dict of float to float
+    amplification_power : dict of float to float
         Factor on the power of the floor by payload in kg, see
         `models.gap.estimation.measured_floor.with_amplified_scatter`.
     """
@@ -172,7 +172,7 @@ class Diagnosis:
     fit_parameters: tuple[FitParameter, ...]
     fitted_values: Array
     link_change: float
-    amplification: Mapping[float, float]
+    amplification_power: Mapping[float, float]
 
 
 def diagnose(
@@ -274,7 +274,7 @@ def diagnose(
         fit_parameters=tuple(parameters),
         fitted_values=accepted.point.values,
         link_change=search.first.floor.link_change,
-        amplification=search.first.floor.amplification,
+        amplification_power=search.first.floor.amplification_power,
     )
 
 

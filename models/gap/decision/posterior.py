@@ -37,8 +37,8 @@ class Hypothesis:
         None where nothing is missing.
     probability : float
         Posterior.
-    gain, least : float
-        Fall of twice the cost from the fit of the nuisance alone, and what it must reach.
+    squared_separation, squared_least : float
+        d′², the fall of twice the cost from the fit of the nuisance alone, and what it must reach.
     values : ndarray, shape (p,)
         All fit parameters where they were fitted.
     free : ndarray of bool, shape (p,)
@@ -47,8 +47,8 @@ class Hypothesis:
 
     effects: tuple[str, ...]
     probability: float
-    gain: float
-    least: float
+    squared_separation: float
+    squared_least: float
     values: Array
     free: Array
 

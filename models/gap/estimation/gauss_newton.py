@@ -288,7 +288,7 @@ class GaussNewton:
             better = None
             least = self.settings.converged_cost_fall / 2
             if predicted >= max(least, relative * (start.cost - point.cost)):
-                better = self.search(point, step)
+                better = self.line_search(point, step)
             if better is not None:
                 point = better
             elif point.exact:
@@ -314,7 +314,7 @@ class GaussNewton:
         point = self.fit(start, kinds == "nuisance", steps)
         return self.fit(point, kinds != "effect", steps)
 
-    def search(self, point: FitPoint, step: Array) -> FitPoint | None:
+    def line_search(self, point: FitPoint, step: Array) -> FitPoint | None:
         """First point along a step whose cost is lower; None where there is none.
 
         Parameters

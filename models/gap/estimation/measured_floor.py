@@ -192,7 +192,7 @@ def with_amplified_scatter(
             found.setdefault(payload_kg, []).append(ratio)
     scatter = {p: float(np.mean(own)) for p, own in found.items()}
     amplified = {p: (1 + ratio) / 2 for p, ratio in scatter.items() if ratio > limit}
-    return replace(floor, amplification=amplified)
+    return replace(floor, amplification_power=amplified)
 
 
 def _by_payload(

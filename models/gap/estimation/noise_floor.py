@@ -4,10 +4,13 @@ Per signal and frequency the variance of a residual's coefficient has two parts:
 drawn anew in every trial, and `model`, the error that the plant keeps on data without any hidden
 effect, which repeats whenever a trial is repeated::
 
-    V = noise · I + (s model + noise / R) · C,   C_ij = exp(−|payload_i − payload_j| / reach)
+    V_ij = (noise_i + (1 − ρ) e_i) δ_ij + √(m_i m_j) exp(−|payload_i − payload_j| / reach),
+    m_i = s model_i + noise_i / R + ρ e_i
 
-so ten repetitions of one error weigh no more than one. Both grow with the payload
-(`models.gap.estimation.payload_ratios`); the spectra are means over payloads. The plant file
+so ten repetitions of one error weigh no more than one. Both grow with the payload of trial i
+(`models.gap.estimation.payload_ratios`), and by `amplification_power` where repetitions differ far
+more; the spectra are means over payloads. e is the error of the equations named so far, of which a
+fraction ρ = `GapSettings.equation_error_repeated_fraction` repeats. The plant file
 carries them, and the mean curve over R repetitions of the error for every motion that `identify`
 used; where a trial repeats such a motion the curve is subtracted: of the model's part only a
 fraction s = `GapSettings.model_error_left_fraction`² remains, and the curve's own noise is added.
@@ -67,7 +70,7 @@ class NoiseFloor:
         links that the patterns were measured on: the patterns grow with it.
     ratios : PayloadRatios
         Of noise and model at each payload to their means.
-    amplification : dict of float to float
+    amplification_power : dict of float to float
         Factor on the power of noise and model by payload in kg, where repetitions at hand differ
         far more than the floor expects; 1 at other payloads.
     """
@@ -83,7 +86,7 @@ class NoiseFloor:
     patterns: tuple[ModelDiscrepancy, ...] = ()
     link_change: float = 1.0
     ratios: PayloadRatios = NO_RATIOS
-    amplification: Mapping[float, float] = field(default_factory=dict)
+    amplification_power: Mapping[float, float] = field(default_factory=dict)
 
     def own_error(self, signal: str, hz: Array) -> Array:
         """Standard deviation of the mean error that `identify` left, at some frequencies.
@@ -281,7 +284,7 @@ class NoiseFloor:
 
     def _amplified(self, payload_kg: float) -> float:
         """Factor on the power of noise and model at a payload."""
-        return self.amplification.get(payload_kg, 1.0)
+        return self.amplification_power.get(payload_kg, 1.0)
 
     def _missed(self, signal: str, payload_kg: float, hz: Array) -> Array:
         """Error of the equations named so far at a payload, shape (K,)."""

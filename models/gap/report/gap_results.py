@@ -77,7 +77,7 @@ def gap_document(
         noise_floor=NoiseFloorSummary(
             found.floor.learned, floor, round(found.dispersion, 4),
             {key: OwnError(*known) for key, known in found.own_error.items()},
-            {f"{kg:g}": round(power**0.5, 2) for kg, power in found.amplification.items()},
+            {f"{kg:g}": round(power**0.5, 2) for kg, power in found.amplification_power.items()},
         ),
         nuisance_bias=found.nuisance_bias,
         goal_not_followed_at_row=unused,

@@ -37,4 +37,4 @@ def promising_pairs(
         rows.append((fall, pair, step))
     rows.sort(key=lambda row: -row[0])
     best = rows[: estimator.settings.refitted_pairs]
-    return [(pair, estimator.search(here, step) or here) for _, pair, step in best]
+    return [(pair, estimator.line_search(here, step) or here) for _, pair, step in best]

@@ -203,7 +203,7 @@ class EffectSearch:
                 step, fall = self.estimator.step(start, free)
                 predicted = max(predicted, here.cost - start.cost + fall)
                 if start.cost - fall < here.cost:
-                    tried.append(self.estimator.search(start, step) or start)
+                    tried.append(self.estimator.line_search(start, step) or start)
             own, flat = self.of[effect], effect in found.unexcited
             given = here, others, min(p.cost for p in tried)
             tried += strengths_far_from_zero(self.estimator, *given, effect, own, free, flat)

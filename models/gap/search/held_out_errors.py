@@ -182,7 +182,7 @@ class HeldOut:
             step, predicted = rest.step(here, free)
             better = None
             if predicted >= self.settings.converged_cost_fall / 2:
-                better = rest.search(here, step)
+                better = rest.line_search(here, step)
             if better is None:
                 break
             here = better

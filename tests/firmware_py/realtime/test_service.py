@@ -81,10 +81,13 @@ def test_without_a_watchdog_systemd_hears_only_start_and_end(systemd):
 
 
 @pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "vsock:2:1234"}])
-def test_where_nobody_asks_nothing_is_said(environment):
+def test_where_nobody_asks_nothing_is_said(environment, monkeypatch):
+    opened = []
+    monkeypatch.setattr(socket, "socket", lambda *of: opened.append(of))
     service = SystemdService(SimClock(), environment)
     service.alive()
     service.close()
+    assert not opened
 
 
 def test_a_systemd_that_does_not_listen_holds_nobody_up(systemd):

@@ -55,6 +55,7 @@ def test_without_a_stop_time_there_is_no_limit(instance):
     instance.initialize()
     for _ in range(5):
         instance.step(100.0)
+    assert instance.time_s == pytest.approx(500.0)
 
 
 @pytest.mark.parametrize("stop_s", [-1.0, math.nan])
@@ -70,6 +71,7 @@ def test_a_reset_forgets_the_stop_time(instance):
     instance.fmu.reset()
     instance.initialize()
     instance.step(1.0)
+    assert instance.time_s == pytest.approx(1.0)
 
 
 def test_fmpys_own_simulation_reaches_the_stop_time_that_it_sets(toy_fmu):

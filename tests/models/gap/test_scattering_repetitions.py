@@ -39,11 +39,11 @@ def diagnosis(plant, hidden):
 
 def test_the_floor_grows_at_that_payload_and_nothing_is_named(diagnosis):
     found = diagnosis(GapSettings())
-    assert set(found.amplification) == {1.0}
+    assert set(found.amplification_power) == {1.0}
     assert (found.named, found.verdict) == ((), "no gap")
 
 
 def test_with_the_floor_of_the_plant_file_the_scatter_passes_for_a_gap(diagnosis):
     found = diagnosis(GapSettings(amplified_scatter_limit=np.inf))
-    assert not found.amplification
+    assert not found.amplification_power
     assert found.verdict != "no gap"

@@ -49,7 +49,7 @@ def test_a_point_gets_its_derivatives_where_a_step_needs_them_and_they_follow_th
     free = np.arange(len(estimator.low)) < 4
     start = estimator.linearise(estimator.at(np.zeros(len(estimator.low))), free)
     step, _ = estimator.step(start, free)
-    end = estimator.search(start, step)
+    end = estimator.line_search(start, step)
     assert not end.slopes and end.has_derivatives(free) and not end.has_derivatives(~free)
     slopes = [slope.copy() for slope in start.slopes]
     start.slopes = []  # what becomes of the start later does not count

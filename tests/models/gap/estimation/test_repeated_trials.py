@@ -104,11 +104,11 @@ def test_noise_and_own_error_grow_at_the_payload_whose_repetitions_scatter(trial
     floor, residuals = floor_and_residuals(rng, trials, range(4))
     rows = residual_rows(rng, trials, DEVIATION_HERE)
     grown = with_amplified_scatter(floor, residuals, [rows])
-    assert set(grown.amplification) == {2.0}
-    assert grown.amplification[2.0] == pytest.approx((1.0 + 100.0) / 2, rel=0.5)
+    assert set(grown.amplification_power) == {2.0}
+    assert grown.amplification_power[2.0] == pytest.approx((1.0 + 100.0) / 2, rel=0.5)
     (group,) = residuals.groups
     larger = rows.copy()
-    larger[2:] *= np.sqrt(grown.amplification[2.0])
+    larger[2:] *= np.sqrt(grown.amplification_power[2.0])
     before, after = (
         np.einsum("skij,jsk->isk", f.whitener(group, trials), r)
         for f, r in ((floor, rows), (grown, larger))
@@ -121,7 +121,7 @@ def test_repetitions_that_differ_as_expected_leave_the_floor_as_it_was(trials, s
     rng = np.random.default_rng(seed)
     floor, residuals = floor_and_residuals(rng, trials, range(4))
     rows = residual_rows(rng, trials, dict.fromkeys(DEVIATION_HERE, 1.0))
-    assert not with_amplified_scatter(floor, residuals, [rows]).amplification
+    assert not with_amplified_scatter(floor, residuals, [rows]).amplification_power
     single, residuals = floor_and_residuals(rng, trials, (0, 2))
     rows = residual_rows(rng, residuals.trials, DEVIATION_HERE)
-    assert not with_amplified_scatter(single, residuals, [rows]).amplification
+    assert not with_amplified_scatter(single, residuals, [rows]).amplification_power
