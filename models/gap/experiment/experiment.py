@@ -10,7 +10,7 @@ import msgspec
 import tomli_w
 
 from firmware_py.errors import InputError
-from firmware_py.motion import Kind, Motion
+from firmware_py.motion import Motion
 from firmware_py.motion_document import MotionDocument
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
@@ -18,10 +18,9 @@ from firmware_py.signals import PERIOD_S
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.experiment.motion_design import Design, MotionDesigner
 from models.gap.experiment.motion_limits import REST_SAMPLES
-from models.gap.experiment.motion_twin import planned_trial
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import PairSeparation, SeparationModel
-from models.gap.report.separating_motion import MENU
+from models.gap.fixed_motions import MENU, motion_like, planned_trial
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
@@ -223,7 +222,7 @@ def _fixed_motions(
         if label == "payload swap":  # every motion is tried with every payload
             label = "sinusoid"
         try:
-            motion = _menu_motion(kind, model)
+            motion = motion_like(meta, kind)
             check_motion(motion.table_rad(rest_samples=REST_SAMPLES), limits, PERIOD_S, label)
         except InputError:
             continue
@@ -233,13 +232,6 @@ def _fixed_motions(
             trial = planned_trial(model.like, motion, payload_kg, meta.rest_samples)
             found.append(FixedMotion(label, motion, payload_kg, tuple(model.separations(trial))))
     return tuple(found)
-
-
-def _menu_motion(kind: Kind, model: SeparationModel) -> Motion:
-    """Motion of the menu with amplitude, period and phase of the trials at hand."""
-    meta = model.like.meta
-    amplitude_rad, period_s = meta.amplitude_rad, meta.period_s
-    return Motion(kind, amplitude_rad, period_s, meta.phase_2_rad, meta.dof)
 
 
 def experiment_in_words(found: Experiment, motion: Path) -> str:

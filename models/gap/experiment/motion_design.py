@@ -21,8 +21,9 @@ from firmware_py.motion import Motion
 from firmware_py.motion_document import JointSeries, MotionDocument
 from firmware_py.safety.limits import Limits
 from models.gap.experiment.motion_limits import REST_SAMPLES, ROW_STEP, goal_limits, twin_limits
-from models.gap.experiment.motion_twin import CoefficientTwin, planned_trial
+from models.gap.experiment.motion_twin import CoefficientTwin
 from models.gap.experiment.separation import PairSeparation, SeparationModel
+from models.gap.fixed_motions import planned_trial
 from models.gap.residuals.spectrum import Array
 from models.gap.search.effect_search import ReportProgress
 from models.trials.trial import Trial

@@ -10,10 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
-import msgspec
 import numpy as np
 
-from firmware_py.motion import Motion
 from firmware_py.motion_document import fourier_basis
 from firmware_py.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import FitParameter, moved_parameters
@@ -22,32 +20,6 @@ from models.plant.simulation.compiled_model import CompiledModel, trial_inputs, 
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import StepModel, Variable, names
 from models.trials.trial import Trial
-
-
-def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: int) -> Trial:
-    """Trial of a motion before it is run: conditions and goals; the angles are the goals.
-
-    Parameters
-    ----------
-    like : Trial
-        Of the same robot.
-    motion : Motion
-        To run.
-    payload_kg : float
-        Payload.
-    rest_samples : int
-        Rows at rest before it.
-    """
-    goal_rad = motion.table_rad(rest_samples=rest_samples)
-    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
-    for j in range(motion.dof):
-        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
-    meta = msgspec.structs.replace(
-        like.meta, motion=motion.name, payload_kg=payload_kg, period_s=motion.period_s,
-        amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
-        rest_samples=rest_samples, source="simulated",
-    )  # fmt: skip
-    return Trial(motion.name, meta, columns)
 
 
 class MotionTwin:

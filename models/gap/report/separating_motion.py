@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.motion import Kind, Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.motion import Kind
 from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.fixed_motions import MENU, motion_like, planned_trial
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.plant.plant import Plant
@@ -27,10 +26,6 @@ from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial
 
-MENU: Final[dict[str, Kind]] = {
-    "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
-    "step and hold": "steps", "free decay": "decay",
-}  # fmt: skip
 NO_MOTION: Final = "none of the menu"
 """Recommendation for a plant that cannot run the menu."""
 
@@ -74,26 +69,13 @@ def separating_motion(
 
 def _simulated(plant: Plant, like: Trial, kind: Kind, payload_kg: float, rest: int) -> Trial:
     """Trial of a motion as a plant runs it."""
-    meta = like.meta
-    motion = Motion(kind, meta.amplitude_rad, meta.period_s, meta.phase_2_rad, meta.dof)
-    goal_rad = motion.table_rad(rest_samples=rest)
-    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
-    for j in range(meta.dof):
-        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
-    conditions = msgspec.structs.replace(
-        meta,
-        motion=kind,
-        payload_kg=payload_kg,
-        rest_samples=rest,
-        source="simulated",
-    )
-    trial = Trial(kind, conditions, columns)
-    compiled = CompiledModel(plant.step_model(meta.dof, "twin"))
+    trial = planned_trial(like, motion_like(like.meta, kind), payload_kg, rest)
+    compiled = CompiledModel(plant.step_model(like.meta.dof, "twin"))
     y = run_trial(compiled, trial)
     outputs: dict[str, Array] = {
         name: y[:, k] for k, name in enumerate(names(compiled.model.outputs))
     }
-    return replace(trial, columns=columns | outputs)
+    return replace(trial, columns=trial.columns | outputs)
 
 
 def _separation(found: Diagnosis, trial: Trial, other: LookAlike) -> float:

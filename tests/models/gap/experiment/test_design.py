@@ -15,8 +15,9 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.experiment.experiment import design_experiment, experiment_in_words, write_motion
 from models.gap.experiment.experiment_page import write_experiment_page
-from models.gap.experiment.motion_twin import CoefficientTwin, MotionTwin, planned_trial
+from models.gap.experiment.motion_twin import CoefficientTwin, MotionTwin
 from models.gap.experiment.rival import Rival
+from models.gap.fixed_motions import planned_trial
 from models.gap.residuals.fit_parameters import effect_fit_parameters, plant_with_every_effect
 from models.gap.residuals.residuals import Residuals
 from models.plant.step_model import names

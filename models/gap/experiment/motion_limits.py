@@ -1,0 +1,101 @@
+"""Limits of a planned motion as inequalities: of its goals, and of what the twin does.
+
+The limits of the goals are linear in the coefficients of the motion. Those of the twin are given by
+their violation, and by the outputs that it depends on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_py.safety.limits import Limits
+from firmware_py.signals import PERIOD_S
+from models.gap.estimation.curve_transfer import STUDY_REST_S
+from models.gap.residuals.spectrum import Array
+
+REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
+"""Rows at rest before a planned motion."""
+GOAL_MARGIN: Final = 0.97
+"""Fraction of a limit of the goals that is used: the linear programme sees every third row
+[assumed]."""
+TWIN_MARGIN: Final = 0.85
+"""Fraction of a limit of current and following error that the twin may use; the rest is for the
+difference between twin and robot [assumed]."""
+TIP_MARGIN: Final = 0.98
+"""The same for the tip, whose difference is some millimetres [assumed]."""
+ROW_STEP: Final = 3
+"""Every third row enters a linear programme: one in 51 ms, a twentieth of the shortest period."""
+
+
+def goal_limits(basis: Array, limits: Limits, dof: int) -> tuple[Array, Array]:
+    """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (n, c)
+        Goal in rad by each coefficient of one joint.
+    limits : Limits
+        Of the robot.
+    dof : int
+        Number of joints; their coefficients follow each other in x.
+    """
+    rate = np.diff(basis, axis=0) / PERIOD_S
+    both: tuple[tuple[Array, float, float], ...] = (
+        (basis, limits.angle_rad[1], -limits.angle_rad[0]),
+        (rate, limits.rate_rad_s, limits.rate_rad_s),
+        (
+            np.diff(rate, axis=0) / PERIOD_S,
+            limits.acceleration_rad_s2,
+            limits.acceleration_rad_s2,
+        ),
+    )
+    rows, limit = [], []
+    for table, high, low in both:
+        moving = table[REST_SAMPLES::ROW_STEP]
+        for sign, most in ((1.0, high), (-1.0, low)):
+            rows.append(sign * moving)
+            limit.append(np.full(len(moving), GOAL_MARGIN * most))
+    one = np.concatenate(rows)
+    every = np.asarray(np.kron(np.eye(dof), one), dtype=np.float64)
+    return every, np.tile(np.concatenate(limit), dof)
+
+
+def twin_limits(
+    y: Array, outputs: Sequence[str], goal_rad: Array, limits: Limits
+) -> list[tuple[Array, dict[str, float]]]:
+    """Violation of each limit as a fraction of it, shape (n,), and what each output adds to it.
+
+    Current, following error and tip; negative where the limit is kept.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n, outputs)
+        Of the twin.
+    outputs : sequence of str
+        Their names.
+    goal_rad : ndarray, shape (n, joints)
+        Goals.
+    limits : Limits
+        Of the robot.
+    """
+    result: list[tuple[Array, dict[str, float]]] = []
+
+    def add(name: str, value: Array, most: float) -> None:
+        for sign in (1.0, -1.0):
+            result.append((sign * value / most - TWIN_MARGIN, {name: sign / most}))
+
+    for j in range(goal_rad.shape[1]):
+        current, angle = f"current_{j + 1}_a", f"angle_{j + 1}_rad"
+        add(current, y[:, outputs.index(current)], limits.current_a)
+        error = y[:, outputs.index(angle)] - goal_rad[:, j]
+        add(angle, error, limits.following_error_rad)
+    for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
+        middle = (limits.tip_max_m[k] + limits.tip_min_m[k]) / 2
+        half = (limits.tip_max_m[k] - limits.tip_min_m[k]) / 2
+        value = (y[:, outputs.index(name)] - middle) / half
+        result.append((value - TIP_MARGIN, {name: 1 / half}))
+        result.append((-value - TIP_MARGIN, {name: -1 / half}))
+    return result

@@ -1,0 +1,63 @@
+"""Fixed motions that may tell effects apart, and a trial of a motion before it is run."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.motion import Kind, Motion
+from firmware_py.signals import PERIOD_S
+from models.gap.residuals.spectrum import Array
+from models.trials.trial import Trial, TrialMeta
+
+MENU: Final[dict[str, Kind]] = {
+    "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
+    "step and hold": "steps", "free decay": "decay",
+}  # fmt: skip
+"""Motions that any robot of the link can run, by the name that people read."""
+
+
+def motion_like(meta: TrialMeta, kind: Kind) -> Motion:
+    """Motion of a kind, with amplitude, period and phase of a trial.
+
+    Parameters
+    ----------
+    meta : TrialMeta
+        Conditions of that trial.
+    kind : str
+        Of the motion.
+
+    Raises
+    ------
+    InputError
+        If these are outside what a motion may have.
+    """
+    return Motion(kind, meta.amplitude_rad, meta.period_s, meta.phase_2_rad, meta.dof)
+
+
+def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: int) -> Trial:
+    """Trial of a motion before it is run: conditions and goals; the angles are the goals.
+
+    Parameters
+    ----------
+    like : Trial
+        Of the same robot.
+    motion : Motion
+        To run.
+    payload_kg : float
+        Payload.
+    rest_samples : int
+        Rows at rest before it.
+    """
+    goal_rad = motion.table_rad(rest_samples=rest_samples)
+    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
+    for j in range(motion.dof):
+        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
+    meta = msgspec.structs.replace(
+        like.meta, motion=motion.name, payload_kg=payload_kg, period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
+        rest_samples=rest_samples, source="simulated",
+    )  # fmt: skip
+    return Trial(motion.name, meta, columns)
