@@ -63,7 +63,8 @@ def run_bench_case(
     found = diagnose(plant, trials, leave_out=leave_out, patterns=patterns)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.fitted.parameters
-    sealed = SealedErrors(rig, case) if found.named and with_sealed else None
+    written = found.improved.parameters != found.plant.parameters
+    sealed = SealedErrors(rig, case) if written and with_sealed else None
     return {
         "verdict": found.verdict,
         "named": list(found.named),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import zlib
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +22,7 @@ from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.trial_case import TrialCase
+from models.shared.worker_pool import worker_pool
 
 LINKS: Final = 3
 """Changed links of each rig on which patterns are measured, as `python -m models calibrate`."""
@@ -90,7 +89,7 @@ def patterns_of_protocol(directory: Path, rigs: int, joints: int, motion: str) -
         diagnosed = tuple(c for c in cases if c.motion.dof == joints)
         work = PatternWork(cases, diagnosed, LINKS, own)
         progress = Progress(f"bench.gap calibrates {motion}", rigs)
-        with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        with worker_pool(2) as pool:
             run_pattern_work(work, range(rigs), pool, progress.step)
         write_patterns(learned_patterns([work.file(k) for k in range(rigs)]), path)
     return path

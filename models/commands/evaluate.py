@@ -15,7 +15,7 @@ from firmware_py.display_units import LENGTH
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.plant.provenance import Evaluation
-from models.trials.trial_files import read_trials
+from models.trials.trial_directories import read_trial_directories
 
 EXAMPLE = "python -m models evaluate build/unseen_20deg --plant build/plant.json"
 
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     plant = read_plant(args.plant)
-    result = evaluate_plant(plant, read_trials(args.trials, plant.signals))
+    result = evaluate_plant(plant, read_trial_directories([args.trials], plant.signals))
     emit(args, msgspec.to_builtins(result), evaluation_text(result))
     return DONE
 

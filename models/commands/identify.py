@@ -16,14 +16,16 @@ import msgspec
 
 from firmware_py.console import DONE, Progress, emit
 from models.commands.evaluate import evaluation_text
+from models.commands.output_paths import check_output_file
 from models.gap.estimation.noise_floor_fit import with_noise_floor
+from models.gap.residuals.residuals import check_duration
 from models.plant.identification.doubts import check_weight, doubts
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
 from models.plant.identified_gains import read_servo_gains
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
-from models.trials.trial_files import read_trials
+from models.trials.trial_directories import read_trial_directories
 
 EXAMPLE = "python -m models identify build/trials --plant nominal.toml --out build/plant.json"
 
@@ -42,10 +44,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, draw and print."""
+    check_output_file(args.out)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
-    trials = read_trials(args.trials, plant.signals)
+    trials = read_trial_directories([args.trials], plant.signals)
     check_weight(plant, trials)
+    for trial in trials:
+        check_duration(trial)
     progress = Progress("identify", 110)
     found = identify(plant, trials, progress.step)
     plant = with_noise_floor(found.plant, trials)

@@ -21,6 +21,7 @@ from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
+from models.commands.output_paths import check_output_directory
 from models.rig.conditions_record import (
     RigConditions,
     record_conditions,
@@ -191,8 +192,7 @@ def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
             )
     if not any(args.gravity):
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
-    if args.out.exists() and not args.out.is_dir():
-        raise InputError(f"--out {args.out}", "is a file", "name a directory")
+    check_output_directory(args.out)
 
 
 def _structures_help() -> str:

@@ -29,7 +29,8 @@ def improved_plant(
 ) -> Plant:
     """Plant with the named effects and the refitted nuisance, its parentage in the provenance.
 
-    Where nothing was named, or what was named may not be written, the values stay as they are.
+    Where nothing was named and the link did not change, or what was named may not be written, the
+    values stay as they are.
 
     Parameters
     ----------
@@ -47,8 +48,9 @@ def improved_plant(
         Where the gap was looked for.
     """
     origin = plant.provenance
-    named = result.named if np.any(free) else []
-    if named:
+    written = bool(np.any(free))
+    named = result.named if written else []
+    if written:
         given = plant.provenance
         origin = Provenance(noise_floor=given.noise_floor, servo_gains=given.servo_gains)
     origin = msgspec.structs.replace(
@@ -58,12 +60,13 @@ def improved_plant(
         fitted_trials=plant.provenance.fitted_with(trials),
         named=tuple(named),
     )
-    if not named:
+    if not written:
         return replace(plant, provenance=origin)
     full = plant_with_searched_effects(plant, named)
     changed = written_values(full, search.fit_parameters, point.values, free)
     uncertain = _standard_errors(full, search, point, free)
-    name = f"{plant.name.removesuffix(', gap closed')}, gap closed"
+    done = "gap closed" if named else "refitted"
+    name = f"{plant.name.removesuffix(f', {done}')}, {done}"
     return replace(full.with_values(changed, uncertain), name=name, provenance=origin)
 
 

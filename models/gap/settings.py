@@ -196,8 +196,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     # Held-out errors
-    held_out_losses_weight: float = 2.0
-    """Times that the losses of some folds count against the gain of all [assumed]."""
     held_out_steps: int = 3
     """Most steps of the fit without a fold, from the fit of all trials [assumed]."""
     held_out_time_blocks: int = 4

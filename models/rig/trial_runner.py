@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
+from models.shared.worker_pool import worker_pool
 from models.trials.trial_files import write_trial
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_trial_cases(
@@ -55,21 +51,14 @@ def run_trial_cases(
             paths[case.name] = _run_and_write(parameters, case, directory)
             on_done(case.name)
     else:
-        os.environ.update(dict.fromkeys(_THREADS, "1"))  # set before the processes load numpy
-        context = multiprocessing.get_context("spawn")
-        ignore = (signal.SIGINT, signal.SIG_IGN)  # this process handles Ctrl-C
-        with ProcessPoolExecutor(min(workers, len(cases)), context, signal.signal, ignore) as pool:
+        with worker_pool(min(workers, len(cases))) as pool:
             futures = {
                 pool.submit(_run_and_write, parameters, case, directory): case.name
                 for case in cases
             }
-            try:
-                for future in as_completed(futures):
-                    paths[futures[future]] = future.result()
-                    on_done(futures[future])
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+            for future in as_completed(futures):
+                paths[futures[future]] = future.result()
+                on_done(futures[future])
     return [paths[case.name] for case in cases]
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from firmware_py.errors import InputError
-from models.trials.trial import SignalRole, TrialSet
+from models.trials.trial import SignalRole, Trial, TrialSet
 from models.trials.trial_files import read_trials
+from models.trials.verdict.motion_findings import runs_against
 
 
 def read_trial_directories(
@@ -28,11 +32,12 @@ def read_trial_directories(
     Raises
     ------
     InputError
-        If a directory is given twice, or holds no readable trial.
+        If a directory is given twice or holds no readable trial, or a trial is a copy of another.
     """
     if len({d.resolve() for d in directories}) < len(directories):
         raise InputError(directories[-1], "is given twice", "name each directory once")
     sets = [read_trials(d, dict(signals)) for d in directories]
+    refuse_unusable([t for own in sets for t in own])
     if len(sets) == 1:
         return sets[0]
     names = [t.name for own in sets for t in own]
@@ -41,3 +46,33 @@ def read_trial_directories(
         for d, own in zip(directories, sets, strict=True) for t in own
     ]  # fmt: skip
     return TrialSet(tuple(sorted(every, key=lambda t: t.name)))
+
+
+def refuse_unusable(trials: Sequence[Trial]) -> None:
+    """Refuse trials from which a plant would be fitted or diagnosed wrongly without a word.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Of one diagnosis or identification.
+
+    Raises
+    ------
+    InputError
+        If two trials agree in every sample (a copy is no repetition, and shows no noise), or an
+        angle mirrors its goal.
+    """
+    known: dict[bytes, Trial] = {}
+    for trial in trials:
+        for j in range(1, trial.meta.dof + 1):
+            goal, angle = (trial.columns.get(f"{of}_{j}_rad") for of in ("goal", "angle"))
+            if goal is not None and angle is not None and runs_against(goal, angle):
+                what = f"goal and angle of joint {j} run against each other"
+                raise InputError(trial.path, what, f"correct the sign of angle_{j}_rad")
+        samples = hashlib.sha256()
+        for name in sorted(trial.columns):
+            samples.update(name.encode())
+            samples.update(np.ascontiguousarray(trial.columns[name]).tobytes())
+        other = known.setdefault(samples.digest(), trial)
+        if other is not trial:
+            raise InputError(trial.path, f"is a copy of {other.path}", "leave one of them out")

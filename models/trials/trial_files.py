@@ -57,7 +57,7 @@ LONGEST_NAME_BYTES: Final = 200
 _ALWAYS: Final = ("dof", "payload_kg", "trial", "motion", "period_s")
 """Conditions of every trial."""
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
-    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (0, 1e6), "trial": (0, 1e6),
+    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (1e3, 1e6), "trial": (0, 1e6),
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
@@ -248,12 +248,14 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     path = directory / f"{trial.name}.csv"
     names = list(trial.columns)
     samples = trial.stack(*names)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    fresh = path.with_suffix(".part")  # a run that is stopped leaves no half of a trial
+    with fresh.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
         for row in samples:
             writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
     path.with_suffix(".toml").write_text(tomli_w.dumps(trial.meta.document()), encoding="utf-8")
+    fresh.replace(path)
     return path
 
 

@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 import zlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,6 +46,7 @@ from models.gap.search.null_distribution import (
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
+from models.shared.worker_pool import worker_pool
 from models.trials.trial_files import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
@@ -146,7 +146,7 @@ def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
         Numbers of drawn rigs.
     """
     progress = Progress("bench.gap.calibration.plant_error", len(rigs))
-    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+    with worker_pool(2) as pool:
         run_pattern_work(work, rigs, pool, progress.step)
     files = [work.file(k) for k in rigs]
     for key, own in own_errors_of(files).items():
@@ -205,7 +205,7 @@ def _null_file(directory: str, rig: int, link: int, joints: int, patterns: bool)
 def _run(job: Callable[..., None], work: Sequence[tuple[Any, ...]]) -> None:
     """Do what is missing, on two processors."""
     progress = Progress("bench.gap.calibration.plant_error", len(work))
-    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+    with worker_pool(2) as pool:
         futures = [pool.submit(job, *arguments) for arguments in work]
         for future in as_completed(futures):
             future.result()

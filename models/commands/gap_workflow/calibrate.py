@@ -9,8 +9,6 @@ It can be stopped: a rerun goes on with what is missing.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +22,7 @@ from models.gap.calibration.calibration_files import (
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
+from models.shared.worker_pool import worker_pool
 from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_files import TrialSet
 
@@ -82,8 +81,7 @@ def run(args: argparse.Namespace) -> int:
     begin_work(work.fingerprint(), directory)
     files = [work.file(k) for k in range(args.rigs)]
     progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(args.processes, context) as pool:
+    with worker_pool(args.processes) as pool:
         run_pattern_work(work, range(args.rigs), pool, progress.step)
     write_patterns(learned_patterns(files), patterns)
     measured = own_errors_of(files)

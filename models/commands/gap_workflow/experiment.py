@@ -17,9 +17,11 @@ from firmware_py.config import read_config
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
+from firmware_py.safety.limits import Limits
+from models.commands.output_paths import check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import read_rig
+from models.rig.rig_parameters import RigParameters, read_rig
 from models.shared.catalogue import parse_strengths
 from models.trials.trial_directories import read_trial_directories
 
@@ -58,14 +60,17 @@ def run(args: argparse.Namespace) -> int:
     """Design, write, and repeat the diagnosis where that is wanted."""
     if args.hide and not args.repeat:
         raise InputError("--hide", "is given without --repeat", "add --repeat, or leave it out")
+    if args.out.suffix != ".toml":
+        raise InputError(f"--out {args.out}", "is no TOML file", "let its name end with .toml")
+    check_output_file(args.out, [args.limits, args.gap])
     document = read_gap_document(args.gap)
     inputs = _inputs(document, args)
     plant = read_plant(Path(inputs.plant))
     if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
     trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
-    limits = read_config(args.limits).limits_in_force
-    hidden = parse_strengths(args.hide)
+    limits = _limits(args.limits, trials.trials[0].meta.dof)
+    rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.experiment.experiment import (
@@ -99,13 +104,24 @@ def run(args: argparse.Namespace) -> int:
         "together": found.together(),
     }
     text = f"{experiment_in_words(found, args.out)}\n{page}"
-    if args.repeat:
-        after, repeated = _repeated(args, plant, inputs, found.recommended, hidden, progress)
+    if rig is not None:
+        after, repeated = _repeated(args, plant, inputs, found.recommended, rig, progress)
         result["after"] = after
         text = f"{text}\n{repeated}"
     progress.step("done", 0)
     emit(args, result, text)
     return DONE
+
+
+def _limits(path: Path, dof: int) -> Limits:
+    """Limits of the robot that was diagnosed."""
+    robot = read_config(path)
+    if robot.dof != dof:
+        raise InputError(
+            path, f"has {robot.dof} servos, the trials of the diagnosis have {dof}",
+            "give the configuration of that robot",
+        )  # fmt: skip
+    return robot.limits_in_force
 
 
 def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
@@ -124,7 +140,7 @@ def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
 
 def _repeated(
     args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs,
-    recommended: tuple[Motion, float], hidden: dict[str, float], progress: Progress,
+    recommended: tuple[Motion, float], rig: RigParameters, progress: Progress,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
     from models.gap.calibration.calibration_files import patterns_beside
@@ -137,7 +153,7 @@ def _repeated(
     directory = args.out.with_suffix("")
     motion, payload_kg = recommended
     case = TrialCase(motion, payload_kg, trial=1, seed=args.seed)
-    trial = run_case(read_rig(args.rig).hide(hidden), case)
+    trial = run_case(rig, case)
     own = directory / "trials"
     own.mkdir(parents=True, exist_ok=True)
     for old in (*own.glob("*.csv"), *own.glob("*.toml")):

@@ -11,6 +11,8 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.errors import InputError
+from models.commands.output_paths import check_output_directory
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
@@ -36,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, write and print."""
+    check_output_directory(args.out)
     plant = read_plant(args.plant)
     trials = read_trial_directories(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
@@ -46,6 +49,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
+        if not len(trials):
+            raise InputError(
+                f"--dof {args.dof}", "is the number of joints of no trial", "leave it out"
+            )
     patterns = patterns_beside(args.plant)
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(

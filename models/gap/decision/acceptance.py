@@ -159,6 +159,18 @@ class Acceptance:
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()
 
+    def changed_link(self) -> AcceptedFit:
+        """Refitted nuisance, where nothing is named and it lowers the held-out errors.
+
+        The plant as given where it does not, or raises that of a signal.
+        """
+        given = self._as_given()
+        while self._refuses_values():
+            pass
+        refitted = self._as_fitted()
+        earned = refit_is_earned(given.errors, refitted.errors, given.errors, self.settings)
+        return refitted if earned else given
+
     def _as_given(self) -> AcceptedFit:
         given = self.search.first.start()
         return AcceptedFit(given, np.zeros_like(self.nuisance), self.held_out.given)

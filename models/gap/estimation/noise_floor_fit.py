@@ -8,6 +8,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
+from firmware_py.errors import InputError
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.measured_floor import (
     flat_floor,
@@ -155,6 +156,19 @@ def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
         As read from its file.
     dof : int
         Number of joints.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
     """
     record = plant.provenance.noise_floor.get(str(dof))
-    return floor_from_record(record) if record else None
+    if record is None:
+        return None
+    try:
+        return floor_from_record(record)
+    except ValueError as error:
+        raise InputError(
+            f"plant {plant.name!r}", f"provenance.noise_floor.{dof} is damaged ({error})",
+            "identify the plant again",
+        ) from None  # fmt: skip

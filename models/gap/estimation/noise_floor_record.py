@@ -31,7 +31,30 @@ def floor_to_record(floor: NoiseFloor) -> FloorRecord:
 
 
 def floor_from_record(record: FloorRecord) -> NoiseFloor:
-    """Floor that a plant file keeps."""
+    """Floor that a plant file keeps.
+
+    Raises
+    ------
+    ValueError
+        If a spectrum is no row of numbers, or not as long as its frequencies.
+    """
+    floor = _as_written(record)
+    ratios = [
+        v for table in (floor.ratios.noise, floor.ratios.model) for own in table.values()
+        for v in own.values()
+    ]  # fmt: skip
+    rows = [*floor.noise.values(), *floor.model.values()]
+    lengths = [(rows, len(floor.frequency_hz)), (ratios, len(floor.ratios.frequency_hz))]
+    for own, length in lengths:
+        for row in own:
+            if len(row) != length or not np.all(np.isfinite(row)) or np.any(row < 0):
+                raise ValueError(f"{len(row)} numbers for {length} frequencies, or a negative one")
+    if floor.repeats < 1 or floor.noise.keys() != floor.model.keys():
+        raise ValueError("repeats, or the signals of noise and model")
+    return floor
+
+
+def _as_written(record: FloorRecord) -> NoiseFloor:
     return NoiseFloor(
         _row(record.frequency_hz),
         {s: _row(v) for s, v in record.noise.items()},

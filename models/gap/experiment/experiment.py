@@ -166,8 +166,28 @@ def design_experiment(
     Raises
     ------
     InputError
-        If there is nothing to separate, or the plant is not the link.
+        If there is nothing to separate, the plant is not the link, a limit of the angle leaves 0
+        out, or a payload is more than twice the heaviest of the trials.
     """
+    _check(rivals, plant, trials, limits, seconds, payloads_kg, settings)
+    model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
+    report("trials at hand judged", 3)
+    payloads = tuple(payloads_kg) or default_payloads_kg(trials)
+    designer = MotionDesigner(model, limits, seconds, seed, report)
+    fixed = _fixed_motions(designer, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials})
+    report("fixed motions tried", 2)
+    design = designer.design(payloads)
+    rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
+    check_motion(rows, limits, PERIOD_S, "the designed motion")
+    least = settings.indistinguishable_separation
+    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits, least)
+
+
+def _check(
+    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
+    payloads_kg: Sequence[float], settings: GapSettings,
+) -> None:  # fmt: skip
+    """Refuse what no motion can be designed for."""
     if plant.load != "link":
         raise InputError(
             f"plant {plant.name!r}", "is not the link", "motions are designed for the link alone"
@@ -176,19 +196,19 @@ def design_experiment(
         raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
     if len(rivals) < 2:
         raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
-    model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
-    report("trials at hand judged", 3)
-    payloads = tuple(payloads_kg) or default_payloads_kg(trials)
-    fixed = _fixed_motions(
-        model, limits, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials}
-    )
-    report("fixed motions tried", 2)
-    designer = MotionDesigner(model, limits, seconds, seed, report)
-    design = designer.design(payloads)
-    rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
-    check_motion(rows, limits, PERIOD_S, "the designed motion")
-    least = settings.indistinguishable_separation
-    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits, least)
+    low_rad, high_rad = limits.angle_rad
+    if not low_rad < 0 < high_rad:
+        raise InputError(
+            "limits.angle_rad", f"is {low_rad:g} to {high_rad:g}, without 0",
+            "a designed motion begins and ends at 0: give limits on both sides of it",
+        )  # fmt: skip
+    most = max(2 * max(t.meta.payload_kg for t in trials), settings.swapped_payload_kg)
+    for payload_kg in payloads_kg:
+        if not 0 <= payload_kg <= most:
+            raise InputError(
+                f"--payloads {payload_kg:g}", "is a payload that no trial comes near",
+                f"choose 0 to {most:g} kg",
+            )  # fmt: skip
 
 
 def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
@@ -207,29 +227,32 @@ def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
 
 
 def _fixed_motions(
-    model: SeparationModel,
-    limits: Limits,
+    designer: MotionDesigner,
     payloads_kg: Sequence[float],
     at_hand: Collection[tuple[str, float]],
 ) -> tuple[FixedMotion, ...]:
-    """Motions of the menu that the limits allow, with every payload.
+    """Motions of the menu that the limits allow, with every payload; the twin's too.
 
     A motion that is at hand with a payload is left out: a repetition has the same error of the
     plant, so it adds little, and the floor of a planned trial does not know that.
     """
-    meta, found = model.like.meta, []
+    model, found = designer.model, []
+    meta = model.like.meta
     for label, kind in MENU.items():
         if label == "payload swap":  # every motion is tried with every payload
             label = "sinusoid"
         try:
             motion = motion_like(meta, kind)
-            check_motion(motion.table_rad(rest_samples=REST_SAMPLES), limits, PERIOD_S, label)
+            rows = motion.table_rad(rest_samples=REST_SAMPLES)
+            check_motion(rows, designer.limits, PERIOD_S, label)
         except InputError:
             continue
         for payload_kg in payloads_kg:
             if (motion.name, payload_kg) in at_hand:
                 continue
             trial = planned_trial(model.like, motion, payload_kg, meta.rest_samples)
+            if designer.excess_of(trial) > 0:
+                continue
             found.append(FixedMotion(label, motion, payload_kg, tuple(model.separations(trial))))
     return tuple(found)
 

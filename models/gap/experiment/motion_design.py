@@ -137,6 +137,8 @@ class MotionDesigner:
         alone = np.minimum(min(-low, high), limits.rate_rad_s / (2 * np.pi * hz))
         self.scale = np.tile(alone, 2 * self.dof)
         self._goal_rows, self._goal_limit = goal_limits(self.twin.basis, limits, self.dof)
+        every = goal_limits(self.twin.basis, limits, self.dof, row_step=1)
+        self._every_goal_row, self._every_goal_limit = every
 
     def document(self, x: Array, payload_kg: float, notes: str = "") -> MotionDocument:
         """Motion of coefficients, joint after joint: the sines, then the cosines."""
@@ -207,7 +209,7 @@ class MotionDesigner:
 
     def _used_of_goal_limits(self, x: Array) -> float:
         """Largest goal, rate or acceleration, as a fraction of its limit."""
-        return float(np.max(self._goal_rows @ x / self._goal_limit))
+        return float(np.max(self._every_goal_row @ x / self._every_goal_limit))
 
     def _within_twin_limits(self, x: Array, payload_kg: float) -> Array:
         """Coefficients made smaller until every rival stays within the twin's limits."""
@@ -216,8 +218,17 @@ class MotionDesigner:
         return x
 
     def twin_excess(self, x: Array, payload_kg: float) -> float:
-        """Largest violation of a limit by the twin of any rival, as a part of the limit."""
-        trial = self.trial(x, payload_kg)
+        """Largest violation of a limit by the twin of any rival, as a fraction of the limit."""
+        return self.excess_of(self.trial(x, payload_kg))
+
+    def excess_of(self, trial: Trial) -> float:
+        """The same for a planned trial.
+
+        Parameters
+        ----------
+        trial : Trial
+            Conditions and goals.
+        """
         worst = -np.inf
         for values in self.model.values:
             y = self.model.twin.run(trial, values)

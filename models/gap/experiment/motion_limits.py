@@ -19,8 +19,7 @@ from models.gap.residuals.spectrum import Array
 REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
 """Rows at rest before a planned motion."""
 GOAL_MARGIN: Final = 0.97
-"""Fraction of a limit of the goals that is used: the linear programme sees every third row
-[assumed]."""
+"""Fraction of a limit of the goals that is used [assumed]."""
 TWIN_MARGIN: Final = 0.85
 """Fraction of a limit of current and following error that the twin may use; the rest is for the
 difference between twin and robot [assumed]."""
@@ -30,7 +29,9 @@ ROW_STEP: Final = 3
 """Every third row enters a linear programme: one in 51 ms, a twentieth of the shortest period."""
 
 
-def goal_limits(basis: Array, limits: Limits, dof: int) -> tuple[Array, Array]:
+def goal_limits(
+    basis: Array, limits: Limits, dof: int, row_step: int = ROW_STEP
+) -> tuple[Array, Array]:
     """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals.
 
     Parameters
@@ -41,6 +42,8 @@ def goal_limits(basis: Array, limits: Limits, dof: int) -> tuple[Array, Array]:
         Of the robot.
     dof : int
         Number of joints; their coefficients follow each other in x.
+    row_step : int
+        Rows from one that counts to the next.
     """
     rate = np.diff(basis, axis=0) / PERIOD_S
     both: tuple[tuple[Array, float, float], ...] = (
@@ -54,7 +57,7 @@ def goal_limits(basis: Array, limits: Limits, dof: int) -> tuple[Array, Array]:
     )
     rows, limit = [], []
     for table, high, low in both:
-        moving = table[REST_SAMPLES::ROW_STEP]
+        moving = table[REST_SAMPLES::row_step]
         for sign, most in ((1.0, high), (-1.0, low)):
             rows.append(sign * moving)
             limit.append(np.full(len(moving), GOAL_MARGIN * most))

@@ -8,10 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from firmware_py.errors import InputError
 from models.gap.decision.look_alikes import HELD_PROBABILITY
 from models.gap.report.gap_json import HypothesisRecord
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
 from models.gap.residuals.spectrum import Array
+from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 
 MOST_RIVALS: Final = 6
@@ -55,6 +57,11 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
     ----------
     hypotheses : sequence of HypothesisRecord
         Of gap.json.
+
+    Raises
+    ------
+    InputError
+        If one has an effect that the catalogue lacks, or none has a probability.
     """
     listed = [h for h in hypotheses if h.effects]
     sets = [frozenset(h.effects) for h in listed]
@@ -67,6 +74,10 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
     rivals = [Rival(listed[k].effects, p, listed[k].parameters) for k, p in gained.items()]
     rivals += [Rival((), h.probability, h.parameters) for h in hypotheses if not h.effects]
     total = sum(r.probability for r in rivals)
+    unknown = {e for r in rivals for e in r.effects} - EFFECTS.keys()
+    if unknown or (rivals and not total):
+        what = f"names {min(unknown)!r}" if unknown else "gives no hypothesis a probability"
+        raise InputError("gap.json", what, "diagnose again")
     ranked = sorted(rivals, key=lambda r: (-r.probability, r.effects))
     ranked = [replace(r, probability=r.probability / total) for r in ranked]
     kept = [r for k, r in enumerate(ranked) if k < 2 or r.probability >= RIVAL_PROBABILITY]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
@@ -94,7 +94,7 @@ class RemainingGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Value of a parameter of a named effect, its standard error, its value before, its bound.
+    """Fitted value of a parameter, its standard error, its value before, its bound.
 
     `bound` is set where the fit ended at a bound of the parameter, or found none of it.
     """
@@ -175,7 +175,7 @@ class HypothesisRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     effects: tuple[str, ...]
-    probability: float
+    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
     parameters: dict[str, float]
 
 
@@ -252,6 +252,8 @@ class GapDocument(Document, frozen=True):
         Rows that were fitted of each trial that is too long to be fitted as a whole.
     refused : tuple of RefusedEffect
         Effects that were taken out again, and refitted values that were undone.
+    refitted : dict of str to FittedValue
+        Parameters of the link that were refitted and written although nothing is named.
     held_out : HeldOutSummary
         Errors on what was left out in turn.
     hypotheses : tuple of HypothesisRecord
@@ -288,6 +290,7 @@ class GapDocument(Document, frozen=True):
     settings: GapSettings
     rows_fitted: dict[str, int] = msgspec.field(default_factory=dict)
     refused: tuple[RefusedEffect, ...] = ()
+    refitted: dict[str, FittedValue] = msgspec.field(default_factory=dict)
     held_out: HeldOutSummary | None = None
     unexplained_fraction: float | None = None
     hypotheses: tuple[HypothesisRecord, ...] = ()

@@ -147,7 +147,7 @@ def _refused(document: GapDocument) -> list[Part]:
     written = (
         "The plant that was written is the plant as given, unchanged."
         if is_plant_as_given(document)
-        else "The plant that was written is the best one without it."
+        else "The plant that was written is the best one without what was refused."
     )
     parts: list[Part] = [Paragraph(text) for text in refusals_in_words(document)]
     parts.append(Paragraph(written))
@@ -175,7 +175,8 @@ def _waterfall(document: GapDocument) -> Figure:
     listed = ", ".join(f"{label} {value:.2f}" for label, value in steps)
     return Figure(
         "", "Root mean square of all signals on repetitions that no value was fitted to: the plant "
-        "as given, its nominal parameters refitted, and each effect in turn. Pale: what the step "
+        "as given, its nominal parameters refitted, and each effect in turn; what varies between "
+        "trials is fitted. Pale: what the step "
         f"removed. Dashed: the {floor_in_words(document)}.",
         [drawing.panel("Residual after each step", f"RMS in noise floors: {listed}.")],
     )  # fmt: skip
@@ -219,7 +220,8 @@ def _compared(document: GapDocument, before: Plant, after: Plant, trials: TrialS
         "residual", "Before and after",
         [
             Table("", ["RMS error", "before", "after", floor_in_words(document)], rows,
-                  "Over the repetitions with every payload."),
+                  "Over the repetitions with every payload. What varies between trials counts "
+                  "here; the floor leaves it out."),
             Figure(
                 "", f"Measured minus simulated in trial {trial.name}.",
                 _residuals(document, part, both),

@@ -35,7 +35,7 @@ from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
-from models.plant.parameter import bound_reached
+from models.plant.parameter import Parameter, bound_reached
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 
@@ -98,6 +98,7 @@ def gap_document(
         settings=found.settings,
         rows_fitted=found.rows_fitted,
         refused=found.refused,
+        refitted=_refitted(found),
         held_out=HeldOutSummary(
             found.left_out,
             {
@@ -110,6 +111,21 @@ def gap_document(
         effect_probabilities=_listed(effect_probabilities(found.hypotheses)),
         tested=found.tested if found.floor.learned else (),
     )  # fmt: skip
+
+
+def _refitted(found: Diagnosis) -> dict[str, FittedValue]:
+    """Parameters of the link that were written anew, where nothing is named."""
+    before = found.plant.parameters
+    return {
+        name: _fitted(q, before)
+        for name, q in found.improved.parameters.items()
+        if not found.named and name in before and q.value != before[name].value
+    }
+
+
+def _fitted(q: Parameter, before: Mapping[str, Parameter]) -> FittedValue:
+    known = before[q.name].value if q.name in before else 0.0
+    return FittedValue(q.value, q.unit, q.error, known, bound_reached(q))
 
 
 def _listed(probabilities: Mapping[str, float]) -> dict[str, float]:
@@ -186,10 +202,7 @@ def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEff
         effect=" + ".join(inclusion.effects),
         kept=inclusion.kept,
         parameters={
-            name: FittedValue(
-                q.value, q.unit, q.error, before[name].value if name in before else 0.0,
-                bound_reached(q),
-            )
+            name: _fitted(q, before)
             for direction in found.fit_parameters if direction.effect in inclusion.effects
             for name in direction.parameters if (q := found.fitted.parameters.get(name))
         },

@@ -12,6 +12,9 @@ from models.gap.report.trial_notes import notes_in_words
 DECIDED: Final = 0.9
 """Probability from which on an effect counts as decided; below the rest of it, as excluded."""
 
+TOLD_CHANGE: Final = 0.02
+"""Change of a parameter of the link, as a fraction, from which it is told [assumed]."""
+
 
 def verdict_in_words(document: GapDocument) -> str:
     """Verdict as one or two sentences."""
@@ -28,7 +31,7 @@ def verdict_in_words(document: GapDocument) -> str:
         missing = _percent(1 - answers.nothing)
         no_gap = f"No effect can be named; that one is missing has a probability of {missing}."
     return {
-        "no gap": no_gap,
+        "no gap": no_gap + (f" {changed}" if (changed := change_in_words(document)) else ""),
         "closed": f"Closed by {names}.",
         "reduced": f"Reduced by {names}; {_left_in_words(document)}.",
         "not in the catalogue": _outside_in_words(document)
@@ -36,12 +39,33 @@ def verdict_in_words(document: GapDocument) -> str:
     }[document.verdict]
 
 
+def change_in_words(document: GapDocument) -> str:
+    """How the link changed since the plant was identified; empty where nothing was refitted."""
+    changes = {n: q.value / q.before - 1 for n, q in document.refitted.items() if q.before}
+    rows = ", ".join(
+        f"{name} {change:+.0%}"
+        for name, change in sorted(changes.items(), key=lambda row: -abs(row[1]))
+        if abs(change) >= TOLD_CHANGE
+    )
+    return rows and (
+        "But the link has changed since the plant was identified, and plant.json holds it as "
+        f"refitted: {rows}."
+    )
+
+
 def _outside_in_words(document: GapDocument) -> str:
     """What is missing where no name is given: something else, or an effect that is not sure."""
     answers, effects = document.answers, document.effect_probabilities
     likely = max(effects, key=lambda e: effects[e], default="")
-    if answers is None or not likely or effects[likely] <= answers.outside:
+    if answers is None:
         return "The missing effect is not in the catalogue."
+    if not likely or effects[likely] <= answers.outside:
+        if answers.outside >= DECIDED:
+            return "The missing effect is not in the catalogue."
+        return (
+            f"An effect that is not in the catalogue is missing with a probability of "
+            f"{_percent(answers.outside)}, nothing with {_percent(answers.nothing)}."
+        )
     return (
         f"No effect is sure enough to be named: {likely.replace('_', ' ')} is missing with a "
         f"probability of {_percent(effects[likely])}, something outside of the catalogue with "
@@ -55,8 +79,9 @@ def _left_in_words(document: GapDocument) -> str:
     if further is None:
         return "a residual above the noise floor is left"
     return (
-        f"what is left resembles {further.effect.replace('_', ' ')} (d′ {further.separation:.0f}; "
-        f"noise and errors of the named equations reach {further.least:.0f})"
+        "more is left than noise and errors of the named equations explain; of the catalogue "
+        f"{further.effect.replace('_', ' ')} would take up most of it (d′ "
+        f"{further.separation:.0f}; noise and these errors reach {further.least:.0f})"
     )
 
 
@@ -97,14 +122,14 @@ def refusals_in_words(document: GapDocument) -> list[str]:
         elif row.effect:
             result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
         else:
-            result.append(f"{row.reason}; it was put back to the plant as given.")
+            result.append(f"{row.reason}; plant.json keeps the value of the plant as given.")
     return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
 
 
 def is_plant_as_given(document: GapDocument) -> bool:
     """Whether the plant that was written is the one as given."""
     withheld = any(row.kind == "not written" for row in document.refused)
-    return withheld or not any(row.kept for row in document.named)
+    return withheld or not (document.refitted or any(row.kept for row in document.named))
 
 
 def probabilities_in_words(document: GapDocument) -> str:
@@ -141,6 +166,8 @@ def next_step_in_words(document: GapDocument) -> str:
     if not any(row.kept for row in document.named):
         answers = document.answers
         if answers is None or answers.nothing >= DECIDED:
+            if document.refitted:
+                return "Use the refitted plant: train a bundle with it (python -m models train)."
             return "Nothing: the plant explains these trials."
         return (
             "Record another motion or payload, or more repetitions: with a probability of "
@@ -154,8 +181,8 @@ def next_step_in_words(document: GapDocument) -> str:
     ]
     if undecided:
         return (
-            f"These trials do not decide on {', '.join(undecided)}: python -m models experiment "
-            "designs the motion that does."
+            f"These trials do not decide on {', '.join(undecided)}: 'python -m models experiment "
+            "--gap OUT/gap.json --limits robot.toml --out MOTION.toml' designs the one that does."
         )
     further = _further_missing(document)
     if further is not None:
@@ -192,7 +219,10 @@ def gap_in_words(document: GapDocument) -> str:
         lines.append("remaining gap: " + document.remaining.sentence)
     part = "held_out" if "held_out" in document.before else "fitted"
     size = "in noise floors" if document.noise_floor.learned else "per residual's own spectrum"
-    lines.append(f"{part.replace('_', '-')} trials, {size}, before and after:")
+    lines.append(
+        f"{part.replace('_', '-')} trials, {size}, before and after (with what varies between "
+        "trials, as the mocap frame, which the floor leaves out):"
+    )
     for signal, before in document.before[part].items():
         after = document.after[part].get(signal, before)
         lines.append(f"  {signal:14s}{_floors(before.floors)}{_floors(after.floors)}")
@@ -208,7 +238,7 @@ def _named_in_words(row: NamedEffect) -> list[str]:
     values = ", ".join(
         f"{name} = {q} {q.unit}{q.bound_in_words}" for name, q in row.parameters.items()
     )
-    word = "named" if row.kept else "named, then taken out"
+    word = "named" if row.kept else "found, then refused"
     lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f})"]
     if row.kept:
         lines[0] += f"; {values}"

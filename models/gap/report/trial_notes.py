@@ -74,6 +74,6 @@ def _amplification(document: GapDocument) -> str:
     found = document.noise_floor.amplification
     where = ", ".join(f"{factor:.1f} times at {kg} kg" for kg, factor in found.items())
     return where and (
-        "repetitions differ far more than when the plant was identified, as a link does that "
-        f"nearly folds: the noise floor is larger there, {where}"
+        "repetitions differ far more than when the plant was identified: the noise floor is larger "
+        f"there, {where}"
     )

@@ -68,6 +68,31 @@ def trial_group_key(trial: Trial) -> str:
     )
 
 
+def check_duration(trial: Trial, settings: GapSettings = DEFAULT_SETTINGS) -> None:
+    """Refuse a trial that is too short to have a spectrum.
+
+    Parameters
+    ----------
+    trial : Trial
+        To be compared with a plant.
+    settings : GapSettings
+        Tuned numbers.
+
+    Raises
+    ------
+    InputError
+        If its spectrum has fewer coefficients than the bands of a strength consistency need.
+    """
+    hz = settings.highest_frequency_hz
+    least = settings.consistency_bands * settings.least_band_coefficients
+    if coefficient_count(len(trial), trial.step_s, hz) < least:
+        where = trial.path if trial.path.name else trial.name
+        duration_s = len(trial) * trial.step_s
+        raise InputError(
+            where, f"lasts {duration_s:.2g} s", f"give at least {least / (2 * hz):.2g} s of motion"
+        )
+
+
 class Residuals:
     """Residuals of the twin that holds every effect, over trials, as spectra.
 
@@ -104,7 +129,7 @@ class Residuals:
     ) -> None:
         dofs = {t.meta.dof for t in trials}
         if len(dofs) != 1:
-            raise InputError("trials", "are of one and of two joints", "look at one kind at a time")
+            raise InputError("trials", "are of one and of two joints", "choose one kind with --dof")
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
         substep_s = settings.longest_substep_s if is_link else model.max_substep_s
@@ -158,6 +183,7 @@ class Residuals:
         for (key, seen), rows in found.items():
             first = self.trials[rows[0]]
             count = coefficient_count(len(first), first.step_s, self.settings.highest_frequency_hz)
+            check_duration(first, self.settings)
             result.append(TrialGroup(key, tuple(rows), seen, count))
         return result
 

@@ -63,8 +63,7 @@ def held_out_gain(
     not exceed its standard error, whatever its size. What speaks against it are folds that lose.
     """
     gains = held_out_gains(estimator, without, with_)
-    losses = np.linalg.norm(np.minimum(gains, 0.0))
-    return float(gains.sum()), estimator.settings.held_out_losses_weight * float(losses)
+    return float(gains.sum()), float(np.linalg.norm(np.minimum(gains, 0.0)))
 
 
 def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:

@@ -8,7 +8,7 @@ One round of the search, repeated after each inclusion with everything tried aga
 2. Refit the best from several starts, of further ones those that may pass.
 3. Include the best where its gain exceeds what it shows without a gap
    (`models.gap.search.null_distribution`), on a link that changed as the fit with it says, and its
-   gain on payloads left out exceeds twice the losses. A further effect must also stand out beside
+   gain on payloads left out exceeds the losses. A further effect must also stand out beside
    the error of the equations before it. Where none does, pairs are tried.
 4. Delete effects included before that are no longer needed.
 """

@@ -221,6 +221,17 @@ def _correlation(a: Array, b: Array) -> float:
     return float(np.corrcoef(a, b)[0, 1])
 
 
+def runs_against(goal_rad: Array, angle_rad: Array) -> bool:
+    """Whether the angle of a joint mirrors its goal: one of the two has the wrong sign.
+
+    Parameters
+    ----------
+    goal_rad, angle_rad : ndarray, shape (n,)
+        Of one joint.
+    """
+    return _correlation(angle_rad, goal_rad) < -ALIKE
+
+
 def _goal_findings(trial: Trial) -> list[ImportFinding]:
     found: list[ImportFinding] = []
     goal, angle = trial.goal_rad, trial.angle_rad
@@ -228,10 +239,9 @@ def _goal_findings(trial: Trial) -> list[ImportFinding]:
         q, g = angle[:, j], goal[:, j]
         if not np.isfinite(q).all() or min(q.std(), g.std()) < LEAST_MOTION_RAD:
             continue
-        alike = float(np.corrcoef(q, g)[0, 1])
-        gain = float(q.std() / g.std())
-        if alike < -ALIKE or not 0.3 < gain < 3.0:
-            what = "run against each other" if alike < 0 else f"differ by a factor of {gain:.3g}"
+        gain, against = float(q.std() / g.std()), runs_against(g, q)
+        if against or not 0.3 < gain < 3.0:
+            what = "run against each other" if against else f"differ by a factor of {gain:.3g}"
             found.append(
                 ImportFinding(
                     "refused", "goal", f"goal and angle of joint {j + 1} {what}",

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from bench.gap.scores import rig_table, score_summary, summary_files
 from bench.gap.scores.confusion_matrix import confusion_counts, confusion_matrix_svg
 from bench.gap.scores.summary_files import write_bench_summary
 
@@ -25,12 +26,13 @@ def result(rig, hidden, named, kind="single"):
 
 
 @pytest.fixture
-def written(tmp_path):
+def written(tmp_path, monkeypatch):
     """Function that writes results and their summary."""
 
     def write(*results):
-        for k, row in enumerate(results):
-            (tmp_path / f"{k}.json").write_text(json.dumps(row))
+        known = dict(enumerate(results))
+        for module in (rig_table, score_summary, summary_files):
+            monkeypatch.setattr(module, "bench_results", lambda directory: known)
         figures, by_rig = write_bench_summary(tmp_path)
         folder = tmp_path / "summary"
         assert json.loads((folder / "figures.json").read_text()) == figures

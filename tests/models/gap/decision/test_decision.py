@@ -169,6 +169,9 @@ class PassingTests:
         named = [e for e in self.result.named if e != effect]
         return PassingTests(self.search, replace(self.result, named=named))
 
+    def changed_link(self):
+        return "link as refitted"
+
     def without_named(self, accepted, answers):
         self.result.named = []
         return "as given"
@@ -249,4 +252,6 @@ def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):
     found = decide(Search(bias=True), SearchResult(POINT, POINT))
     assert found.verdict == "not in the catalogue"
     assert found.answers == Answers(0.0, 0.04, pytest.approx(0.96))
-    assert decide(Search(bias=False), SearchResult(POINT, POINT)).verdict == "no gap"
+    assert found.accepted == ""
+    plain = decide(Search(bias=False), SearchResult(POINT, POINT))
+    assert (plain.verdict, plain.accepted) == ("no gap", "link as refitted")

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.errors import InputError
 from models.gap.estimation import measured_floor, noise_floor
 from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
@@ -14,6 +16,7 @@ from models.gap.residuals.spectrum import (
     inverse_cosine_transform,
 )
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.provenance import FloorRecord
 
 COUNT, STEP_S = 512, 0.017
 
@@ -103,6 +106,28 @@ def test_the_learned_noise_is_that_which_was_put_in(plant):
     fast = floor.frequency_hz > 4
     assert np.sqrt(np.mean(floor.noise["tip_z_m"][fast])) == pytest.approx(2e-4, rel=0.25)
     assert np.sqrt(np.mean(floor.noise["current_1_a"][fast])) < 0.025
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"repeats": -1},
+        {"frequency_hz": "0 1"},
+        {"noise": {"x": "0 one"}},
+        {"noise": {}},
+        {"model": {"x": "-1 -1"}},
+    ],
+)
+def test_a_damaged_floor_is_refused_in_one_sentence(plant, damage):
+    record = FloorRecord(frequency_hz="0 1 2", repeats=2, noise={"x": "1 1 1"},
+                         model={"x": "1 1 1"}, curves={})  # fmt: skip
+    good, bad = (
+        replace(plant, provenance=msgspec.structs.replace(plant.provenance, noise_floor={"1": own}))
+        for own in (record, msgspec.structs.replace(record, **damage))
+    )
+    assert noise_floor_of(good, 1).noise["x"].tolist() == [1.0, 1.0, 1.0]
+    with pytest.raises(InputError, match=r"noise_floor\.1 is damaged"):
+        noise_floor_of(bad, 1)
 
 
 def test_trials_without_repetition_leave_no_floor(plant):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,11 +16,14 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.experiment.experiment import design_experiment, experiment_in_words, write_motion
 from models.gap.experiment.experiment_page import write_experiment_page
+from models.gap.experiment.motion_design import MotionDesigner
 from models.gap.experiment.motion_twin import CoefficientTwin, MotionTwin
 from models.gap.experiment.rival import Rival
+from models.gap.experiment.separation import SeparationModel
 from models.gap.fixed_motions import planned_trial
 from models.gap.residuals.fit_parameters import effect_fit_parameters, plant_with_every_effect
 from models.gap.residuals.residuals import Residuals
+from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.step_model import names
 
 LIMITS = Limits(rate_rad_s=1.0, current_a=6.0)
@@ -67,6 +71,43 @@ def test_the_motion_stays_within_the_limits_in_simulation(experiment, every_effe
         for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
             tip = y[:, outputs.index(name)]
             assert LIMITS.tip_min_m[k] <= tip.min() <= tip.max() <= LIMITS.tip_max_m[k]
+
+
+@pytest.mark.parametrize(("rate_rad_s", "seconds"), [(0.1, 2.0), (0.5, 4.0), (2.0, 2.0)])
+def test_every_start_keeps_the_limits_of_the_goals(plant, at_hand, rate_rad_s, seconds):
+    """Also between the rows that a linear programme sees: a short motion is eased in fast."""
+    limits = msgspec.structs.replace(LIMITS, rate_rad_s=rate_rad_s)
+    model = SeparationModel(plant, at_hand.trials, RIVALS, DEFAULT_SETTINGS)
+    designer = MotionDesigner(model, limits, seconds, 0, lambda text, further: None)
+    for x in designer._starts():
+        motion = Motion.designed(designer.document(x, 0.0))
+        check_motion(motion.table_rad(rest_samples=60), limits, PERIOD_S, "start")
+
+
+def test_a_fixed_motion_with_which_the_twin_leaves_its_limits_is_not_offered(plant, at_hand):
+    payloads_kg = (0.0, 2.0)
+    weak = msgspec.structs.replace(LIMITS, current_a=1.5)
+    offered = {
+        limits.current_a: {
+            (f.motion.kind, f.payload_kg)
+            for f in design_experiment(RIVALS, plant, at_hand, limits, SECONDS, payloads_kg).fixed
+        }
+        for limits in (LIMITS, weak)
+    }
+    assert offered[weak.current_a] < offered[LIMITS.current_a]
+
+
+@pytest.mark.parametrize(
+    ("payloads_kg", "limits", "said"),
+    [
+        ((50.0,), LIMITS, "choose 0 to 2 kg"),
+        ((np.nan,), LIMITS, "--payloads nan"),
+        ((), msgspec.structs.replace(LIMITS, angle_rad=(0.2, 0.6)), "without 0"),
+    ],
+)
+def test_what_no_motion_can_be_designed_for_is_refused(plant, at_hand, payloads_kg, limits, said):
+    with pytest.raises(InputError, match=said):
+        design_experiment(RIVALS, plant, at_hand, limits, SECONDS, payloads_kg)
 
 
 def test_the_separation_grows(experiment):

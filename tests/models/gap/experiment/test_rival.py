@@ -2,6 +2,7 @@
 
 import pytest
 
+from firmware_py.errors import InputError
 from models.gap.experiment.rival import credible_set, fitted_values_of, rivals_of
 from models.gap.report.gap_json import HypothesisRecord
 from models.gap.residuals.fit_parameters import effect_fit_parameters
@@ -48,3 +49,15 @@ def test_the_values_of_a_hypothesis_become_fit_parameters():
     record = HypothesisRecord(("encoder_offset",), 1.0, {own[0].name: 0.02})
     (rival,) = rivals_of([record])
     assert fitted_values_of(rival, plant, own)[0] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ([hypothesis(0.6, "creep"), hypothesis(0.4, "slip")], "'slip'"),
+        ([hypothesis(0.0, "creep"), hypothesis(0.0, "cogging")], "no hypothesis a probability"),
+    ],
+)
+def test_an_edited_document_is_refused(wrong, said):
+    with pytest.raises(InputError, match=said):
+        rivals_of(wrong)

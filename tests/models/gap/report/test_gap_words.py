@@ -6,20 +6,23 @@ import pytest
 
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
+from models.gap.report.gap_json import FittedValue
 from models.gap.report.gap_words import (
+    is_plant_as_given,
     next_step_in_words,
     probabilities_in_words,
     verdict_in_words,
 )
 
 
-def document(verdict, *named, answers=None, further=None, **probabilities):
+def document(verdict, *named, answers=None, further=None, refitted=(), **probabilities):
     return SimpleNamespace(
         verdict=verdict,
         named=[SimpleNamespace(kept=True, effect=effect) for effect in named],
         effect_probabilities=probabilities,
         answers=answers,
         refused=[],
+        refitted=dict(refitted),
         tested=[SimpleNamespace(further=further)],
     )
 
@@ -29,7 +32,7 @@ def document(verdict, *named, answers=None, further=None, **probabilities):
     [
         (document("no floor", "creep", creep=0.99), "Repeat at least one trial"),
         (document("not in the catalogue", creep=0.99), "Record another motion"),
-        (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: python -m"),
+        (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: 'python -m"),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
         (
             document("reduced", "creep", further=FurtherEffect("backlash", 40.0, 20.0), creep=0.97),
@@ -63,7 +66,10 @@ def test_no_probability_is_said_to_be_certain():
 @pytest.mark.parametrize(
     ("separation", "words"),
     [
-        (40.0, "what is left resembles backlash (d′ 40; noise and errors of the named equations"),
+        (
+            40.0,
+            "backlash would take up most of it (d′ 40; noise and these errors reach 20)",
+        ),
         (19.0, "a residual above the noise floor is left"),
     ],
 )
@@ -93,10 +99,22 @@ def test_no_gap_is_not_said_where_something_is_missing_that_has_no_name(nothing,
     assert verdict_in_words(document("no gap", answers=answers)) == words
 
 
+def test_a_link_that_has_changed_is_told_with_what_changed_most():
+    values = {"root_stiffness_1_nm_rad": (229.0, 190.0), "link_mass_kg": (0.9, 0.901)}
+    refitted = {n: FittedValue(after, "", None, before) for n, (before, after) in values.items()}
+    found = document("no gap", answers=Answers(0.95, 0.04, 0.01), refitted=refitted)
+    said = verdict_in_words(found)
+    assert "the link has changed" in said and "root_stiffness_1_nm_rad -17%" in said
+    assert "link_mass_kg" not in said
+    assert "Use the refitted plant" in next_step_in_words(found)
+    assert not is_plant_as_given(found)
+
+
 @pytest.mark.parametrize(
     ("likely", "words"),
     [
-        (0.3, "The missing effect is not in the catalogue."),
+        (0.04, "The missing effect is not in the catalogue."),
+        (0.3, "not in the catalogue is missing with a probability of 69%, nothing with 1%."),
         (0.6, "sure enough to be named: creep is missing with a probability of 60%, something"),
     ],
 )

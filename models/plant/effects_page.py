@@ -1,0 +1,77 @@
+"""Page of the effects: meaning, sign, unit and equation of each, from the catalogue itself.
+
+::
+
+    python -m models.plant.effects_page docs/gap/effects.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, get_args
+
+from models.plant.composition.plant_composition import scope_of
+from models.plant.effects import EFFECTS
+from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
+
+HEAD: Final = """# Effects
+
+What each effect of the catalogue does. The strength is its first parameter: `--hide
+EFFECT=STRENGTH` adds it to the rig, and `gap.json` tells it. In the equations q is the coordinate
+of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
+have the directions of [../trials.md](../trials.md). How to add an effect is told in
+[../plant/add-an-effect.md](../plant/add-an-effect.md). This page is written by `python -m
+models.plant.effects_page docs/gap/effects.md`.
+"""
+
+TITLES: Final[dict[Port, str]] = {
+    "command": "Goal and current limit",
+    "servo_torque": "Servo and gear",
+    "joint_torque": "Torque on the joint",
+    "bend_torque": "Bending of the link",
+    "stiffness": "Stiffness of the link",
+    "mass": "Payload",
+    "sensor": "Sensors",
+}
+"""Section of the effects of a port."""
+
+
+def effects_page() -> str:
+    """Text of the page, Markdown."""
+    parts = [HEAD]
+    for port in get_args(Port):
+        parts += [f"## {TITLES[port]}\n", _row("effect", "strength", "equation", "also fitted")]
+        parts.append("|---|---|---|---|")
+        for name, row in EVERY_EFFECT.items():
+            if row.port == port:
+                unit = "" if row.unit == "1" else f", {row.unit}"
+                only = " (loads of your own only)" if name in BEYOND_THE_RIG else ""
+                equation = (inspect.getdoc(EFFECTS[name]) or "").splitlines()[0]
+                also = "; ".join(_further_parameters(name))
+                parts.append(_row(f"`{name}`{only}", row.strength + unit, equation, also))
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _row(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _further_parameters(effect: str) -> list[str]:
+    """Parameters that are fitted with the strength, each with its meaning; of one joint."""
+    own = EFFECTS[effect]().parameters(scope_of("cascade", "link", 1))
+    return [f"`{q.name}`: {q.description}" for q in own[1:] if q.role == "effect"]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path, help="file to write")
+    parser.parse_args(argv).out.write_text(effects_page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
