@@ -65,6 +65,22 @@ def unit_of(name: str) -> str | None:
     return UNIT_OF_SUFFIX[match.group(1)] if match else None
 
 
+def without_unit(name: str) -> str:
+    """Name of a column or variable without the suffix of its unit, spaces between its words.
+
+    Parameters
+    ----------
+    name : str
+        Name of a column or variable.
+
+    Examples
+    --------
+    >>> without_unit("root_damping_1_nm_s_rad"), without_unit("di")
+    ('root damping 1', 'di')
+    """
+    return _SUFFIX.sub("", name).replace("_", " ")
+
+
 _JOINT = (
     Signal("goal_{j}_rad", "rad", "goal angle of joint {j} sent to the servo"),
     Signal("angle_{j}_rad", "rad", "angle of joint {j} as the servo measures it"),

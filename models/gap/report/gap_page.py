@@ -83,7 +83,7 @@ def gap_lead(document: GapDocument) -> list[Part]:
     for more in notes_in_words(document):
         said += f" {more[0].upper() + more[1:]}."
     tip_m = [_tip_m(getattr(document, when)) for when in ("before", "after")]
-    if any(row.kept for row in document.named) and tip_m[0]:
+    if (document.refitted or any(row.kept for row in document.named)) and tip_m[0]:
         before, after = (LENGTH.significant(value) for value in tip_m)
         said += f" The tip error of the plant is {before} RMS before and {after} RMS after."
     known = probabilities_in_words(document)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from firmware_py.signals import without_unit
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.report.gap_json import GapDocument, NamedEffect
@@ -43,7 +44,7 @@ def change_in_words(document: GapDocument) -> str:
     """How the link changed since the plant was identified; empty where nothing was refitted."""
     changes = {n: q.value / q.before - 1 for n, q in document.refitted.items() if q.before}
     rows = ", ".join(
-        f"{name} {change:+.0%}"
+        f"{without_unit(name)} {change:+.0%}".replace("-", "−")
         for name, change in sorted(changes.items(), key=lambda row: -abs(row[1]))
         if abs(change) >= TOLD_CHANGE
     )
