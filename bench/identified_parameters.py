@@ -29,7 +29,7 @@ from models.rig.drawn_rig import LINK_DEVIATION, rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
 

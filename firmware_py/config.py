@@ -32,8 +32,7 @@ from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
 
 __all__ = [
-    "BusConfig", "LiveConfig", "MotionConfig", "RobotConfig", "ServoConfig", "check_config",
-    "read_config",
+    "BusConfig", "RobotConfig", "ServoConfig", "check_config", "read_config",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]

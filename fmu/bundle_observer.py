@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import Manifest, write_manifest
 from firmware_py.inference.compiled_observer import CompiledObserver
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
@@ -25,6 +24,7 @@ from firmware_py.inference.golden import (
     verify_equal,
     write_golden,
 )
+from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import OnnxPredictor, Predictor
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts

@@ -20,8 +20,7 @@ from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
-from models.trials.trial import Trial
-from models.trials.trial_files import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 HANGING_RAD = 0.1
 """Following error at the start from which the arm hangs: its current limit does not hold it

@@ -23,8 +23,8 @@ from typing import Any, Final
 import numpy as np
 
 from bench.imports.import_cases import ImportCase, right_cases, wrong_cases
-from firmware_py.config import MotionConfig
 from firmware_py.console import DONE, NEGATIVE, Progress
+from firmware_py.motion_config import MotionConfig
 from models.__main__ import main as models_main
 from models.rig.drawn_rig import rig_named
 from models.rig.study_protocol import draw_variation, run_case

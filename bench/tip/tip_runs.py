@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.config import MotionConfig
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import Motion
+from firmware_py.motion_config import MotionConfig
 from firmware_py.safety.states import SafetyState
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil

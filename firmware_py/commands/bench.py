@@ -14,11 +14,12 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
+from firmware_py.motion_config import MotionConfig
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.realtime.targets import OWN_COST_P99_NS

@@ -44,13 +44,11 @@ from firmware_py.inference.golden import GOLDEN, Golden, read_golden, verify, ve
 from firmware_py.inference.manifest import (
     BundleFiles,
     Manifest,
-    Quantity,
     read_bundle_files,
-    write_manifest,
 )
 from firmware_py.inference.predictor import OnnxPredictor
 
-__all__ = ["Manifest", "ModelBundle", "Quantity", "read_manifest", "write_manifest"]
+__all__ = ["ModelBundle", "read_manifest"]
 
 PREDICTOR: Final = "predictor.onnx"
 POLYNOMIAL: Final = "polynomial.onnx"

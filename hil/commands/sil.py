@@ -21,7 +21,6 @@ from typing import Final, get_args
 import msgspec
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.config import MotionConfig
 from firmware_py.console import emit
 from firmware_py.display_units import CPU_TIME, LENGTH, TIME
 from firmware_py.errors import InputError
@@ -31,6 +30,7 @@ from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import describes_link
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
+from firmware_py.motion_config import MotionConfig
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource

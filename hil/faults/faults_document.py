@@ -10,7 +10,7 @@ from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.documents import Document, read_document, write_document
-from firmware_py.inference.bundle import Manifest
+from firmware_py.inference.manifest import Manifest
 from hil.faults.fault_verdict import CaseVerdict
 from hil.faults.observation import CaseObservation
 from hil.timing.processors import HostEnvironment, host_environment

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_json, read_text
-from firmware_py.inference.bundle import Manifest, read_manifest
+from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.manifest import Manifest
 from firmware_py.log.recording import read_recording
 from hil.faults.faults_document import FaultsDocument, read_faults
 from hil.report.build_files import (

@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.display_units import ANGLE, CPU_TIME, FILE_SIZE, PAYLOAD, TICK_TIME
-from firmware_py.inference.bundle import Manifest
+from firmware_py.inference.manifest import Manifest
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import BuildInputs, LoopRun
 from hil.report.fault_tables import campaign_facts, campaign_sentences, campaign_tables

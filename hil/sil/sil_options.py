@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from firmware_py.bus.servo_models import Model
-from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.goals.tip_plan import TipPlan
@@ -17,6 +17,7 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.link_limits import limits_of_link
 from firmware_py.motion import GLIDE_S
+from firmware_py.motion_config import MotionConfig
 from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits

@@ -26,7 +26,8 @@ from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
 from models.plant.provenance import Provenance
-from models.trials.trial_files import STEP_TOLERANCE, Trial, TrialSet, read_trials
+from models.trials.trial import Trial, TrialSet
+from models.trials.trial_files import STEP_TOLERANCE, read_trials
 
 if TYPE_CHECKING:
     from models.study.study_document import StudyDocument

@@ -17,8 +17,7 @@ from models.rig.rig_parameters import RigParameters
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.rig.trial_case import TrialCase
 from models.shared.kinematics import Array
-from models.trials.trial import UPRIGHT_M_S2
-from models.trials.trial_files import Trial, TrialMeta
+from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
 
 __all__ = ["Variation", "check_link_state", "draw_variation", "run_case"]
 

@@ -13,7 +13,8 @@ from models.shared.kinematics import rigid_tip_m
 from models.shared.palette import ordered_colours
 from models.shared.svg_drawing import FILE_STYLE
 from models.trials.deformation import deformation_index
-from models.trials.trial_files import Trial, TrialSet, read_trials
+from models.trials.trial import Trial, TrialSet
+from models.trials.trial_files import read_trials
 
 _LABELS = (
     (TIME.label("time"), LENGTH.label("tip deflection")),

@@ -12,16 +12,10 @@ import numpy as np
 import onnx
 
 from firmware_py.errors import DropstitchError, InputError
-from firmware_py.inference.bundle import (
-    POLYNOMIAL,
-    PREDICTOR,
-    Manifest,
-    Quantity,
-    write_manifest,
-)
+from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
-from firmware_py.inference.manifest import MANIFEST
+from firmware_py.inference.manifest import MANIFEST, Manifest, Quantity, write_manifest
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
 from models.learning.lagged import LAG_TICKS

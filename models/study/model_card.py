@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from firmware_py.display_units import ANGLE, DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
-from firmware_py.inference.bundle import Manifest
+from firmware_py.inference.manifest import Manifest
 from firmware_py.signals import PERIOD_S
 from models.learning.axis_coverage import COVERS, MOVING_AXES, coverage_text
 from models.study.study_document import DeployedScores, StudyDocument, TrialsSummary

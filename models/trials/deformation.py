@@ -16,7 +16,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from models.shared.kinematics import Array, base_corners_m
-from models.trials.trial_files import Trial
+from models.trials.trial import Trial
 
 __all__ = ["DEFINITIONS", "deformation_index", "marker_lengths_m"]
 

@@ -37,9 +37,6 @@ from models.trials.trial_columns import (
 )
 
 __all__ = [
-    "Trial",
-    "TrialMeta",
-    "TrialSet",
     "check_meta",
     "check_samples",
     "check_trial_name",

@@ -12,7 +12,8 @@ from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.signals import tip_names
 from fmu.__main__ import main
 from models.shared.kinematics import base_corners_m
-from models.trials.trial_files import Trial, TrialMeta, write_trial
+from models.trials.trial import Trial, TrialMeta
+from models.trials.trial_files import write_trial
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import ModelBundle, read_manifest, write_manifest
+from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import read_golden, verify_equal
+from firmware_py.inference.manifest import write_manifest
 from fmu.__main__ import main as fmu
 from models.__main__ import main as models
 from models.tip.predictors_document import read_predictors

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.shared.kinematics import base_rotation
-from models.trials.trial_files import Trial, TrialMeta
+from models.trials.trial import Trial, TrialMeta
 
 BASE_OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15
 

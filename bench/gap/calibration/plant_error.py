@@ -47,7 +47,7 @@ from models.plant.plant import read_plant
 from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
 from models.shared.worker_pool import worker_pool
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 

@@ -71,7 +71,7 @@ class FmuKind(CaseKind[FmuConfig]):
         """See `CaseKind.run`."""
         import numpy as np
 
-        from firmware_py.config import MotionConfig
+        from firmware_py.motion_config import MotionConfig
         from fmu.fmpy_instance import FmuArchive  # loads FMPy
         from fmu.fmpy_run import simulate_fmu
 

@@ -97,7 +97,7 @@ class GapKind(CaseKind[GapConfig]):
         from models.plant.plant import read_plant
         from models.rig.study_protocol import run_case  # loads MuJoCo
         from models.rig.trial_case import TrialCase
-        from models.trials.trial_files import TrialSet
+        from models.trials.trial import TrialSet
 
         plant = read_plant(config.plant)
         patterns = read_patterns(Path(config.patterns)) if config.patterns else ()

@@ -94,8 +94,8 @@ class RigKind(CaseKind[RigConfig]):
         """See `CaseKind.run`."""
         import numpy as np
 
-        from firmware_py.config import MotionConfig
         from firmware_py.link.link_description import STUDY_LINK
+        from firmware_py.motion_config import MotionConfig
         from models.plant.identification.evaluation import compare_with_trials
         from models.rig.study_protocol import run_case  # loads MuJoCo
         from models.rig.trial_case import TrialCase

@@ -14,7 +14,7 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
-from firmware_py.config import BusConfig, MotionConfig, RobotConfig, ServoConfig
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter
 from firmware_py.goals.goal_source import GoalSource, GoalTable
@@ -23,6 +23,7 @@ from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_feedback import Correction
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.motion_config import MotionConfig
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_bus, build_loop

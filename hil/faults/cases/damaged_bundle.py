@@ -9,10 +9,10 @@ from typing import Final
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from firmware_py.inference.bundle import PREDICTOR, read_manifest, write_manifest
+from firmware_py.inference.bundle import PREDICTOR, read_manifest
 from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.golden import GOLDEN, Golden, read_golden, write_golden
-from firmware_py.inference.manifest import MANIFEST
+from firmware_py.inference.manifest import MANIFEST, write_manifest
 from models.commands.sign import sign_bundle
 
 _OFF: Final = 1e-6

@@ -23,8 +23,8 @@ from models.plant.plant import read_plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
 from models.shared.worker_pool import worker_pool
+from models.trials.trial import TrialSet
 from models.trials.trial_directories import read_trial_directories
-from models.trials.trial_files import TrialSet
 
 EXAMPLE = "python -m models calibrate build/trials --plant build/plant.json"
 

@@ -11,7 +11,7 @@ from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import RigParameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 
 def plant_on_rig(

@@ -15,7 +15,7 @@ from models.gap.report.gap_results import gap_document
 from models.gap.report.waterfall import waterfall_steps
 from models.gap.search.effect_search import ReportProgress
 from models.plant.plant import Plant
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 
 def write_diagnosis(

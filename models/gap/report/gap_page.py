@@ -48,7 +48,7 @@ from models.shared.page_parts import (
 from models.shared.palette import MUTED
 from models.shared.svg_drawing import Drawing
 from models.trials.origin_notice import origin_notice
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 from models.trials.trial_origin import origins_of
 
 

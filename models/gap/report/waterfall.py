@@ -12,8 +12,7 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
-from models.trials.trial import Trial
-from models.trials.trial_files import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 
 def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.plant.step_model import names
-from models.trials.trial import Trial
-from models.trials.trial_files import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 BLOCK: Final = ", block "
 """Part of the motion's name of every block."""

@@ -41,8 +41,7 @@ from models.plant.parameter import Parameter
 from models.plant.plant import LOADS, ModelKind, Plant
 from models.plant.provenance import Evaluation, Provenance
 from models.plant.simulation.compiled_model import Array
-from models.trials.trial import Trial
-from models.trials.trial_files import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 __all__ = ["Identification", "identify"]
 

@@ -15,7 +15,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import ModelBundle, read_manifest, write_manifest
+from firmware_py.inference.bundle import ModelBundle, read_manifest
+from firmware_py.inference.manifest import write_manifest
 from firmware_py.log.recorder import recording
 from firmware_py.realtime.clock import SimClock
 from firmware_py.robot import build_bus, with_bundle_gains

@@ -16,9 +16,10 @@ from firmware_py.config import read_config
 from firmware_py.documents import read_document
 from firmware_py.errors import InputError
 from firmware_py.inference import file_content
-from firmware_py.inference.bundle import ModelBundle, read_manifest, write_manifest
+from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.file_content import content_of
+from firmware_py.inference.manifest import write_manifest
 from models.__main__ import main as models
 from models.plant.plant import read_plant
 from models.study.study_document import StudyDocument

@@ -78,7 +78,7 @@ def test_a_sample_that_is_no_number_is_answered_with_nan_and_not_taken(completed
 
 def test_a_swapped_observer_is_refused_by_its_golden_ticks(completed, tmp_path):
     """An FMU of another plant with its correct hash in the manifest: the replay detects it."""
-    from firmware_py.inference.bundle import write_manifest
+    from firmware_py.inference.manifest import write_manifest
 
     directory = tmp_path / "bundle"
     shutil.copytree(completed, directory)

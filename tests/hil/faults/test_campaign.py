@@ -16,8 +16,9 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import Manifest, ModelBundle
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.manifest import Manifest
 from firmware_py.inference.predictor import Prediction
 from hil.emulator import packets
 from hil.emulator.packets import BROADCAST, Instruction, Packet

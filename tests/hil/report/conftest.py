@@ -29,7 +29,8 @@ from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.study.study import run_study
 from models.study.study_document import write_study
-from models.trials.trial_files import TrialSet, write_trial
+from models.trials.trial import TrialSet
+from models.trials.trial_files import write_trial
 
 COMMANDS = [
     "python -m models simulate --out build/trials --dof 1 2 --seed 1",

@@ -14,12 +14,13 @@ import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.config import MotionConfig
 from firmware_py.errors import InputError
-from firmware_py.inference.bundle import Manifest, ModelBundle, write_manifest
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.recording import read_recording
+from firmware_py.motion_config import MotionConfig
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.stop_reason import Fault

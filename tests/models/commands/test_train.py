@@ -10,7 +10,8 @@ from firmware_py.errors import InputError
 from models.__main__ import main
 from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
 from models.plant.provenance import FittedTrial, Provenance
-from models.trials.trial_files import TrialSet, write_trial
+from models.trials.trial import TrialSet
+from models.trials.trial_files import write_trial
 
 
 def fitted(name, trial):

@@ -6,7 +6,7 @@ import pytest
 from firmware_py.errors import InputError
 from models.__main__ import main
 from models.gap.diagnosis import diagnose
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 
 def test_missing_trials_are_refused(tmp_path, capsys):

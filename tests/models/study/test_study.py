@@ -8,7 +8,7 @@ import pytest
 from firmware_py.errors import InputError
 from models.commands.train import name_tests
 from models.study.study import run_study
-from models.trials.trial_files import TrialSet
+from models.trials.trial import TrialSet
 
 
 def test_trial_2_chooses_nothing(toy_trials, toy_observer, toy_study):
