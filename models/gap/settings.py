@@ -159,8 +159,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Pairs of effects that are refitted, best first [assumed]."""
     most_named: int = 3
     """Effects that one diagnosis may include [assumed]."""
-    acceptable_score_fraction: float = 0.5
-    """Candidates below this fraction of the best score are not considered [assumed]."""
     further_effect_fraction: float = 0.1
     """Fraction of the d′ already named that a further effect must have beyond its own least: the
     equation's error of the first looks like another effect [assumed]."""

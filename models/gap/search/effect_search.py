@@ -236,15 +236,13 @@ class EffectSearch:
     ) -> Candidate | None:
         """Best candidate that passes; without a learned floor that of the least held-out error."""
         passed: list[tuple[float, Candidate]] = []
-        best = refitted[0].score if refitted else 0.0
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
             if further:  # held-out errors alone let small effects in that fit one fold
                 enough = candidate.separation >= candidate.least
             else:
-                enough = candidate.score >= self.settings.acceptable_score_fraction * best
-                enough = enough and self._stands_out(candidate, here, found)
+                enough = self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
             if not enough or self.excluded & set(candidate.effects):
                 continue
