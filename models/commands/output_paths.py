@@ -1,4 +1,4 @@
-"""Checks of the places that a command writes to, before its work begins."""
+"""Checks of the place that a command writes to (--out), before its work begins."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from pathlib import Path
 from firmware_py.errors import InputError
 
 
-def check_output_directory(path: Path, option: str = "--out") -> None:
+def check_output_directory(path: Path) -> None:
     """Refuse a directory that cannot be written.
 
     Parameters
     ----------
     path : Path
         Directory; made later if need be.
-    option : str
-        Name of the option, for the message.
 
     Raises
     ------
@@ -25,11 +23,11 @@ def check_output_directory(path: Path, option: str = "--out") -> None:
         If it is a file, or lies under one or in a directory that may not be written.
     """
     if path.exists() and not path.is_dir():
-        raise InputError(f"{option} {path}", "is a file", "name a directory")
-    _check_place(path, option)
+        raise InputError(f"--out {path}", "is a file", "name a directory")
+    _check_place(path)
 
 
-def check_output_file(path: Path, inputs: Iterable[Path] = (), option: str = "--out") -> None:
+def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a file that cannot be written, or that the command reads.
 
     Parameters
@@ -38,8 +36,6 @@ def check_output_file(path: Path, inputs: Iterable[Path] = (), option: str = "--
         File to write.
     inputs : iterable of Path
         Files that the command reads.
-    option : str
-        Name of the option, for the message.
 
     Raises
     ------
@@ -48,18 +44,18 @@ def check_output_file(path: Path, inputs: Iterable[Path] = (), option: str = "--
         not be written.
     """
     if path.is_dir():
-        raise InputError(f"{option} {path}", "is a directory", "name a file")
+        raise InputError(f"--out {path}", "is a directory", "name a file")
     if path.resolve() in {p.resolve() for p in inputs}:
-        raise InputError(f"{option} {path}", "is a file that is read", "name another file")
-    _check_place(path.parent, option)
+        raise InputError(f"--out {path}", "is a file that is read", "name another file")
+    _check_place(path.parent)
 
 
-def _check_place(path: Path, option: str) -> None:
+def _check_place(path: Path) -> None:
     """Refuse a directory that is not there and cannot be made."""
     place = path.absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
     if not place.is_dir():
-        raise InputError(f"{option} {path}", f"lies under the file {place}", "name another place")
+        raise InputError(f"--out {path}", f"lies under the file {place}", "name another place")
     if not os.access(place, os.W_OK):
-        raise InputError(f"{option} {path}", "may not be written", "name another place")
+        raise InputError(f"--out {path}", "may not be written", "name another place")

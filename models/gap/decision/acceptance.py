@@ -162,14 +162,18 @@ class Acceptance:
     def changed_link(self) -> AcceptedFit:
         """Refitted nuisance, where nothing is named and it lowers the held-out errors.
 
-        The plant as given where it does not, or raises that of a signal.
+        The plant as given where it does not, or raises that of a signal; a value that is at a bound
+        then is no refusal, since nothing would have been written.
         """
-        given = self._as_given()
+        given, refused = self._as_given(), list(self.result.refused)
         while self._refuses_values():
             pass
         refitted = self._as_fitted()
         earned = refit_is_earned(given.errors, refitted.errors, given.errors, self.settings)
-        return refitted if earned else given
+        if earned:
+            return refitted
+        self.result.refused = refused
+        return given
 
     def _as_given(self) -> AcceptedFit:
         given = self.search.first.start()

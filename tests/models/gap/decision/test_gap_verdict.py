@@ -137,3 +137,22 @@ def test_only_further_effects_are_refused_for_their_strength(monkeypatch, differ
         pass
     assert found.named == kept
     assert [r.kind for r in found.refused] == ["inconsistent"] * (3 - len(kept))
+
+
+@pytest.mark.parametrize("earned", [True, False])
+def test_a_value_at_a_bound_is_told_only_where_the_changed_link_is_written(monkeypatch, earned):
+    tested = Acceptance.__new__(Acceptance)
+    tested.result, tested.settings = result(1.0, 1.0), DEFAULT_SETTINGS
+    bounds = ["damping"]
+
+    def refuses():
+        tested.result.refused += bounds
+        return bool(bounds) and bounds.pop()
+
+    given, refitted = (SimpleNamespace(errors=name) for name in ("given", "refitted"))
+    monkeypatch.setattr(tested, "_refuses_values", refuses)
+    monkeypatch.setattr(tested, "_as_given", lambda: given)
+    monkeypatch.setattr(tested, "_as_fitted", lambda: refitted)
+    monkeypatch.setattr(acceptance, "refit_is_earned", lambda *of: earned)
+    assert tested.changed_link() is (refitted if earned else given)
+    assert tested.result.refused == (["damping"] if earned else [])
