@@ -27,7 +27,8 @@ from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
 from models.plant.provenance import Provenance
 from models.trials.trial import Trial, TrialSet
-from models.trials.trial_files import STEP_TOLERANCE, read_trials
+from models.trials.trial_directories import read_trial_directories
+from models.trials.trial_files import STEP_TOLERANCE
 
 if TYPE_CHECKING:
     from models.study.study_document import StudyDocument
@@ -88,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             "--candidate", "changes nothing with --study-only", "leave out one of them"
         )
-    everything = of_phases(read_trials(args.trials), args.phase_deg, args.trials)
+    everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
     further = [t for where in args.motions for t in _of_directory(where, args)]
@@ -138,7 +139,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
-    return of_dof(of_phases(read_trials(where), args.phase_deg, where), args.dof, where)
+    return of_dof(
+        of_phases(read_trial_directories([where]), args.phase_deg, where), args.dof, where
+    )
 
 
 def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:

@@ -257,3 +257,7 @@ class TrialSet(Sequence[Trial]):
         for t in self.trials:
             digest.update(t.name.encode() + t.sha256().encode())
         return digest.hexdigest()
+
+    def content_sha256(self) -> str:
+        """Hash of all trials whatever their names, which depend on where they lie."""
+        return hashlib.sha256("".join(sorted(t.sha256() for t in self.trials)).encode()).hexdigest()

@@ -16,7 +16,7 @@ from models.trials.verdict.motion_findings import runs_against
 
 
 def read_trial_directories(
-    directories: Sequence[Path], signals: Mapping[str, SignalRole]
+    directories: Sequence[Path], signals: Mapping[str, SignalRole] | None = None
 ) -> TrialSet:
     """Read the trials of several directories.
 
@@ -26,7 +26,7 @@ def read_trial_directories(
     ----------
     directories : sequence of Path
         At least one.
-    signals : mapping of str to SignalRole
+    signals : mapping of str to SignalRole, optional
         Of the plant, see `models.trials.trial_files.read_trials`.
 
     Raises
@@ -36,7 +36,7 @@ def read_trial_directories(
     """
     if len({d.resolve() for d in directories}) < len(directories):
         raise InputError(directories[-1], "is given twice", "name each directory once")
-    sets = [read_trials(d, dict(signals)) for d in directories]
+    sets = [read_trials(d, signals and dict(signals)) for d in directories]
     refuse_unusable([t for own in sets for t in own])
     if len(sets) == 1:
         return sets[0]

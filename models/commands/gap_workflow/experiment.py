@@ -23,6 +23,7 @@ from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_do
 from models.plant.plant import Plant, read_plant
 from models.rig.rig_parameters import RigParameters, read_rig
 from models.shared.catalogue import parse_strengths
+from models.trials.trial import TrialSet
 from models.trials.trial_directories import read_trial_directories
 
 EXAMPLE = (
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(Path(inputs.plant))
     if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
-    trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    trials = _trials(inputs, plant)
     limits = _limits(args.limits, trials.trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
@@ -138,6 +139,17 @@ def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
     return known
 
 
+def _trials(inputs: DiagnosisInputs, plant: Plant) -> TrialSet:
+    """Trials that were diagnosed."""
+    trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    if inputs.dof is not None:
+        trials = trials.where(lambda t: t.meta.dof == inputs.dof)
+    if inputs.trials_sha256 and trials.content_sha256() != inputs.trials_sha256:
+        where = ", ".join(inputs.trials)
+        raise InputError(where, "are not the trials of this diagnosis", "give them with --trials")
+    return trials
+
+
 def _repeated(
     args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs,
     recommended: tuple[Motion, float], rig: RigParameters, progress: Progress,
@@ -162,6 +174,8 @@ def _repeated(
     progress.step("motion run on the rig", 2)
     inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
     every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    every = every.where(lambda t: t.meta.dof == trial.meta.dof)
+    inputs = msgspec.structs.replace(inputs, trials_sha256=every.content_sha256())
     patterns = patterns_beside(Path(inputs.plant))
     _, document, page = write_diagnosis(
         plant, every, inputs, directory / "gap", progress.step, patterns=patterns

@@ -56,8 +56,9 @@ def run(args: argparse.Namespace) -> int:
     patterns = patterns_beside(args.plant)
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
-        str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials)
-    )
+        str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),
+        trials.content_sha256(), args.dof,
+    )  # fmt: skip
     found, document, page = write_diagnosis(
         plant, trials, inputs, args.out, progress.step, args.without, patterns
     )

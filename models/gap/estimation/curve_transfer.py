@@ -43,6 +43,18 @@ def motion_of(key: str) -> str:
     return _LENGTH.sub("", key)
 
 
+def step_of(key: str) -> float | None:
+    """Time between two rows of a group of trials in s; None where its key does not tell it.
+
+    Examples
+    --------
+    >>> step_of("1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s mass_kg=0.5")
+    0.017
+    """
+    length = _LENGTH.search(key)
+    return float(length["step"]) if length else None
+
+
 def transferred(
     spectra: Array, key: str, rest_s: float | None, to: Trial, count: int
 ) -> Array | None:

@@ -21,6 +21,8 @@ MOST_RIVALS: Final = 6
 RIVAL_PROBABILITY: Final = 0.02
 """Hypotheses below this do not count, but for the two likeliest: together with 0.95 at the first
 they would be less than the set that holds 0.95 leaves out [assumed]."""
+BOUND_SLACK: Final = 1e-6
+"""Fraction of a bound by which a value may exceed it [numerical]."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,11 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
         As given.
     fit_parameters : sequence of FitParameter
         Nuisance, variation and effects.
+
+    Raises
+    ------
+    InputError
+        If a value is beyond the bounds of its fit parameter.
     """
     full = plant_with_every_effect(plant).parameters
     values = np.zeros(len(fit_parameters))
@@ -109,6 +116,10 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
             continue
         taken.update(q.parameters)
         values[k] = (rival.parameters[first] - full[first].value) / q.parameters[first]
+        slack = BOUND_SLACK * max(abs(q.low), abs(q.high))
+        if not q.low - slack <= values[k] <= q.high + slack:
+            what = f"hypothesis {rival.label!r}: {first} is {rival.parameters[first]:g}"
+            raise InputError("gap.json", f"{what}, beyond its bounds", "diagnose again")
     return values
 
 

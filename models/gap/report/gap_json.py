@@ -44,7 +44,8 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     `dispersion` is the mean square of the nuisance fit's residual, clipped to what noise explains.
     `own_error` tells by group of trials what is known of the plant's own error. `amplification`
     holds, by payload in kg, by what factor in amplitude the floor is larger than that of the plant
-    file, because repetitions differ far more than that.
+    file, because repetitions differ far more than that. `steps_s` are the times between two rows
+    of the trials that the floor was measured on.
     """
 
     learned: bool
@@ -52,6 +53,7 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     dispersion: float
     own_error: dict[str, OwnError] = {}
     amplification: dict[str, float] = {}
+    steps_s: tuple[float, ...] = ()
 
 
 class LocatedRegion(
@@ -212,11 +214,17 @@ class HeldOutSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Files of a diagnosis: the plant as given, its hash, and the directories of the trials."""
+    """Files of a diagnosis: the plant as given, and the directories of the trials.
+
+    With their hashes, empty where they are not known; `dof` is set where only the trials of one
+    number of joints were looked at.
+    """
 
     plant: str
     plant_sha256: str
     trials: tuple[str, ...]
+    trials_sha256: str = ""
+    dof: Literal[1, 2] | None = None
 
 
 class GapDocument(Document, frozen=True):

@@ -10,6 +10,7 @@ import numpy as np
 
 from models.gap.decision.posterior import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis, Inclusion
+from models.gap.estimation.curve_transfer import step_of
 from models.gap.improved_plant import written_values
 from models.gap.report.gap_json import (
     FittedValue,
@@ -78,6 +79,7 @@ def gap_document(
             found.floor.learned, floor, round(found.dispersion, 4),
             {key: OwnError(*known) for key, known in found.own_error.items()},
             {f"{kg:g}": round(power**0.5, 2) for kg, power in found.amplification_power.items()},
+            tuple(sorted({s for key in found.floor.curves if (s := step_of(key)) is not None})),
         ),
         nuisance_bias=found.nuisance_bias,
         goal_not_followed_at_row=unused,

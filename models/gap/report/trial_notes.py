@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from models.gap.estimation.curve_transfer import step_of
 from models.gap.report.gap_json import GapDocument
 
 
@@ -15,7 +16,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     """
     notes = (
         _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
-        _own_error(document), _patterns(document), _amplification(document),
+        _own_error(document), _patterns(document), _amplification(document), _steps(document),
     )  # fmt: skip
     return [text for text in notes if text]
 
@@ -76,4 +77,16 @@ def _amplification(document: GapDocument) -> str:
     return where and (
         "repetitions differ far more than when the plant was identified: the noise floor is larger "
         f"there, {where}"
+    )
+
+
+def _steps(document: GapDocument) -> str:
+    """Times between two rows that no trial of the plant has; empty if there are none."""
+    floor = document.noise_floor
+    steps = {step for key in floor.own_error if (step := step_of(key)) is not None}
+    other = sorted(steps - set(floor.steps_s)) if floor.steps_s else []
+    here, known = (", ".join(f"{1e3 * s:g}" for s in own) for own in (other, floor.steps_s))
+    return here and (
+        f"rows are {here} ms apart, {known} ms in the trials of the plant: that is right if the "
+        "robot sent its goals at this step, wrong if the rows were resampled"
     )

@@ -67,3 +67,13 @@ def test_trials_of_other_joints_are_refused(toy_trials, tmp_path, capsys):
                  "--plant", "models/plant/nominal.toml"]  # fmt: skip
     assert main(arguments) == 2
     assert "2DOF" in capsys.readouterr().err
+
+
+def test_a_trial_whose_angle_mirrors_its_goal_is_refused(toy_trials, tmp_path, capsys):
+    trial = toy_trials(1, amplitudes_deg=(30,))[0]
+    mirrored = trial.columns | {"angle_1_rad": -trial.columns["goal_1_rad"]}
+    write_trial(replace(trial, columns=mirrored), tmp_path)
+    arguments = ["train", str(tmp_path), "--dof", "1", "--out", str(tmp_path / "out"),
+                 "--plant", "models/plant/nominal.toml"]  # fmt: skip
+    assert main(arguments) == 2
+    assert "correct the sign of angle_1_rad" in capsys.readouterr().err

@@ -51,6 +51,14 @@ def test_the_values_of_a_hypothesis_become_fit_parameters():
     assert fitted_values_of(rival, plant, own)[0] == pytest.approx(0.02)
 
 
+def test_a_value_beyond_its_bounds_is_refused():
+    plant = read_plant()
+    own = effect_fit_parameters(plant, "encoder_offset", 1)
+    (rival,) = rivals_of([HypothesisRecord(("encoder_offset",), 1.0, {own[0].name: 1.1e3})])
+    with pytest.raises(InputError, match="beyond its bounds"):
+        fitted_values_of(rival, plant, own)
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 from models.gap.report.trial_notes import notes_in_words
 
 
-def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
+def document(curve="measured", amplification=(), patterns="measured", signals=("di",),
+             key="1dof steps", **others):  # fmt: skip
     floor = SimpleNamespace(
         learned=True, amplification=dict(amplification), signals=dict.fromkeys(signals),
-        own_error={"1dof steps": SimpleNamespace(curve=curve, patterns=patterns)},
+        own_error={key: SimpleNamespace(curve=curve, patterns=patterns)}, steps_s=(0.017,),
     )  # fmt: skip
     plain = {"goal_not_followed_at_row": {}, "nuisance_bias": {}, "rows_fitted": {}}
     return SimpleNamespace(noise_floor=floor, **plain | others)
@@ -38,3 +39,9 @@ def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
     (note,) = notes_in_words(document("unknown", patterns="unknown"))
     assert "calibrate" not in note
     assert notes_in_words(document(patterns="unknown", signals=("angle_1_rad",))) == []
+
+
+def test_trials_of_another_step_than_those_of_the_plant_are_noted():
+    assert notes_in_words(document(key="1dof steps 572x0.017s")) == []
+    (note,) = notes_in_words(document(key="1dof steps 486x0.02s"))
+    assert "rows are 20 ms apart, 17 ms in the trials of the plant" in note
