@@ -15,6 +15,7 @@ from typing import Final, get_args
 
 from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
+from models.plant.parameter import Parameter
 from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 
 HEAD: Final = """# Effects
@@ -22,7 +23,9 @@ HEAD: Final = """# Effects
 What each effect of the catalogue does. The strength is its first parameter: `--hide
 EFFECT=STRENGTH` adds it to the rig, and `gap.json` tells it. In the equations q is the coordinate
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
-have the directions of [../trials.md](../trials.md). How to add an effect is told in
+have the directions of [../trials.md](../trials.md). The time t begins with the first row of the
+trial. Root and span are the two hinges of the plant, one at the base and one within the link
+([../plant/link.md](../plant/link.md)). How to add an effect is told in
 [../plant/add-an-effect.md](../plant/add-an-effect.md). This page is written by `python -m
 models.plant.effects_page docs/gap/effects.md`.
 """
@@ -43,7 +46,10 @@ def effects_page() -> str:
     """Text of the page, Markdown."""
     parts = [HEAD]
     for port in get_args(Port):
-        parts += [f"## {TITLES[port]}\n", _row("effect", "strength", "equation", "also fitted")]
+        parts += [
+            f"## {TITLES[port]}\n",
+            _row("effect", "strength", "equation", "other parameters"),
+        ]
         parts.append("|---|---|---|---|")
         for name, row in EVERY_EFFECT.items():
             if row.port == port:
@@ -52,7 +58,8 @@ def effects_page() -> str:
                 equation = (inspect.getdoc(EFFECTS[name]) or "").splitlines()[0]
                 also = "; ".join(_further_parameters(name))
                 parts.append(_row(f"`{name}`{only}", row.strength + unit, equation, also))
-        parts.append("")
+        told = [_told(name) for name, row in EVERY_EFFECT.items() if row.port == port]
+        parts += ["", *(text for text in told if text), ""]
     return "\n".join(parts)
 
 
@@ -60,10 +67,25 @@ def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def _told(effect: str) -> str:
+    """What the effect's own text tells beyond its equation, as a list entry; empty if nothing."""
+    rest = (inspect.getdoc(EFFECTS[effect]) or "").split("\n\n")[1:]
+    paragraphs = [" ".join(line.strip() for line in part.splitlines()) for part in rest]
+    return f"- `{effect}`: " + "\n  ".join(paragraphs) if paragraphs else ""
+
+
 def _further_parameters(effect: str) -> list[str]:
-    """Parameters that are fitted with the strength, each with its meaning; of one joint."""
+    """Parameters beside the strength, each with its meaning; of one joint."""
     own = EFFECTS[effect]().parameters(scope_of("cascade", "link", 1))
-    return [f"`{q.name}`: {q.description}" for q in own[1:] if q.role == "effect"]
+    return [
+        f"`{q.name}`: {q.description}" + ("" if q.role == "effect" else f" ({_fixed(q)})")
+        for q in own[1:]
+    ]
+
+
+def _fixed(q: Parameter) -> str:
+    unit = "" if q.unit in ("1", "1/rad") else f" {q.unit}"
+    return f"not fitted, {q.value:g}{unit}"
 
 
 def main(argv: Sequence[str] | None = None) -> None:

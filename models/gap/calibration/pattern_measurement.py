@@ -25,12 +25,13 @@ from models.gap.calibration.drawn_plants import plant_on_rig
 from models.gap.calibration.protocol import repeated
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
-from models.gap.estimation.noise_floor import PayloadCurves, group_frequencies_hz
+from models.gap.estimation.noise_floor import group_frequencies_hz
 from models.gap.estimation.noise_floor_fit import (
     fitted_point,
     noise_floor_of,
     nuisance_and_variation,
 )
+from models.gap.estimation.payload_transfer import PayloadCurves
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings

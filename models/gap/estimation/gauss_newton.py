@@ -82,7 +82,7 @@ class GaussNewton:
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
         self.basis, self.shrinkage = self._patterns()
-        self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
+        self.means = [residuals.as_counted(g, floor.mean(g, trials, self.settings)) for g in groups]
         deviation = np.array([q.standard_deviation for q in residuals.fit_parameters])
         self.precision = np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
         self.low = np.array([q.low for q in residuals.fit_parameters])

@@ -14,8 +14,9 @@ fraction ρ = `GapSettings.equation_error_repeated_fraction` repeats. The plant 
 carries them, and the mean curve over R repetitions of the error for every motion that `identify`
 used; where a trial repeats such a motion the curve is subtracted: of the model's part only a
 fraction s = `GapSettings.model_error_left_fraction`² remains, and the curve's own noise is added.
-Elsewhere s = 1 and the last term is absent. Variation between trials (pressure, friction, …) is not
-part of the floor: it is fitted, within its prior.
+At a payload without a curve a larger part remains (`models.gap.estimation.payload_transfer`). On
+another motion s = 1 and the last term is absent. Variation between trials (pressure, friction, …)
+is not part of the floor: it is fitted, within its prior.
 
 Where the plant file carries no floor, the residual's own spectrum after the nuisance fit takes its
 place (`floor_of_residual`): then only an effect that explains the residual better than any noise of
@@ -32,13 +33,17 @@ import numpy as np
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.payload_ratios import NO_RATIOS, PayloadRatios
+from models.gap.estimation.payload_transfer import (
+    PayloadCurves,
+    covariance,
+    payload_weights,
+    rows_by_payload,
+    unknown_fraction,
+)
 from models.gap.residuals.residuals import TrialGroup
 from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
-
-PayloadCurves = Mapping[float, Mapping[str, Array]]
-"""Spectra by payload in kg and signal."""
 
 
 @dataclass(frozen=True)
@@ -249,21 +254,26 @@ class NoiseFloor:
         payload = np.array([t.meta.payload_kg for t in own])
         alike = np.exp(-np.abs(payload[:, None] - payload) / settings.payload_reach_kg)
         curves, _ = self.curves_for(group, trials)
-        known = {s for own_curves in curves.values() for s in own_curves}
-        remains = settings.model_error_left_fraction**2
         result = np.empty((len(group.signals), len(hz), len(own), len(own)))
         for s, signal in enumerate(group.signals):
             if signal not in self.noise:
                 result[s] = 0.0
                 continue
-            left, own_noise = (remains, 1 / self.repeats) if signal in known else (1.0, 0.0)
+            measured_kg, _ = rows_by_payload(curves, signal)
+            left, own_noise, unknown = 1.0, np.zeros(len(own)), np.zeros_like(alike)
+            if measured_kg:
+                left = settings.model_error_left_fraction**2
+                reach = settings.payload_reach_kg
+                weights = payload_weights(payload, measured_kg, reach)
+                own_noise = np.sum(weights**2, axis=1) / self.repeats
+                unknown = (1 - left) * unknown_fraction(payload, measured_kg, reach)
             noise, model = self._by_trial(signal, payload, hz, settings)
             missed = np.array([self._missed(signal, p, hz) for p in payload])
             repeated = settings.equation_error_repeated_fraction
-            shared = np.sqrt(left * model + own_noise * noise + repeated * missed)
+            shared = left * model + own_noise[:, None] * noise + repeated * missed
             drawn = noise + (1 - repeated) * missed
             variance = drawn.T[:, :, None] * np.eye(len(own))
-            variance += shared.T[:, :, None] * shared.T[:, None, :] * alike
+            variance += covariance(shared, alike) + covariance(model, unknown)
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
 
@@ -293,7 +303,12 @@ class NoiseFloor:
             return np.zeros(len(hz))
         return np.interp(hz, self.frequency_hz, own[signal])
 
-    def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
+    def mean(
+        self,
+        group: TrialGroup,
+        trials: Sequence[Trial],
+        settings: GapSettings = DEFAULT_SETTINGS,
+    ) -> Array:
         """Error to expect of the plant, shape (trials, signals, K); zero where none is known.
 
         Parameters
@@ -302,30 +317,18 @@ class NoiseFloor:
             Of one motion.
         trials : sequence of Trial
             All trials of the residuals.
+        settings : GapSettings
+            Tuned numbers.
         """
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known, _ = self.curves_for(group, trials)
-        if not known:
-            return result
-        payloads = np.array(sorted(known))
-        for a, k in enumerate(group.trials):
-            payload = trials[k].meta.payload_kg
-            for b, signal in enumerate(group.signals):
-                own = [p for p in payloads if signal in known[p]]
-                if own:
-                    table = np.array([known[p][signal] for p in own])
-                    result[a, b] = _between(payload, np.array(own), table)
+        payload = [trials[k].meta.payload_kg for k in group.trials]
+        for b, signal in enumerate(group.signals):
+            measured_kg, rows = rows_by_payload(known, signal)
+            if measured_kg:
+                weights = payload_weights(payload, measured_kg, settings.payload_reach_kg)
+                result[:, b] = weights @ np.array(rows)
         return result
-
-
-def _between(at: float, places: Array, table: Array) -> Array:
-    """Linear interpolation of rows; beyond the ends the last row holds."""
-    at = float(np.clip(at, places[0], places[-1]))
-    above = int(np.clip(np.searchsorted(places, at), 1, max(len(places) - 1, 1)))
-    if len(places) == 1:
-        return np.asarray(table[0])
-    weight = (at - places[above - 1]) / (places[above] - places[above - 1])
-    return np.asarray((1 - weight) * table[above - 1] + weight * table[above])
 
 
 def smoothed(power: Array, settings: GapSettings) -> Array:

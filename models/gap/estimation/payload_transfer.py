@@ -1,0 +1,88 @@
+"""Transfer of the plant's own error to payloads at which it was not measured.
+
+The noise floor takes the error as alike at neighbouring payloads, with the correlation
+exp(−|Δ payload| / reach) of `GapSettings.payload_reach_kg`. A Gaussian process with it (Rasmussen
+and Williams 2006, section 2.2) tells, from the errors at the measured payloads, the error to expect
+at any other one and what is unknown of it: nothing at a measured payload, 46 % of the variance in
+the middle of two that are one reach apart, 63 % one half of a reach beyond the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from models.gap.residuals.spectrum import Array
+
+PayloadCurves = Mapping[float, Mapping[str, Array]]
+"""Spectra by payload in kg and signal."""
+
+
+def rows_by_payload(curves: PayloadCurves, signal: str) -> tuple[list[float], list[Array]]:
+    """Payloads in kg at which a signal was measured, ascending, and its spectra.
+
+    Parameters
+    ----------
+    curves : mapping
+        Spectra.
+    signal : str
+        Name.
+    """
+    rows = [(p, own[signal]) for p, own in sorted(curves.items()) if signal in own]
+    return [p for p, _ in rows], [row for _, row in rows]
+
+
+def payload_weights(
+    at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
+) -> Array:
+    """Weights of the errors at measured payloads in the error to expect at others, shape (n, P).
+
+    Parameters
+    ----------
+    at_kg : array_like, shape (n,)
+        Payloads wanted.
+    measured_kg : array_like, shape (P,)
+        Payloads measured, all different.
+    reach_kg : float
+        Distance over which the error changes.
+    """
+    known = _correlation(measured_kg, measured_kg, reach_kg)
+    across = _correlation(at_kg, measured_kg, reach_kg)
+    return np.asarray(np.linalg.solve(known, across.T).T)
+
+
+def unknown_fraction(
+    at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
+) -> Array:
+    """Covariance of what is unknown of the error, as a fraction of its variance, shape (n, n).
+
+    Parameters
+    ----------
+    at_kg, measured_kg, reach_kg :
+        As for `payload_weights`.
+    """
+    prior = _correlation(at_kg, at_kg, reach_kg)
+    across = _correlation(at_kg, measured_kg, reach_kg)
+    return np.asarray(prior - payload_weights(at_kg, measured_kg, reach_kg) @ across.T)
+
+
+def covariance(power: Array, correlation: Array) -> Array:
+    """Covariance between trials, shape (K, trials, trials).
+
+    Parameters
+    ----------
+    power : ndarray, shape (trials, K)
+        Variance of each trial.
+    correlation : ndarray, shape (trials, trials)
+        Between them.
+    """
+    size = np.sqrt(power).T
+    return np.asarray(size[:, :, None] * size[:, None, :] * correlation)
+
+
+def _correlation(
+    first_kg: Sequence[float] | Array, second_kg: Sequence[float] | Array, reach_kg: float
+) -> Array:
+    distance = np.abs(np.subtract.outer(np.asarray(first_kg), np.asarray(second_kg)))
+    return np.asarray(np.exp(-distance / reach_kg))
