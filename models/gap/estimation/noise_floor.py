@@ -36,8 +36,8 @@ from models.gap.estimation.payload_ratios import NO_RATIOS, PayloadRatios
 from models.gap.estimation.payload_transfer import (
     PayloadCurves,
     covariance,
-    payload_weights,
     rows_by_payload,
+    transfer_weights,
     unknown_fraction,
 )
 from models.gap.residuals.residuals import TrialGroup
@@ -264,7 +264,7 @@ class NoiseFloor:
             if measured_kg:
                 left = settings.model_error_left_fraction**2
                 reach = settings.payload_reach_kg
-                weights = payload_weights(payload, measured_kg, reach)
+                weights = transfer_weights(payload, measured_kg, reach)
                 own_noise = np.sum(weights**2, axis=1) / self.repeats
                 unknown = (1 - left) * unknown_fraction(payload, measured_kg, reach)
             noise, model = self._by_trial(signal, payload, hz, settings)
@@ -326,7 +326,7 @@ class NoiseFloor:
         for b, signal in enumerate(group.signals):
             measured_kg, rows = rows_by_payload(known, signal)
             if measured_kg:
-                weights = payload_weights(payload, measured_kg, settings.payload_reach_kg)
+                weights = transfer_weights(payload, measured_kg, settings.payload_reach_kg)
                 result[:, b] = weights @ np.array(rows)
         return result
 

@@ -33,7 +33,7 @@ def rows_by_payload(curves: PayloadCurves, signal: str) -> tuple[list[float], li
     return [p for p, _ in rows], [row for _, row in rows]
 
 
-def payload_weights(
+def transfer_weights(
     at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
 ) -> Array:
     """Weights of the errors at measured payloads in the error to expect at others, shape (n, P).
@@ -60,11 +60,11 @@ def unknown_fraction(
     Parameters
     ----------
     at_kg, measured_kg, reach_kg :
-        As for `payload_weights`.
+        As for `transfer_weights`.
     """
     prior = _correlation(at_kg, at_kg, reach_kg)
     across = _correlation(at_kg, measured_kg, reach_kg)
-    return np.asarray(prior - payload_weights(at_kg, measured_kg, reach_kg) @ across.T)
+    return np.asarray(prior - transfer_weights(at_kg, measured_kg, reach_kg) @ across.T)
 
 
 def covariance(power: Array, correlation: Array) -> Array:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.payload_transfer import payload_weights, unknown_fraction
+from models.gap.estimation.payload_transfer import transfer_weights, unknown_fraction
 
 REACH_KG = 1.0
 
 
 @pytest.mark.parametrize("measured_kg", [[1.0], [0.0, 2.0], [0.0, 0.5, 1.0, 1.5, 2.0]])
 def test_nothing_is_unknown_where_it_was_measured(measured_kg):
-    weights = payload_weights(measured_kg, measured_kg, REACH_KG)
+    weights = transfer_weights(measured_kg, measured_kg, REACH_KG)
     assert weights == pytest.approx(np.eye(len(measured_kg)), abs=1e-12)
     unknown = unknown_fraction(measured_kg, measured_kg, REACH_KG)
     assert unknown == pytest.approx(np.zeros_like(weights), abs=1e-12)
@@ -30,8 +30,6 @@ def test_expected_and_unknown_error_are_those_of_drawn_errors():
     every = np.concatenate([at_kg, measured_kg])
     prior = np.exp(-np.abs(every[:, None] - every) / REACH_KG)
     drawn = np.linalg.cholesky(prior) @ np.random.default_rng(0).standard_normal((6, 200_000))
-    missed = drawn[:3] - payload_weights(at_kg, measured_kg, REACH_KG) @ drawn[3:]
-    assert np.cov(missed) == pytest.approx(
-        unknown_fraction(at_kg, measured_kg, REACH_KG), abs=0.01
-    )
+    missed = drawn[:3] - transfer_weights(at_kg, measured_kg, REACH_KG) @ drawn[3:]
+    assert np.cov(missed) == pytest.approx(unknown_fraction(at_kg, measured_kg, REACH_KG), abs=0.01)
     assert np.corrcoef(missed, drawn[3:])[:3, 3:] == pytest.approx(0.0, abs=0.01)
