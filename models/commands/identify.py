@@ -27,7 +27,10 @@ from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
-EXAMPLE = "python -m models identify build/trials --plant models/plant/nominal.toml --out build/plant.json"
+EXAMPLE = (
+    "python -m models identify build/trials --plant models/plant/nominal.toml "
+    "--out build/plant.json"
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
