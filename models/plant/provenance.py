@@ -143,12 +143,15 @@ class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
         Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
     source, rig : str
         Its origin (`models.trials.trial_origin`); empty in files of earlier versions.
+    pressure_pa : float
+        Pressure of the link; 0 of other plants, and in files of earlier versions.
     """
 
     name: str
     sha256: str
     source: str = ""
     rig: str = ""
+    pressure_pa: float = 0.0
 
 
 class Provenance(
@@ -199,9 +202,8 @@ class Provenance(
         by_hash = {t.sha256: t for t in self.fitted_trials}
         for trial in trials:
             digest = trial.sha256()
-            by_hash.setdefault(
-                digest, FittedTrial(trial.name, digest, trial.meta.source, recorded_rig(trial))
-            )
+            origin = trial.meta.source, recorded_rig(trial), trial.meta.pressure_pa
+            by_hash.setdefault(digest, FittedTrial(trial.name, digest, *origin))
         return tuple(by_hash.values())
 
     @property

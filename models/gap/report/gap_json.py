@@ -13,6 +13,7 @@ from models.gap.decision.decision import JudgedNames
 from models.gap.decision.gap_verdict import GapVerdict
 from models.gap.decision.rejected_effects import RejectedEffect
 from models.gap.estimation.curve_transfer import Knowledge
+from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.search.refused_effect import RefusedEffect
 from models.gap.settings import GapSettings
 
@@ -44,8 +45,7 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     `dispersion` is the mean square of the nuisance fit's residual, clipped to what noise explains.
     `own_error` tells by group of trials what is known of the plant's own error. `amplification`
     holds, by payload in kg, by what factor in amplitude the floor is larger than that of the plant
-    file, because repetitions differ far more than that. `steps_s` are the times between two rows
-    of the trials that the floor was measured on.
+    file, because repetitions differ far more than that.
     """
 
     learned: bool
@@ -53,7 +53,6 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     dispersion: float
     own_error: dict[str, OwnError] = {}
     amplification: dict[str, float] = {}
-    steps_s: tuple[float, ...] = ()
 
 
 class LocatedRegion(
@@ -273,6 +272,8 @@ class GapDocument(Document, frozen=True):
         of the answers; the last ones led to the verdict. None without a learned noise floor.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; None where it was run from Python.
+    changed_conditions : tuple of ChangedCondition
+        Conditions of the trials that no trial of the plant has.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.
@@ -305,6 +306,7 @@ class GapDocument(Document, frozen=True):
     effect_probabilities: dict[str, float] = msgspec.field(default_factory=dict)
     tested: tuple[JudgedNames, ...] = ()
     inputs: DiagnosisInputs | None = None
+    changed_conditions: tuple[ChangedCondition, ...] = ()
 
     @property
     def answers(self) -> Answers | None:

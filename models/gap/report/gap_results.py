@@ -10,8 +10,8 @@ import numpy as np
 
 from models.gap.decision.posterior import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis, Inclusion
-from models.gap.estimation.curve_transfer import step_of
 from models.gap.improved_plant import written_values
+from models.gap.report.changed_conditions import changed_conditions
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
@@ -79,7 +79,6 @@ def gap_document(
             found.floor.learned, floor, round(found.dispersion, 4),
             {key: OwnError(*known) for key, known in found.own_error.items()},
             {f"{kg:g}": round(power**0.5, 2) for kg, power in found.amplification_power.items()},
-            tuple(sorted({s for key in found.floor.curves if (s := step_of(key)) is not None})),
         ),
         nuisance_bias=found.nuisance_bias,
         goal_not_followed_at_row=unused,
@@ -108,6 +107,7 @@ def gap_document(
                 for s, given in found.held_out_given.items()
             },
         ),
+        changed_conditions=changed_conditions(found.plant.provenance, found.floor, trials),
         unexplained_fraction=round(found.unexplained_fraction, 4),
         hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
         effect_probabilities=_listed(effect_probabilities(found.hypotheses)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.gap.estimation.curve_transfer import step_of
+from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
 
 
@@ -16,7 +16,8 @@ def notes_in_words(document: GapDocument) -> list[str]:
     """
     notes = (
         _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
-        _own_error(document), _patterns(document), _amplification(document), _steps(document),
+        _own_error(document), _patterns(document), _amplification(document),
+        *_changed(document),
     )  # fmt: skip
     return [text for text in notes if text]
 
@@ -80,13 +81,25 @@ def _amplification(document: GapDocument) -> str:
     )
 
 
-def _steps(document: GapDocument) -> str:
-    """Times between two rows that no trial of the plant has; empty if there are none."""
-    floor = document.noise_floor
-    steps = {step for key in floor.own_error if (step := step_of(key)) is not None}
-    other = sorted(steps - set(floor.steps_s)) if floor.steps_s else []
-    here, known = (", ".join(f"{1e3 * s:g}" for s in own) for own in (other, floor.steps_s))
-    return here and (
-        f"rows are {here} ms apart, {known} ms in the trials of the plant: that is right if the "
-        "robot sent its goals at this step, wrong if the rows were resampled"
+def _changed(document: GapDocument) -> list[str]:
+    """Conditions of the trials that no trial of the plant has, and what follows."""
+    return [_changed_in_words(row) for row in document.changed_conditions]
+
+
+def _changed_in_words(row: ChangedCondition) -> str:
+    if row.condition == "step_s":
+        here, known = (", ".join(f"{1e3 * s:g}" for s in own) for own in (row.trials, row.plant))
+        return (
+            f"rows are {here} ms apart, {known} ms in the trials of the plant: that is right if "
+            "the robot sent its goals at this step, wrong if the rows were resampled"
+        )
+    here, known = (", ".join(f"{v:g}" for v in own) for own in (row.trials, row.plant))
+    if row.condition == "payload_kg":
+        return (
+            f"the plant was identified with {known} kg, not with {here} kg: the noise floor is "
+            "larger there"
+        )
+    return (
+        f"the pressure is {here} Pa, {known} Pa in the trials of the plant, whose stiffness holds "
+        "there: a change of the link is no missing effect"
     )

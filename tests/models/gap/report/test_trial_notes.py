@@ -2,16 +2,23 @@
 
 from types import SimpleNamespace
 
+import pytest
+
+from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
 
 
-def document(curve="measured", amplification=(), patterns="measured", signals=("di",),
-             key="1dof steps", **others):  # fmt: skip
+def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
     floor = SimpleNamespace(
         learned=True, amplification=dict(amplification), signals=dict.fromkeys(signals),
-        own_error={key: SimpleNamespace(curve=curve, patterns=patterns)}, steps_s=(0.017,),
+        own_error={"1dof steps": SimpleNamespace(curve=curve, patterns=patterns)},
     )  # fmt: skip
-    plain = {"goal_not_followed_at_row": {}, "nuisance_bias": {}, "rows_fitted": {}}
+    plain = {
+        "goal_not_followed_at_row": {},
+        "nuisance_bias": {},
+        "rows_fitted": {},
+        "changed_conditions": (),
+    }
     return SimpleNamespace(noise_floor=floor, **plain | others)
 
 
@@ -41,7 +48,14 @@ def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
     assert notes_in_words(document(patterns="unknown", signals=("angle_1_rad",))) == []
 
 
-def test_trials_of_another_step_than_those_of_the_plant_are_noted():
-    assert notes_in_words(document(key="1dof steps 572x0.017s")) == []
-    (note,) = notes_in_words(document(key="1dof steps 486x0.02s"))
-    assert "rows are 20 ms apart, 17 ms in the trials of the plant" in note
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        (("step_s", "s", (0.017,), (0.02,)), "rows are 20 ms apart, 17 ms in the trials"),
+        (("payload_kg", "kg", (0.0, 1.0), (0.5,)), "identified with 0, 1 kg, not with 0.5 kg"),
+        (("pressure_pa", "Pa", (41300.0,), (35e3,)), "is 35000 Pa, 41300 Pa in the trials"),
+    ],
+)
+def test_conditions_of_no_trial_of_the_plant_are_noted(condition, said):
+    (note,) = notes_in_words(document(changed_conditions=[ChangedCondition(*condition)]))
+    assert said in note

@@ -1,0 +1,85 @@
+"""Conditions in which the trials of a diagnosis differ from those that the plant was identified on.
+
+A plant is right where it was identified. What is known of its own error ends there too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final, Literal
+
+import msgspec
+
+from models.gap.estimation.curve_transfer import step_of
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.plant.provenance import Provenance
+from models.trials.trial import Trial
+
+Condition = Literal["step_s", "payload_kg", "pressure_pa"]
+
+TOLERANCES: Final[dict[Condition, float]] = {
+    "step_s": 1e-3,
+    "payload_kg": 0.02,
+    "pressure_pa": 0.01,
+}
+"""Differences that do not count: of payloads in kg, of the others as a fraction. A step is uniform
+within as much; pressure varies by 1 % between trials [assumed]."""
+
+UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressure_pa": "Pa"}
+
+
+class ChangedCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Condition with values that no trial of the plant has.
+
+    Attributes
+    ----------
+    condition : str
+        Time between two rows, payload, or pressure.
+    unit : str
+        SI unit.
+    plant, trials : tuple of float
+        Values in the trials of the plant; those at hand that are none of them.
+    """
+
+    condition: Condition
+    unit: str
+    plant: tuple[float, ...]
+    trials: tuple[float, ...]
+
+
+def changed_conditions(
+    provenance: Provenance, floor: NoiseFloor, trials: Sequence[Trial]
+) -> tuple[ChangedCondition, ...]:
+    """Conditions that changed since a plant was identified.
+
+    Parameters
+    ----------
+    provenance : Provenance
+        Of the plant; that of a plant without fitted trials tells no pressure.
+    floor : NoiseFloor
+        Of the plant file; one that was not learned tells nothing.
+    trials : sequence of Trial
+        At hand.
+    """
+    known: dict[Condition, set[float]] = {
+        "step_s": {step for key in floor.curves if (step := step_of(key)) is not None},
+        "payload_kg": {payload_kg for table in floor.curves.values() for payload_kg in table},
+        "pressure_pa": {t.pressure_pa for t in provenance.fitted_trials if t.pressure_pa > 0},
+    }
+    here: dict[Condition, set[float]] = {
+        "step_s": {t.step_s for t in trials},
+        "payload_kg": {t.meta.payload_kg for t in trials},
+        "pressure_pa": {t.meta.pressure_pa for t in trials},
+    }
+    rows = []
+    for condition, unit in UNITS.items():
+        plant = tuple(sorted(known[condition]))
+        other = tuple(v for v in sorted(here[condition]) if not _is_among(v, plant, condition))
+        if plant and other:
+            rows.append(ChangedCondition(condition, unit, plant, other))
+    return tuple(rows)
+
+
+def _is_among(value: float, known: Iterable[float], condition: Condition) -> bool:
+    limit = TOLERANCES[condition] * (1.0 if condition == "payload_kg" else value)
+    return any(abs(value - other) <= limit for other in known)
