@@ -22,6 +22,7 @@ from models.gap.residuals.residuals import check_duration
 from models.plant.identification.doubts import check_weight, doubts
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
+from models.plant.identification.torque_constant import torque_constant_doubts
 from models.plant.identified_gains import read_servo_gains
 from models.plant.parameter import bound_reached
 from models.plant.plant import read_plant
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         },
         "held_out": msgspec.to_builtins(found.held_out),
     }
-    warnings = doubts(found)
+    warnings = doubts(found) + torque_constant_doubts(found.plant, fit.trials)
     data["warnings"] = warnings
     emit(args, data, text)
     for warning in warnings:

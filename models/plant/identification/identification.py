@@ -43,7 +43,7 @@ from models.plant.provenance import Evaluation, Provenance
 from models.plant.simulation.compiled_model import Array
 from models.trials.trial import Trial, TrialSet
 
-__all__ = ["Identification", "identify"]
+__all__ = ["Identification", "free_parameters", "identify"]
 
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Multiples of the first stiffness in the scan."""
@@ -110,7 +110,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
             f"has one joint, a trial has {planes}",
             "use a plant of the link",
         )
-    link, drive = _free_parameters(plant, planes)
+    link, drive = free_parameters(plant, planes)
     first = [t for t in fit if t.meta.dof == min(t.meta.dof for t in fit)]
     if plant.load == "link":
         found = _scan_stiffness(plant, first, report)
@@ -126,7 +126,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found, rms = solution.plant, solution.rms
     found = _with_second_plane(found, fit.trials)
     errors = evaluate_plant(found, held_out if len(held_out) else fit)
-    link, drive = _free_parameters(found, planes)
+    link, drive = free_parameters(found, planes)
     fitted = tuple(dict.fromkeys((*link, *drive)))
     provenance = Provenance(
         parent_sha256=plant.sha256(),
@@ -169,7 +169,7 @@ def _fit_link_and_drive(
 ) -> tuple[Plant, dict[str, float]]:  # fmt: skip
     """Fit the link, then the drive; the errors of an earlier round are the scales."""
     planes = max(t.meta.dof for t in trials)
-    link, drive = _free_parameters(plant, planes)
+    link, drive = free_parameters(plant, planes)
     angles = {n: v for n, v in (rms or {}).items() if n.startswith("angle_")}
     first = _fit_stage(plant, prior, "driven", trials, link, LINK_SIGNALS, rms, report)
     extremes = _payload_extremes(trials)
@@ -178,7 +178,7 @@ def _fit_link_and_drive(
         profiled = [
             _fit_stage(
                 start, with_profile_of(prior, start), "twin", extremes,
-                _free_parameters(start, planes)[1], DRIVE_SIGNALS, angles, report,
+                free_parameters(start, planes)[1], DRIVE_SIGNALS, angles, report,
             )
             for start in profiled_starts(second.plant)
         ]  # fmt: skip
@@ -208,8 +208,16 @@ def _base_name(name: str) -> str:
     return name.removesuffix(", identified").removesuffix(", nominal")
 
 
-def _free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names to fit in the link's stage and in the drive's; friction is in both."""
+def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names to fit in the link's stage and in the drive's; friction is in both.
+
+    Parameters
+    ----------
+    plant : Plant
+        To fit.
+    planes : int
+        Joints that the trials move.
+    """
     scope = scope_of(plant.drive, plant.load, planes)
 
     def wanted(part: Any) -> list[str]:
@@ -223,13 +231,14 @@ def _free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[
             load += rows
         if EFFECTS[name].port in ("command", "servo_torque"):
             drive += rows
-    load += [name for name in drive if name.startswith("rotor_inertia_")]  # in the current too
+    in_the_current_too = ("rotor_inertia_", "torque_constant_")
+    load += [name for name in drive if name.startswith(in_the_current_too)]
     return tuple(load), tuple(drive)
 
 
 def _scan_stiffness(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
     """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
-    link, _ = _free_parameters(plant, max(t.meta.dof for t in trials))
+    link, _ = free_parameters(plant, max(t.meta.dof for t in trials))
     stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
     objective = Objective(
         plant, "driven", trials, stiffness, LINK_SIGNALS, max_substep_s=DRIVEN_SUBSTEP_S

@@ -1,0 +1,65 @@
+"""Doubt about the torque constant: whether the declared payloads speak for another one.
+
+The plant takes the torque per ampere from the servo's data sheet. With a wrong one masses, inertia
+and friction are wrong by the same factor, while the payloads are known: the current of two payloads
+does not differ by what they weigh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from models.plant.identification.identification import (
+    DRIVEN_SUBSTEP_S,
+    LINK_SIGNALS,
+    free_parameters,
+)
+from models.plant.identification.simulation_fit import Objective
+from models.plant.plant import Plant
+from models.trials.trial import Trial
+
+DIFFERENT_FRACTION: Final = 0.1
+"""Difference of the constant, as a fraction, from which it is told [assumed: one servo's constant
+lies within some per cent of its model's; on rigs with the right one it came within 2 %]."""
+
+SURE_DEVIATIONS: Final = 5.0
+"""The same in standard deviations [assumed: errors of the equations count for more than noise]."""
+
+
+def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
+    """One sentence for each joint whose torque constant is another one, by one step of a fit.
+
+    Parameters
+    ----------
+    plant : Plant
+        As identified.
+    trials : sequence of Trial
+        That it was fitted to.
+    """
+    planes = max(t.meta.dof for t in trials)
+    declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
+    known = plant.parameters
+    constants = [n for n in declared if n in known and known[n].role == "fixed"]
+    if plant.load != "link" or not constants or len({t.meta.payload_kg for t in trials}) < 2:
+        return []
+    free = (*free_parameters(plant, planes)[0], *constants)
+    rms = plant.provenance.residual_rms
+    objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms, DRIVEN_SUBSTEP_S, plant)
+    residual, slopes = objective(objective.start)
+    information = slopes.T @ slopes
+    step = -np.linalg.solve(information, slopes.T @ residual)
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
+    said = []
+    for name in constants:
+        k, value = free.index(name), known[name].value
+        if abs(step[k]) > max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
+            better = value / max(1 - step[k] / value, 0.1)  # the current is linear in its inverse
+            said.append(
+                f"the payloads speak for {name} of about {better:.2g} N.m/A, not "
+                f"{value:.3g}: give that of your servo in link.toml, or fit it (role = "
+                '"nuisance" in the file given to --plant)'
+            )
+    return said

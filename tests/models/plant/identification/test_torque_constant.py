@@ -1,0 +1,41 @@
+"""Whether the payloads speak for another torque constant."""
+
+from dataclasses import replace
+
+import msgspec
+import pytest
+
+from models.plant.identification.torque_constant import torque_constant_doubts
+from models.plant.plant import read_plant
+
+
+@pytest.fixture
+def trials(synthetic):
+    def make(constant_nm_a, payloads):
+        plant = read_plant().with_values({"torque_constant_1_nm_a": constant_nm_a})
+        return [synthetic(plant, load, count=300, trial=1) for load in payloads]
+
+    return make
+
+
+def test_a_wrong_constant_is_told(trials):
+    (said,) = torque_constant_doubts(read_plant(), trials(4.8, (0.0, 1.5)))
+    told = float(said.split("of about ")[1].split(" ")[0])
+    assert told == pytest.approx(4.8, rel=0.05)
+    assert "not 6.83" in said
+
+
+@pytest.mark.parametrize(
+    ("constant_nm_a", "payloads"),
+    [(6.83, (0.0, 1.5)), (6.6, (0.0, 1.5)), (4.8, (1.5,))],
+    ids=["right", "within some per cent", "one payload tells nothing"],
+)
+def test_nothing_is_told_without_evidence(trials, constant_nm_a, payloads):
+    assert torque_constant_doubts(read_plant(), trials(constant_nm_a, payloads)) == []
+
+
+def test_a_constant_that_is_fitted_needs_no_doubt(trials):
+    given = read_plant()
+    free = msgspec.structs.replace(given.parameters["torque_constant_1_nm_a"], role="nuisance")
+    plant = replace(given, parameters=given.parameters | {free.name: free})
+    assert torque_constant_doubts(plant, trials(4.8, (0.0, 1.5))) == []
