@@ -43,7 +43,7 @@ from models.plant.provenance import Evaluation, Provenance
 from models.plant.simulation.compiled_model import Array
 from models.trials.trial import Trial, TrialSet
 
-__all__ = ["Identification", "free_parameters", "identify"]
+__all__ = ["Identification", "identify"]
 
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Multiples of the first stiffness in the scan."""
