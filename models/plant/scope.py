@@ -112,6 +112,8 @@ class Scope:
         Angle by which the link's markers lean in its mount, which moves no mass.
     bend, bend_rate, stiffness, bend_torque : dict by hinge
         Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
+    cross_bend : dict by name of the hinge
+        Bend across the plane of a single joint, where there is any; it moves the markers only.
     rest_bend : dict by hinge
         Bend at rest upright, the reference of the Deformation Index.
     payload_kg, payload_offset_m : SX
@@ -120,6 +122,9 @@ class Scope:
         Sensor errors: added to the angle; added to the current; relative to the current.
     encoder_ripple : dict by joint
         Further error of the encoder as a function of the coordinate, where it has one.
+    rate_error : dict by joint
+        Error of the rate in the velocity loop, as a fraction of the rate, as a function of the
+        coordinate, where it has one.
     sensor_lag : dict by joint
         Low-pass of the joint's signals, where there is one.
     frame_tilt_rad, frame_scale, frame_delay_s : SX
@@ -177,6 +182,7 @@ class Scope:
     bend_rate: dict[Hinge, Expr] = field(default_factory=dict)
     stiffness: dict[Hinge, Expr] = field(default_factory=dict)
     bend_torque: dict[Hinge, Expr] = field(default_factory=dict)
+    cross_bend: dict[str, Expr] = field(default_factory=dict)
     rest_bend: dict[Hinge, Expr] = field(default_factory=dict)
     payload_kg: Expr = 0
     payload_offset_m: Expr = 0
@@ -184,6 +190,7 @@ class Scope:
     current_bias: dict[int, Expr] = field(default_factory=dict)
     current_scale: dict[int, Expr] = field(default_factory=dict)
     encoder_ripple: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
+    rate_error: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
     sensor_lag: dict[int, SensorLowPass] = field(default_factory=dict)
     frame_tilt_rad: Expr = 0
     frame_scale: Expr = 0
@@ -237,6 +244,12 @@ class Scope:
         if joint in self.encoder_ripple:
             reading = reading + self.encoder_ripple[joint](self.angle[joint])
         return reading
+
+    def measured_rate(self, joint: int) -> Expr:
+        """Rate of the joint as the velocity loop measures it."""
+        if joint not in self.rate_error:
+            return self.rate[joint]
+        return self.rate[joint] * (1 + self.rate_error[joint](self.angle[joint]))
 
     def true_angle(self, joint: int, reading: Expr) -> Expr:
         """Joint coordinate at which the encoder shows a reading.

@@ -189,8 +189,6 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     effect = EFFECTS[name]()
     scope = scope_of(plant.drive, plant.load, dof)
     declared = [q.name for q in effect.parameters(scope)]
-    if name == "cross_axis_coupling" and dof == 1:
-        return []
     tied = effect.port not in ("bend_torque", "stiffness")
     groups: list[list[str]] = []
     for q in effect.per_joint:

@@ -20,6 +20,7 @@ the paper averages E|strain + n|.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Final
 
 import casadi as ca
@@ -159,7 +160,8 @@ class Link:
         """Deformation Index, and end effector in the world frame of the motion capture."""
         joint, bend = self._delayed(scope)
         tilt = symbolic_base_rotation(scope.frame_tilt_rad, 0)
-        tip_m = (1 + scope.frame_scale) * (tilt @ self._frames(scope, joint, bend)[2])
+        frames = self._frames(scope, joint, bend, scope.cross_bend)
+        tip_m = (1 + scope.frame_scale) * (tilt @ frames[2])
         result = {
             "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
                             nominal=0.01), self._deformation_index(scope, joint, bend)),
@@ -202,14 +204,17 @@ class Link:
         return joint, bend
 
     def _frames(
-        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+        self,
+        scope: Scope,
+        joint: dict[int, Expr],
+        bend: dict[Hinge, Expr],
+        across: Mapping[str, Expr],
     ) -> tuple[Expr, Expr, Expr, Expr]:
         """Root, span hinge and tip (3,), and the rotation of the last section."""
-        turns = (
-            list(joint.values()),
-            [bend["root", j] for j in scope.joints],
-            [bend["span", j] for j in scope.joints],
-        )
+        turns = [list(joint.values())]
+        for hinge in self.hinges:
+            own = [bend[hinge, j] for j in scope.joints]
+            turns.append([*own, across[hinge]] if hinge in across else own)
         base, first, second = (
             symbolic_base_rotation(*pair, *[0] * (2 - len(pair))) for pair in turns
         )
@@ -224,7 +229,7 @@ class Link:
     def _nodes(self, scope: Scope) -> tuple[list[Expr], dict[tuple[int, int], Expr]]:
         """Base plate, span hinge, tip and payload in the frame of the base, and their masses."""
         upright = dict.fromkeys(scope.joints, ca.SX(0))
-        plate_m, hinge_m, tip_m, section = self._frames(scope, upright, scope.bend)
+        plate_m, hinge_m, tip_m, section = self._frames(scope, upright, scope.bend, {})
         nodes = [plate_m, hinge_m, tip_m]
         masses = {(0, 0): scope.p("base_mass_kg"), (2, 2): scope.p("tip_mass_kg")}
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")

@@ -215,8 +215,12 @@ class Creep(Effect):
 class CrossAxisCoupling(Effect):
     """Coupling of the planes: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
 
-    Asymmetric bending of a section whose principal axes are turned [Timoshenko]; with one joint
-    there is no other plane.
+    Asymmetric bending of a section whose principal axes are turned [Timoshenko]. A link that one
+    joint moves vibrates across its plane too, in its first mode: with the levers ℓ_h of the hinges
+    about the tip, the compliance C = Σ ℓ_h² / K_h and the mass m at the tip, a quarter of the
+    link's included [Rayleigh], the tip's deflection y follows
+
+        m ÿ = (κ Σ ℓ_h τ_h / K_h − y) / C − 2 ζ √(m / C) ẏ + m g y / L
     """
 
     name = "cross_axis_coupling"
@@ -224,15 +228,47 @@ class CrossAxisCoupling(Effect):
     shared = (
         Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
                   description="torque of one plane per other plane's", source="assumed absent"),
+        Parameter(name="coupling_damping_ratio", unit="1", value=0.08, low=0.01, high=0.3,
+                  role="effect", prior_deviation=0.04,
+                  description="damping ratio across the plane of a single joint",
+                  source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the other plane's torque."""
+        """Add the other plane's torque, or the deflection across the only plane."""
+        if len(scope.joints) == 1:
+            _bend_across(scope)
+            return
         own = dict(scope.bend_torque)
         for hinge, j in own:
             for other in scope.joints:
                 if other != j:
                     scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+
+
+def _bend_across(scope: Scope) -> None:
+    """Deflection of a link across the plane of its only joint, and the bends that it makes."""
+    (j,) = scope.joints
+    length_m, gravity = scope.p("link_length_m"), scope.p("gravity_m_s2")
+    lever_m = {"root": length_m, "span": (1 - scope.p("span_position")) * length_m}
+    stiffness = {h: scope.p(h + "_stiffness_{j}_nm_rad", j) for h in lever_m}
+    compliance = sum(lever_m[h] ** 2 / stiffness[h] for h in lever_m)
+    per_m = {h: lever_m[h] / stiffness[h] / compliance for h in lever_m}
+    mass_kg = scope.p("tip_mass_kg") + scope.payload_kg + scope.p("link_mass_kg") / 4
+    standing_m = scope.p("coupling_share") * sum(
+        lever_m[h] * scope.bend_torque[h, j] / stiffness[h] for h in lever_m
+    )
+    weight = -scope.gravity[2] * gravity * mass_kg / length_m
+    start_m = standing_m / (1 - weight * compliance)
+    damping = 2 * scope.p("coupling_damping_ratio") * ca.sqrt(mass_kg / compliance)
+    across_m = scope.state(Variable("across_m", "m", nominal=0.01), start_m)
+    rate_m_s = scope.state(Variable("across_rate_m_s", "m/s", nominal=0.1))
+    force_n = (standing_m - across_m) / compliance - damping * rate_m_s + weight * across_m
+    scope.states["across_m"].rate = rate_m_s
+    scope.states["across_rate_m_s"].rate = force_n / mass_kg
+    scope.cross_bend |= {h: across_m * bend for h, bend in per_m.items()}
+    for h, bend in scope.cross_bend.items():
+        scope.bend_torque[h, j] -= scope.p("coupling_share") * stiffness[h] * bend
 
 
 def _square(scope: Scope, hinge: str) -> Expr:

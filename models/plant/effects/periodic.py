@@ -13,7 +13,7 @@ import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope
+from models.plant.scope import Expr, Scope, substitute
 
 
 def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
@@ -41,7 +41,8 @@ class EncoderRipple(Effect):
     """Periodic error of the encoder, q + a sin(n q) + b cos(n q), which the servo controls.
 
     An eccentric or oval scale and unequal signals of its tracks cause it (docs/sources.md, "The
-    servo"). The velocity loop measures its rate at the motor, without the error.
+    servo"). A servo whose velocity loop has a sensor at the motor measures the rate without the
+    error; one with a single encoder has the error's rate in it. The fraction of it is fitted.
     """
 
     name = "encoder_ripple"
@@ -51,6 +52,9 @@ class EncoderRipple(Effect):
                   source="assumed absent"),
         Parameter(name="encoder_ripple_cosine_{j}_{angle}", unit="rad", value=0.0, low=-0.02,
                   high=0.02, role="effect", description="its cosine", source="assumed absent"),
+        Parameter(name="encoder_ripple_rate_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+                  role="effect", description="fraction of the error's rate in the velocity loop",
+                  source="assumed: sensor at the motor", prior_deviation=0.5),
         Parameter(name="encoder_ripple_order_{j}", unit="1/rad", value=16.0, low=1.0, high=40.0,
                   description="periods per turn", source="assumed: pole pairs of the encoder"),
     )  # fmt: skip
@@ -59,6 +63,14 @@ class EncoderRipple(Effect):
         """Add the error as a function of the coordinate."""
         for j in scope.joints:
             scope.encoder_ripple[j] = functools.partial(periodic, scope, self.name, j)
+            scope.rate_error[j] = functools.partial(_rate_error, scope, j)
+
+
+def _rate_error(scope: Scope, joint: int, angle: Expr) -> Expr:
+    """Error of the rate in the velocity loop as a fraction of the rate."""
+    symbol = ca.SX.sym("angle")
+    slope = ca.gradient(periodic(scope, EncoderRipple.name, joint, symbol), symbol)
+    return scope.p("encoder_ripple_rate_{j}", joint) * substitute(slope, [(symbol, angle)])
 
 
 class Cogging(Effect):

@@ -76,10 +76,9 @@ class Cascade:
             held = scope.holding_torque[j] / self.torque_constant(scope, j)
             integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
-            error = (
-                scope.p("position_gain_{j}_per_s", j) * (scope.goal[j] - scope.measured_angle(j))
-                - scope.rate[j]
-            )
+            error = scope.p("position_gain_{j}_per_s", j) * (
+                scope.goal[j] - scope.measured_angle(j)
+            ) - scope.measured_rate(j)
             wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain

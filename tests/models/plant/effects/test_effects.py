@@ -103,7 +103,7 @@ def test_the_order_in_a_document_does_not_matter(bench):
 
 # --- sensitivities --------------------------------------------------------------------------------
 
-UNEXCITED = {"current_saturation_1_a", "coupling_share"}  # the limit is far, and one plane alone
+UNEXCITED = {"current_saturation_1_a"}  # the limit is far
 
 
 def test_sensitivities_by_every_strength_at_zero(bench):

@@ -292,7 +292,6 @@ def test_creep_relaxes_and_hysteresis_remembers(bench):
 
 
 def test_coupling_bends_across(bench):
-    share = {"coupling_share": 0.2}
     goal = np.full(400, 0.3)
     tips = {}
     for sign in (-1, 1):
@@ -300,9 +299,21 @@ def test_coupling_bends_across(bench):
                         count=400)  # fmt: skip
         tips[sign] = np.array([run[f"tip_{a}_m"][-1] for a in "xyz"])
     assert tips[1][0] != pytest.approx(tips[-1][0], abs=1e-3)
-    alone = bench.run(["cross_axis_coupling"], share, dof=1, goal=goal, count=400)
-    plain = bench.run([], dof=1, goal=goal, count=400)
-    assert np.array_equal(alone["tip_x_m"], plain["tip_x_m"])
+
+
+def test_coupling_bends_a_link_of_one_joint_across_its_plane(bench):
+    """By the share of its sag, more by its own weight; to either side, and not without a share."""
+    goal, tips = np.full(600, 0.3), {}
+    for share in (-0.2, 0.0, 0.2):
+        run = bench.run(["cross_axis_coupling"], {"coupling_share": share}, goal=goal, count=600)
+        tips[share] = np.array([run[f"tip_{a}_m"][-1] for a in "xy"])
+    stiff = bench.run([], {"root_stiffness_1_nm_rad": 1000.0, "span_stiffness_1_nm_rad": 1200.0},
+                      goal=goal, count=600)  # fmt: skip
+    sag_m = tips[0.0][0] - stiff["tip_x_m"][-1]
+    assert tips[0.0][1] == pytest.approx(0.0, abs=1e-9)
+    assert tips[0.2][1] == pytest.approx(-tips[-0.2][1], rel=1e-6)
+    assert 0.2 * sag_m < abs(tips[0.2][1]) < 0.5 * sag_m
+    assert tips[0.2][0] == pytest.approx(tips[-0.2][0], abs=1e-9)
 
 
 # --- sensors --------------------------------------------------------------------------------------
