@@ -100,10 +100,9 @@ class Scope:
         Current and torque of the drive.
     friction, joint_torque : dict by joint
         Friction that opposes `rate`; any other torque on the joint.
-    transmitted_torque : dict by joint
-        Torque that the load puts on the gear apart from its inertia.
-    gear_drive_torque : dict by joint
-        Torque that the drive puts on the gear, where friction depends on it.
+    transmitted_torque, gear_drive_torque : dict by joint
+        Torque that the load puts on the gear apart from its inertia, and that the drive puts on it,
+        where friction depends on it.
     torque_scale, current_limit_reduction : dict by joint
         Factor on the drive's torque; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
@@ -112,19 +111,16 @@ class Scope:
         Angle by which the link's markers lean in its mount, which moves no mass.
     bend, bend_rate, stiffness, bend_torque : dict by hinge
         Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
-    cross_bend : dict by name of the hinge
-        Bend across the plane of a single joint, where there is any; it moves the markers only.
-    rest_bend : dict by hinge
-        Bend at rest upright, the reference of the Deformation Index.
+    cross_bend, rest_bend : dict by hinge
+        Bend across the plane of a single joint, by the hinge's name, where there is any; bend at
+        rest upright, the reference of the Deformation Index.
     payload_kg, payload_offset_m : SX
         Mass at the tip and its offset towards +x.
     encoder_error, current_bias, current_scale : dict by joint
         Sensor errors: added to the angle; added to the current; relative to the current.
-    encoder_ripple : dict by joint
-        Further error of the encoder as a function of the coordinate, where it has one.
-    rate_error : dict by joint
-        Error of the rate in the velocity loop, as a fraction of the rate, as a function of the
-        coordinate, where it has one.
+    encoder_ripple, rate_error : dict by joint
+        Functions of the coordinate, where there are any: further error of the encoder, and error of
+        the rate in the velocity loop as a fraction of it.
     sensor_lag : dict by joint
         Low-pass of the joint's signals, where there is one.
     frame_tilt_rad, frame_scale, frame_delay_s : SX
@@ -247,9 +243,8 @@ class Scope:
 
     def measured_rate(self, joint: int) -> Expr:
         """Rate of the joint as the velocity loop measures it."""
-        if joint not in self.rate_error:
-            return self.rate[joint]
-        return self.rate[joint] * (1 + self.rate_error[joint](self.angle[joint]))
+        error = self.rate_error[joint](self.angle[joint]) if joint in self.rate_error else 0
+        return self.rate[joint] * (1 + error)
 
     def true_angle(self, joint: int, reading: Expr) -> Expr:
         """Joint coordinate at which the encoder shows a reading.

@@ -50,6 +50,7 @@ FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "goal": ("held", "interpolated", "profile"),
     "current_sampling": ("tick", "phase", "mean"),
     "mocap_filter": ("none", "zero_phase"),
+    "rate_sensor": ("motor", "encoder"),
 }
 """Forms that are drawn, by choice of `RigStructure`."""
 

@@ -70,6 +70,7 @@ class RigServo:
         self._delay_s = p["servo.dead_time_s"]
         self._encoder_offset = p["sensor.encoder_offset_rad"]
         self._ripple = p["sensor.encoder_ripple_rad"]
+        self._ripple_in_rate = p.structure.rate_sensor == "encoder"
         self._ripple_periods = (
             p["sensor.encoder_ripple_periods"], p["sensor.encoder_ripple_phase_rad"],
         )  # fmt: skip
@@ -90,6 +91,15 @@ class RigServo:
             periods, phase = self._ripple_periods
             read += self._ripple * math.sin(periods * self.rotor_rad + phase)
         return read
+
+    @property
+    def _measured_rad_s(self) -> float:
+        """Rate that the velocity loop sees."""
+        if not (self._ripple and self._ripple_in_rate):
+            return self.rotor_rad_s
+        periods, phase = self._ripple_periods
+        slope = self._ripple * periods * math.cos(periods * self.rotor_rad + phase)
+        return self.rotor_rad_s * (1.0 + slope)
 
     @property
     def sampled_current_a(self) -> float:
@@ -142,7 +152,7 @@ class RigServo:
     def _update_current(self) -> None:
         speed = self._position_gain * (self._goal.advance() - self.encoder_rad)
         speed = min(max(speed, -self._speed_limit), self._speed_limit)
-        error = speed - self.rotor_rad_s
+        error = speed - self._measured_rad_s
         wanted = self._velocity_gain * error + self._integral_a
         self.current_a = min(max(wanted, -self._limit_a), self._limit_a)
         if self.current_a == wanted:  # anti-windup

@@ -1,6 +1,9 @@
 """The servo alone, and its loop around the heaviest link (python-control)."""
 
+from dataclasses import replace
+
 import control
+import msgspec
 import mujoco
 import numpy as np
 import pytest
@@ -144,3 +147,19 @@ def test_the_encoder_offset_is_inside_the_loop(parameters):
         servo.step(k * STEP_S, servo.rotor_rad, servo.rotor_rad_s)
     assert servo.encoder_rad == pytest.approx(0.1, abs=1e-3)
     assert servo.rotor_rad == pytest.approx(0.08, abs=1e-3)
+
+
+def test_a_rate_from_the_encoder_follows_its_error(parameters):
+    """Reading an even ramp, a servo whose rate has the error turns its rotor less evenly."""
+    uneven = {}
+    for sensor in ("motor", "encoder"):
+        p = replace(parameters, structure=msgspec.structs.replace(
+            parameters.structure, rate_sensor=sensor))  # fmt: skip
+        servo = RigServo(p.hide({"encoder_ripple": 0.004}), STEP_S)
+        rates = []
+        for k in range(2500):
+            servo.send(0.5 * k * STEP_S, k * STEP_S)
+            servo.step(k * STEP_S, servo.rotor_rad, servo.rotor_rad_s)
+            rates.append(servo.rotor_rad_s)
+        uneven[sensor] = np.std(rates[1000:])
+    assert uneven["encoder"] > 1.1 * uneven["motor"]
