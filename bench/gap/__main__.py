@@ -22,7 +22,7 @@ from pathlib import Path
 
 from bench.gap.bench_kind import cases_of_run
 from bench.gap.benchmark_run import run_benchmark
-from bench.gap.cases import DEFAULT_RIG, MOTIONS, BenchCase, draw_cases, mixed_cases
+from bench.gap.cases import DEFAULT_RIG, MOTIONS, PAYLOAD_SETS, BenchCase, draw_cases, mixed_cases
 from bench.gap.scores.rig_table import rig_table_text
 from bench.gap.scores.summary_files import write_bench_summary
 from firmware_py.errors import InputError
@@ -60,6 +60,10 @@ def main() -> None:
         "--calibrate", type=int, default=0, metavar="RIGS",
         help="drawn rigs on which patterns are measured for each motion but the study's (none)",
     )  # fmt: skip
+    add(
+        "--payloads", choices=PAYLOAD_SETS, default="study", metavar="NAME",
+        help="payloads of the trials: study, or between those that the plant was identified on",
+    )  # fmt: skip
     add("--same-link", action="store_true", help="the link that the plant was identified on")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
@@ -67,8 +71,8 @@ def main() -> None:
     args = parser.parse_args()
     if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
         parser.error("give one of --plant, --rigs and --like")
-    if args.motions != ["study"] and not args.no_sealed:
-        parser.error("sealed trials have motions of their own: give --no-sealed with --motions")
+    if (args.motions, args.payloads) != (["study"], "study") and not args.no_sealed:
+        parser.error("sealed trials have motions and payloads of their own: give --no-sealed")
     for name in args.rigs:
         try:
             rig_named(name)
@@ -97,7 +101,7 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
         counts = args.singles, args.nulls, args.pairs, args.outside
         own = list(draw_cases(*counts, args.seed, rig, args.same_link, args.joints))
         own = own if args.most is None else mixed_cases(own, args.most)
-        cases += [replace(case, motion=motion) for case in own]
+        cases += [replace(case, motion=motion, payloads=args.payloads) for case in own]
     return cases
 
 

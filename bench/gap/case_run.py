@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bench.gap.cases import PAYLOADS_KG, BenchCase, motion_named
+from bench.gap.cases import PAYLOAD_SETS, BenchCase, motion_named
 from bench.gap.sealed_errors import SealedErrors
 from firmware_py.errors import InputError
 from models.gap.diagnosis import Diagnosis, diagnose
@@ -53,7 +53,9 @@ def run_bench_case(
     """
     rig = rig_of(case)
     try:
-        own = bench_trials(rig.hide(case.hidden), case.seed, case.joints, case.motion)
+        own = bench_trials(
+            rig.hide(case.hidden), case.seed, case.joints, case.motion, case.payloads
+        )
         trials = TrialSet(tuple(own))
     except InputError as error:
         return {"impossible": str(error)}
@@ -198,9 +200,13 @@ def rig_of(case: BenchCase) -> RigParameters:
 
 
 def bench_trials(
-    rig: RigParameters, seed: int, joints: int = 1, motion: str = "study"
+    rig: RigParameters,
+    seed: int,
+    joints: int = 1,
+    motion: str = "study",
+    payloads: str = "study",
 ) -> list[Trial]:
-    """Trials of three payloads, each repeated once.
+    """Trials of some payloads, each repeated once.
 
     Parameters
     ----------
@@ -212,6 +218,8 @@ def bench_trials(
         Driven joints, 1 or 2.
     motion : str
         Name of the motion, of `bench.gap.cases.MOTIONS`.
+    payloads : str
+        Name of the payloads, of `bench.gap.cases.PAYLOAD_SETS`.
 
     Raises
     ------
@@ -220,7 +228,7 @@ def bench_trials(
     """
     trials = [
         run_case(rig, TrialCase(motion_named(motion, joints), payload, trial, seed))
-        for payload in PAYLOADS_KG
+        for payload in PAYLOAD_SETS[payloads]
         for trial in (1, 2)
     ]
     for trial in trials:

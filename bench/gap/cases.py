@@ -22,7 +22,10 @@ from models.rig.drawn_rig import LINK_DEVIATION
 DEFAULT_RIG: Final = "default"
 
 PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
-"""Payloads of the trials of every case, and of those that a plant is identified on."""
+"""Payloads of the trials of a case, and of those that a plant is identified on."""
+
+PAYLOAD_SETS: Final = {"study": PAYLOADS_KG, "between": (0.5, 1.5)}
+"""Payloads of the trials by name; a plant is identified on the study's."""
 
 MOTIONS: Final = {
     "study": Motion(),
@@ -78,6 +81,8 @@ class BenchCase:
         Driven joints, 1 or 2.
     motion : str
         Name of the motion of all trials, of `MOTIONS`.
+    payloads : str
+        Name of their payloads, of `PAYLOAD_SETS`.
     """
 
     kind: Kind
@@ -87,6 +92,7 @@ class BenchCase:
     rig: str = DEFAULT_RIG
     joints: int = 1
     motion: str = "study"
+    payloads: str = "study"
 
 
 def motion_named(name: str, joints: int) -> Motion:

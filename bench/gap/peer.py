@@ -218,7 +218,7 @@ def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
         File to write.
     """
     rig = rig_of(case).hide(case.hidden)
-    trials = bench_trials(rig, case.seed, case.joints, case.motion)
+    trials = bench_trials(rig, case.seed, case.joints, case.motion, case.payloads)
     found = contributions(refitted_equations(plant, trials), [t.meta.payload_kg for t in trials])
     result = {
         "case": asdict(case), "verdict": "reduced" if found else "no gap",

@@ -173,8 +173,8 @@ def trial_fit_parameters(
 def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParameter]:
     """Fit parameters of one effect: its strength first, then others that may be fitted.
 
-    A servo's effect is the same in every joint (`models.shared.catalogue`); that of the bend may
-    differ by plane, and then has a strength for each.
+    A servo's effect is the same in every joint, but for offsets (`Effect.of_each_joint`); that of
+    the bend may differ by plane. Both then have a strength for each.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     effect = EFFECTS[name]()
     scope = scope_of(plant.drive, plant.load, dof)
     declared = [q.name for q in effect.parameters(scope)]
-    tied = effect.port not in ("bend_torque", "stiffness")
+    tied = effect.port not in ("bend_torque", "stiffness") and not effect.of_each_joint
     groups: list[list[str]] = []
     for q in effect.per_joint:
         own = [scope.name(q.name, j) for j in scope.joints]

@@ -52,6 +52,9 @@ class Effect:
         Names in `per_joint` that only a drive with a shape of the goal within the step has.
     needs : tuple of str
         Features that the drive or the load must have.
+    of_each_joint : bool
+        Whether each joint has a strength of its own, as an offset of its mounting; servos of one
+        make are alike in all else, and planes of bending differ.
     search_start : mapping of str to float
         Values of further parameters from which a search for the strength begins.
     """
@@ -62,6 +65,7 @@ class Effect:
     shared: ClassVar[tuple[Parameter, ...]] = ()
     of_staircase: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[Need, ...]] = ()
+    of_each_joint: ClassVar[bool] = False
     search_start: ClassVar[Mapping[str, float]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:

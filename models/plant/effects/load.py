@@ -46,6 +46,7 @@ class LoadOffset(Effect):
     """Constant torque (or force) on the joint, of a cable or a spring."""
 
     name = "load_offset"
+    of_each_joint = True
     per_joint = (
         Parameter(name="load_offset_{j}_{torque}", unit="N.m", value=0.0, low=-30.0, high=30.0,
                   role="effect", description="constant torque on the joint",

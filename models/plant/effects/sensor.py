@@ -12,6 +12,7 @@ class EncoderOffset(Effect):
     """Encoder offset: the servo measures and controls q + δ."""
 
     name = "encoder_offset"
+    of_each_joint = True
     per_joint = (
         Parameter(name="encoder_offset_{j}_{angle}", unit="rad", value=0.0, low=-0.2, high=0.2,
                   role="effect", description="constant error of the measured angle",
@@ -28,6 +29,7 @@ class CurrentBias(Effect):
     """Constant error of the measured current: i + b."""
 
     name = "current_bias"
+    of_each_joint = True
     needs = ("current",)
     per_joint = (
         Parameter(name="current_bias_{j}_a", unit="A", value=0.0, low=-2.0, high=2.0,
