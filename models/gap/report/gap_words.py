@@ -13,6 +13,9 @@ from models.gap.report.trial_notes import notes_in_words
 DECIDED: Final = 0.9
 """Probability from which on an effect counts as decided; below the rest of it, as excluded."""
 
+MOST_TOLD: Final = 3
+"""Effects that are told where none is sure enough to be named."""
+
 TOLD_CHANGE: Final = 0.02
 """Change of a parameter of the link, as a fraction, from which it is told [assumed]."""
 
@@ -57,19 +60,20 @@ def change_in_words(document: GapDocument) -> str:
 def _outside_in_words(document: GapDocument) -> str:
     """What is missing where no name is given: something else, or an effect that is not sure."""
     answers, effects = document.answers, document.effect_probabilities
-    likely = max(effects, key=lambda e: effects[e], default="")
     if answers is None:
         return "The missing effect is not in the catalogue."
-    if not likely or effects[likely] <= answers.outside:
+    likely = [e for e, p in sorted(effects.items(), key=lambda row: -row[1]) if p > 1 - DECIDED]
+    if not likely or answers.catalogue <= answers.outside:
         if answers.outside >= DECIDED:
             return "The missing effect is not in the catalogue."
         return (
             f"An effect that is not in the catalogue is missing with a probability of "
             f"{_percent(answers.outside)}, nothing with {_percent(answers.nothing)}."
         )
+    named = ", ".join(f"{e.replace('_', ' ')} {_percent(effects[e])}" for e in likely[:MOST_TOLD])
     return (
-        f"No effect is sure enough to be named: {likely.replace('_', ' ')} is missing with a "
-        f"probability of {_percent(effects[likely])}, something outside of the catalogue with "
+        "No effect is sure enough to be named. Effects of the catalogue are missing with a "
+        f"probability of {_percent(answers.catalogue)} ({named}), something outside of it with "
         f"{_percent(answers.outside)}."
     )
 

@@ -115,7 +115,7 @@ def test_a_link_that_has_changed_is_told_with_what_changed_most():
     [
         (0.04, "The missing effect is not in the catalogue."),
         (0.3, "not in the catalogue is missing with a probability of 69%, nothing with 1%."),
-        (0.6, "sure enough to be named: creep is missing with a probability of 60%, something"),
+        (0.6, "missing with a probability of 60% (creep 60%), something outside of it with 39%"),
     ],
 )
 def test_an_effect_that_is_likelier_than_anything_outside_is_told_with_the_verdict(likely, words):
