@@ -8,6 +8,8 @@ size is √(sine² + cosine²).
 from __future__ import annotations
 
 import functools
+from types import MappingProxyType
+from typing import Final
 
 import casadi as ca
 
@@ -37,6 +39,13 @@ def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
     return sine * ca.sin(turn) + cosine * ca.cos(turn)
 
 
+RATE_FRACTION: Final = Parameter(
+    name="encoder_ripple_rate", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
+    description="fraction of the error's rate in the velocity loop",
+    source="assumed: sensor at the motor", prior_deviation=0.5,
+)  # fmt: skip
+
+
 class EncoderRipple(Effect):
     """Periodic error of the encoder, q + a sin(n q) + b cos(n q), which the servo controls.
 
@@ -46,31 +55,36 @@ class EncoderRipple(Effect):
     """
 
     name = "encoder_ripple"
+    search_start = MappingProxyType({RATE_FRACTION.name: 0.5})
     per_joint = (
         Parameter(name="encoder_ripple_{j}_{angle}", unit="rad", value=0.0, low=-0.02, high=0.02,
                   role="effect", description="sine of the measured angle's periodic error",
                   source="assumed absent"),
         Parameter(name="encoder_ripple_cosine_{j}_{angle}", unit="rad", value=0.0, low=-0.02,
                   high=0.02, role="effect", description="its cosine", source="assumed absent"),
-        Parameter(name="encoder_ripple_rate_{j}", unit="1", value=0.0, low=0.0, high=1.0,
-                  role="effect", description="fraction of the error's rate in the velocity loop",
-                  source="assumed: sensor at the motor", prior_deviation=0.5),
         Parameter(name="encoder_ripple_order_{j}", unit="1/rad", value=16.0, low=1.0, high=40.0,
                   description="periods per turn", source="assumed: pole pairs of the encoder"),
     )  # fmt: skip
+    shared = (RATE_FRACTION,)
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Parameters for the joints of `scope`; only a cascade has a velocity loop."""
+        own = super().parameters(scope)
+        return own if "goal shape" in scope.features else own[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
         """Add the error as a function of the coordinate."""
         for j in scope.joints:
             scope.encoder_ripple[j] = functools.partial(periodic, scope, self.name, j)
-            scope.rate_error[j] = functools.partial(_rate_error, scope, j)
+            if "goal shape" in scope.features:
+                scope.rate_error[j] = functools.partial(_rate_error, scope, j)
 
 
 def _rate_error(scope: Scope, joint: int, angle: Expr) -> Expr:
     """Error of the rate in the velocity loop as a fraction of the rate."""
     symbol = ca.SX.sym("angle")
     slope = ca.gradient(periodic(scope, EncoderRipple.name, joint, symbol), symbol)
-    return scope.p("encoder_ripple_rate_{j}", joint) * substitute(slope, [(symbol, angle)])
+    return scope.p(RATE_FRACTION.name) * substitute(slope, [(symbol, angle)])
 
 
 class Cogging(Effect):
