@@ -40,7 +40,7 @@ def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
 
 
 RATE_FRACTION: Final = Parameter(
-    name="encoder_ripple_rate", unit="1", value=0.0, low=0.0, high=1.0, role="effect",
+    name="encoder_ripple_rate", unit="1", value=0.0, low=-0.5, high=1.5, role="effect",
     description="fraction of the error's rate in the velocity loop",
     source="assumed: sensor at the motor", prior_deviation=0.5,
 )  # fmt: skip
