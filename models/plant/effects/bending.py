@@ -224,7 +224,7 @@ class CrossAxisCoupling(Effect):
     """
 
     name = "cross_axis_coupling"
-    needs = ("bend",)
+    needs = ("bend", "tip")
     shared = (
         Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
                   description="torque of one plane per other plane's", source="assumed absent"),
