@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from firmware_py.display_units import DURATION
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
 
@@ -88,10 +89,10 @@ def _changed(document: GapDocument) -> list[str]:
 
 def _changed_in_words(row: ChangedCondition) -> str:
     if row.condition == "step_s":
-        here, known = (", ".join(f"{1e3 * s:g}" for s in own) for own in (row.trials, row.plant))
+        here, known = (", ".join(map(DURATION.text, own)) for own in (row.trials, row.plant))
         return (
-            f"rows are {here} ms apart, {known} ms in the trials of the plant: that is right if "
-            "the robot sent its goals at this step, wrong if the rows were resampled"
+            f"rows are {here} apart, {known} in the trials of the plant: that is right if the "
+            "robot sent its goals at this step, wrong if the rows were resampled"
         )
     here, known = (", ".join(f"{v:g}" for v in own) for own in (row.trials, row.plant))
     if row.condition == "payload_kg":
