@@ -53,7 +53,7 @@ def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
     [
         (
             ("step_s", "s", (0.017,), (0.02,)),
-            "rows are 20.0\u00a0ms apart, 17.0\u00a0ms in the trials",
+            "rows are 20.0\u00a0ms apart, 17.0\u00a0ms",
         ),
         (("payload_kg", "kg", (0.0, 1.0), (0.5,)), "identified with 0, 1 kg, not with 0.5 kg"),
         (("pressure_pa", "Pa", (41300.0,), (35e3,)), "is 35000 Pa, 41300 Pa in the trials"),
