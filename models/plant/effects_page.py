@@ -23,8 +23,9 @@ HEAD: Final = """# Effects
 What each effect of the catalogue does. The strength is its first parameter: `--hide
 EFFECT=STRENGTH` adds it to the rig, and `gap.json` tells it. In the equations q is the coordinate
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
-have the directions of [../trials.md](../trials.md). With two joints an effect whose parameters have
-a number of the joint has a strength for each; payload offset and tilt of the frame are towards +x
+have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
+diagnosis fits one strength for both, since the servos are alike; offsets (encoder, load, current)
+and effects of the bending have one for each. Payload offset and tilt of the frame are towards +x
 and about y only. The time t begins with the first row of the trial. Root and span are the two
 hinges of the plant, one at the base and one within the link ([../plant/link.md](../plant/link.md)).
 How to add an effect is told in [../plant/add-an-effect.md](../plant/add-an-effect.md). This page is
