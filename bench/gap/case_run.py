@@ -196,7 +196,9 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
 def rig_of(case: BenchCase) -> RigParameters:
     """Rig of a case, without the hidden effects."""
     rig = rig_named(case.rig)
-    return rig.changed(**{name: factor * rig[name] for name, factor in case.nuisance.items()})
+    turns = {f"sensor.frame_{name}_rad": turn for name, turn in case.frame_turn_rad.items()}
+    factors = {name: factor * rig[name] for name, factor in case.nuisance.items()}
+    return rig.changed(**factors, **turns)
 
 
 def bench_trials(

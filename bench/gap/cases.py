@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -60,6 +60,10 @@ SIGNED: Final = {
     "sync_offset", "encoder_ripple", "cogging", "marker_scale", "cross_axis_coupling",
 }  # fmt: skip
 
+FRAME_TURN_RAD: Final = 0.0005
+"""Standard deviation of the turn of a mocap frame that is set up anew, about each axis: 0.1 mm over
+the 0.2 m of a calibration square [assumed]."""
+
 
 @dataclass(frozen=True)
 class BenchCase:
@@ -83,6 +87,8 @@ class BenchCase:
         Name of the motion of all trials, of `MOTIONS`.
     payloads : str
         Name of their payloads, of `PAYLOAD_SETS`.
+    frame_turn_rad : dict of str to float
+        Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty).
     """
 
     kind: Kind
@@ -93,6 +99,7 @@ class BenchCase:
     joints: int = 1
     motion: str = "study"
     payloads: str = "study"
+    frame_turn_rad: dict[str, float] = field(default_factory=dict)
 
 
 def motion_named(name: str, joints: int) -> Motion:
@@ -178,7 +185,10 @@ def drawn_case(
     nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
     strengths = {e: _strength(rng, e, size) for e, size in hidden}
     nuisance = {} if same_link else nuisance
-    return BenchCase(kind, strengths, nuisance, int(rng.integers(2**31)), rig, joints)
+    seed = int(rng.integers(2**31))
+    turns = FRAME_TURN_RAD * np.random.default_rng([seed, 1]).standard_normal(3)
+    turn_rad = dict(zip(("roll", "tilt", "yaw"), turns.tolist(), strict=True))
+    return BenchCase(kind, strengths, nuisance, seed, rig, joints, frame_turn_rad=turn_rad)
 
 
 def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:

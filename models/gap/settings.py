@@ -60,6 +60,12 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     between its bounds [assumed]."""
     frame_shift_prior_m: float = 0.005
     """Standard deviation of the mocap frame's shift that is common to all trials [assumed]."""
+    frame_turn_prior_rad: dict[str, float] = msgspec.field(
+        default_factory=lambda: {"joint": 0.0005, "other": 0.005}
+    )
+    """Standard deviation of the mocap frame's turn, common to all trials, about a joint's axis and
+    about another one [assumed]: 5 mrad as the shift over a metre; about a joint's axis 0.1 mm over
+    the 0.2 m of a calibration square, since a larger turn there looks like an encoder's offset."""
     clock_limit_s: float = 0.010
     """Clocks within this of each other count as synchronised [assumed]."""
     pressure_variation_fraction: float = 0.01

@@ -87,6 +87,8 @@ def _further_parameters(effect: str) -> list[str]:
 
 def _fixed(q: Parameter) -> str:
     unit = "" if q.unit in ("1", "1/rad") else f" {q.unit}"
+    if q.role == "calibration":
+        return f"{q.value:g}{unit}, refitted within its prior"
     return f"not fitted, {q.value:g}{unit}"
 
 

@@ -123,10 +123,9 @@ class Scope:
         the rate in the velocity loop as a fraction of it.
     sensor_lag : dict by joint
         Low-pass of the joint's signals, where there is one.
-    frame_tilt_rad, frame_scale, frame_delay_s : SX
-        Errors of the motion capture's frame and clock; the scale's is relative.
-    frame_lag_s : SX
-        Time of the motion capture's first-order low-pass.
+    frame_turn_rad, frame_scale, frame_delay_s, frame_lag_s : SX
+        Of the motion capture: turn about x, y and z (a tuple, applied in the order z, x, y),
+        relative error of its scale, delay of its clock, time of its first-order low-pass.
     columns : tuple of str
         Columns of a trial that the plant's document declares; none for those of the link.
     layout : MarkerLayout or None
@@ -188,7 +187,7 @@ class Scope:
     encoder_ripple: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
     rate_error: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
     sensor_lag: dict[int, SensorLowPass] = field(default_factory=dict)
-    frame_tilt_rad: Expr = 0
+    frame_turn_rad: tuple[Expr, Expr, Expr] = (0, 0, 0)
     frame_scale: Expr = 0
     frame_delay_s: Expr = 0
     frame_lag_s: Expr = 0

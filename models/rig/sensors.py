@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from models.rig.forms.mocap_filter import filtered_frames
 from models.rig.rig_parameters import RigParameters
@@ -99,6 +100,11 @@ def read_markers(
     frames_m = frames_m + p["sensor.marker_noise_m"] * rng.standard_normal(frames_m.shape)
     frames_m = filtered_frames(p, frames_m)
     resampled = MarkerLog(float(frames_s[0]), interval_s, frames_m).at(time_s)
-    cos, sin = np.cos(p["sensor.frame_tilt_rad"]), np.sin(p["sensor.frame_tilt_rad"])
-    tilt = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-    return np.asarray((1.0 + p["sensor.marker_scale_share"]) * (resampled @ tilt.T) + shift_m)
+    turned = _frame_rotation(p).apply(resampled.reshape(-1, 3)).reshape(resampled.shape)
+    return np.asarray((1.0 + p["sensor.marker_scale_share"]) * turned + shift_m)
+
+
+def _frame_rotation(p: RigParameters) -> Rotation:
+    """Turn of the motion capture's frame: about z, then x, then y."""
+    turns = [p[f"sensor.frame_{name}_rad"] for name in ("yaw", "roll", "tilt")]
+    return Rotation.from_euler("zxy", turns)

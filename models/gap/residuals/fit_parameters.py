@@ -25,6 +25,11 @@ Kind = Literal["nuisance", "trial", "effect"]
 
 TIP: Final = ("tip_x_m", "tip_y_m", "tip_z_m")
 
+FRAME_TURNS: Final = {
+    "marker_frame_roll_rad": "x", "marker_frame_tilt_rad": "y", "marker_frame_yaw_rad": "z",
+}  # fmt: skip
+"""Axis of each turn of the mocap frame. Joint 1 turns about y, joint 2 about −x."""
+
 
 @dataclass(frozen=True)
 class FitParameter:
@@ -123,6 +128,10 @@ def nuisance_fit_parameters(
     for axis in TIP:
         name = f"frame shift {axis[4]}"
         result.append(FitParameter(name, "nuisance", {}, {axis: 1.0}, shift_m))
+    for turn, axis in FRAME_TURNS.items():
+        name = f"frame turn {axis}"
+        prior_rad = settings.frame_turn_prior_rad["joint" if axis in "yx"[:dof] else "other"]
+        result.append(FitParameter(name, "nuisance", {turn: 1.0}, {}, prior_rad))
     clock = {"sync_offset_s": 1.0}
     result.append(
         FitParameter("synchronisation", "nuisance", clock, {}, clock_s, -clock_s, clock_s)
@@ -199,7 +208,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):
         first = full.parameters[group[0]]
-        if first.role != "effect":
+        if first.role != "effect" and group[0] not in strengths:
             continue
         has_scale = group[0] not in strengths and (first.prior_deviation or first.value)
         result.append(

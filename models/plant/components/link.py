@@ -159,9 +159,10 @@ class Link:
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
         """Deformation Index, and end effector in the world frame of the motion capture."""
         joint, bend = self._delayed(scope)
-        tilt = symbolic_base_rotation(scope.frame_tilt_rad, 0)
+        turn_x, turn_y, turn_z = scope.frame_turn_rad
+        turn = symbolic_base_rotation(turn_y, -turn_x) @ _about_z(turn_z)
         frames = self._frames(scope, joint, bend, scope.cross_bend)
-        tip_m = (1 + scope.frame_scale) * (tilt @ frames[2])
+        tip_m = (1 + scope.frame_scale) * (turn @ frames[2])
         result = {
             "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
                             nominal=0.01), self._deformation_index(scope, joint, bend)),
@@ -266,6 +267,12 @@ class Link:
                 strain = sum(scope.p("edge_gain") * x / segment_m * t for x, t in levered)
                 total += count * mean_magnitude(strain, noise)
         return total / (len(rows) * sum(count for _, count in edges))
+
+
+def _about_z(angle_rad: Expr) -> Expr:
+    """Rotation about z."""
+    cos, sin = ca.cos(angle_rad), ca.sin(angle_rad)
+    return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
 
 
 def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:

@@ -61,7 +61,12 @@ class CurrentScale(Effect):
 
 
 class MarkerFrameTilt(Effect):
-    """Tilt of the motion capture's frame about y, R_y(α) r; distances, hence DI, do not change."""
+    """Tilt of the motion capture's frame about y, R_y(α) r; distances, hence DI, do not change.
+
+    A frame that was set up anew is turned about the other axes too, R_y(α) R_x(ρ) R_z(υ) r. With
+    two joints the tilt is about y and x, their axes. A turn about another axis belongs to the
+    session: a diagnosis refits it within its prior.
+    """
 
     name = "marker_frame_tilt"
     needs = ("tip",)
@@ -69,11 +74,25 @@ class MarkerFrameTilt(Effect):
         Parameter(name="marker_frame_tilt_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
                   role="effect", description="tilt of the mocap's frame about y",
                   source="assumed absent"),
+        Parameter(name="marker_frame_roll_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
+                  role="calibration", prior_deviation=0.005,
+                  description="turn of the mocap's frame about x", source="assumed absent"),
+        Parameter(name="marker_frame_yaw_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
+                  role="calibration", prior_deviation=0.005,
+                  description="turn of the mocap's frame about z", source="assumed absent"),
     )  # fmt: skip
 
+    @classmethod
+    def strengths(cls, scope: Scope) -> tuple[str, ...]:
+        """Names of the turns about the joints' axes."""
+        return ("marker_frame_tilt_rad", "marker_frame_roll_rad")[: len(scope.joints)]
+
     def apply(self, scope: Scope) -> None:
-        """Tilt the frame."""
-        scope.frame_tilt_rad += scope.p("marker_frame_tilt_rad")
+        """Turn the frame."""
+        scope.frame_turn_rad = tuple(
+            turn + scope.p(f"marker_frame_{name}_rad")
+            for turn, name in zip(scope.frame_turn_rad, ("roll", "tilt", "yaw"), strict=True)
+        )
 
 
 class MarkerScale(Effect):

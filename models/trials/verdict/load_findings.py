@@ -42,32 +42,32 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
         groups[(*moved, t.meta.phase_2_rad, t.meta.pressure_pa)].append(t)
     found = []
     for group in groups.values():
+        # One joint for all: of joints that move alike another one would lead in each trial.
+        joint = int(np.argmax(np.mean([t.angle_rad.std(axis=0) for t in group], axis=0)))
         for load, what in ((_current_load, "current"), (_bend_load, "bend")):
-            loads = [load(t) for t in group]
+            loads = [load(t, joint) for t in group]
             if all(value is not None for value in loads):
                 found += _of_one_motion(group, [v for v in loads if v is not None], what)
                 break
     return found
 
 
-def _current_load(trial: Trial) -> float | None:
-    """Current per sine of the angle, of the joint that moves most; None where it does not show."""
-    j = int(np.argmax(trial.angle_rad.std(axis=0)))
-    angle, current = trial.angle_rad[:, j], trial.current_a[:, j]
+def _current_load(trial: Trial, joint: int) -> float | None:
+    """Current per sine of the angle of a joint; None where it does not show."""
+    angle, current = trial.angle_rad[:, joint], trial.current_a[:, joint]
     if angle.std() < LEAST_MOTION_RAD or not np.isfinite(current).all():
         return None
     load = float(current_terms(current, angle, trial.step_s)[0][1])
     return abs(load) if abs(load) * np.sin(angle).std() > _CLEAR * current.std() else None
 
 
-def _bend_load(trial: Trial) -> float | None:
-    """Bend towards the tip per angle; None where the tip was not seen, or does not show it."""
-    j = int(np.argmax(trial.angle_rad.std(axis=0)))
+def _bend_load(trial: Trial, joint: int) -> float | None:
+    """Bend of a joint's plane per angle; None where the tip was not seen, or does not show it."""
     seen = np.isfinite(trial.tip_m).all(axis=1)
-    angle = trial.angle_rad[seen, j]
+    angle = trial.angle_rad[seen, joint]
     if seen.mean() < 0.5 or angle.std() < LEAST_MOTION_RAD:
         return None
-    bend = pointing_angles_rad(trial.tip_m[seen])[:, j] - angle
+    bend = pointing_angles_rad(trial.tip_m[seen])[:, joint] - angle
     moved = angle - angle.mean()
     load = float(moved @ bend / (moved @ moved))
     return abs(load) if abs(load) > _LEAST_BEND else None

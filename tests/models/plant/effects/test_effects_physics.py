@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 STILL = np.zeros(300)
 HELD = np.full(700, 0.4)
@@ -365,6 +366,17 @@ def test_frame_tilt_rotates_the_tip_about_y(bench):
     assert after["tip_x_m"] == pytest.approx(turned, abs=1e-12)
     for name in ("angle_1_rad", "current_1_a", "di"):
         assert np.array_equal(before[name], after[name])
+
+
+def test_a_turned_frame_turns_the_tip_about_its_three_axes(bench):
+    turns = {"roll": 0.05, "tilt": 0.1, "yaw": -0.2}
+    before = bench.run(["marker_frame_tilt"])
+    after = bench.run(
+        ["marker_frame_tilt"], {f"marker_frame_{n}_rad": turn for n, turn in turns.items()}
+    )
+    tips = [np.column_stack([run[f"tip_{axis}_m"] for axis in "xyz"]) for run in (before, after)]
+    rotation = Rotation.from_euler("zxy", [turns["yaw"], turns["roll"], turns["tilt"]])
+    assert rotation.apply(tips[0]) == pytest.approx(tips[1], abs=1e-12)
 
 
 @pytest.mark.parametrize("delay_s", [0.034, -0.034])

@@ -108,6 +108,19 @@ def test_payloads_that_do_not_fit_the_current_are_told(shown_kg, words):
     assert [words in f.text for f in found] == ([True] if words else [])
 
 
+def test_the_load_of_one_joint_is_compared_where_both_move_alike():
+    """The second joint carries 1.4 times the load, and moves a little more in one trial."""
+    trials = []
+    for number, more in ((1, 1.001), (2, 0.999)):
+        one = swung(1.0, number, dof=2)
+        other = swung(1.0, number + 10, shown_kg=1.7).columns
+        names = (("goal", "rad"), ("angle", "rad"), ("current", "a"))
+        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in names}
+        second["angle_2_rad"] = more * one.columns["angle_1_rad"]
+        trials.append(changed(one, **second))
+    assert not [f for f in check_trials(TrialSet(tuple(trials))) if f.cause == "payload"]
+
+
 def test_a_recording_that_was_imported_twice_is_told():
     once = swung(number=1)
     again = replace(once, name="again", meta=msgspec.structs.replace(once.meta, trial=2))
