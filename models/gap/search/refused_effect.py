@@ -73,7 +73,7 @@ def values_at_bounds(
         if q.trial is not None or not free[k] or not np.isfinite(q.high - q.low):
             continue
         near = settings.at_bound_fraction * (q.high - q.low)
-        vanished = _is_strength(q) and value <= q.low == 0.0
+        vanished = _is_strength(q) and q.low == 0.0 and value <= near
         unmoved = abs(value) <= near and not vanished
         if unmoved or min(value - q.low, q.high - value) > near:
             continue

@@ -17,8 +17,12 @@ def found_at(parameters, values):
 
 
 @pytest.mark.parametrize(
-    ("strength", "names"), [(0.0, ["hardening_share"]), (0.02, []), (3.0, ["hardening_share"])]
-)
+    ("strength", "names"),
+    [
+        (0.0, ["hardening_share"]), (0.002, ["hardening_share"]), (0.02, []),
+        (3.0, ["hardening_share"]),
+    ],
+)  # fmt: skip
 def test_a_strength_that_fell_to_zero_or_reached_its_bound_is_found(strength, names):
     parameters = effect_fit_parameters(read_plant(), "stiffness_hardening", 1)
     assert [row.name for row in found_at(parameters, [strength])] == names
