@@ -18,6 +18,7 @@ import numpy as np
 
 from firmware_py.motion import Motion
 from models.rig.drawn_rig import LINK_DEVIATION
+from models.shared.catalogue import CATALOGUE
 
 DEFAULT_RIG: Final = "default"
 
@@ -38,20 +39,23 @@ workflow was set on the study's; the others are what a user may run [chosen befo
 
 Kind = Literal["single", "null", "pair", "outside"]
 
-TYPICAL: Final[dict[str, float]] = {
-    "coulomb_friction": 2.0, "viscous_friction": 3.0, "stribeck_friction": 3.0,
-    "load_dependent_friction": 0.08, "backlash": 0.006, "joint_elasticity": 5e-4,
-    "dead_time": 0.03, "current_saturation": 7.0, "torque_constant_drift": 0.1,
-    "unmodelled_payload": 0.3, "payload_offset": 0.03, "prebend": 0.03,
-    "directional_stiffness": 0.15, "stiffness_softening": 0.15, "stiffness_hardening": 0.3,
-    "pressure_leak": 0.1, "hysteresis": 0.3, "creep": 0.3, "aerodynamic_drag": 2.0,
-    "encoder_offset": 0.02, "load_offset": 3.0, "current_bias": 0.2, "current_scale": 0.1,
-    "marker_frame_tilt": 0.015, "sync_offset": 0.03, "sensor_lag": 0.02, "encoder_ripple": 0.004,
-    "cogging": 2.0, "marker_scale": 0.01, "stiction": 3.0,
+TYPICAL: Final = {
+    name: CATALOGUE[name].size
+    for name in (
+        "coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction",
+        "backlash", "joint_elasticity", "dead_time", "current_saturation", "torque_constant_drift",
+        "unmodelled_payload", "payload_offset", "prebend", "directional_stiffness",
+        "stiffness_softening", "stiffness_hardening", "pressure_leak", "hysteresis", "creep",
+        "aerodynamic_drag", "encoder_offset", "load_offset", "current_bias", "current_scale",
+        "marker_frame_tilt", "sync_offset", "sensor_lag", "encoder_ripple", "cogging",
+        "marker_scale", "stiction",
+    )
 }  # fmt: skip
-"""Strength that matters, in the catalogue's unit [chosen before any run]."""
+"""Strength that matters, in the order of the draw [chosen before any run]."""
 
-TYPICAL_OF_TWO_JOINTS: Final[dict[str, float]] = {**TYPICAL, "cross_axis_coupling": 0.2}
+TYPICAL_OF_TWO_JOINTS: Final = TYPICAL | {
+    "cross_axis_coupling": CATALOGUE["cross_axis_coupling"].size
+}  # fmt: skip
 """The same for two joints; only these couple the planes of bending."""
 
 SIGNED: Final = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, get_args
@@ -25,11 +26,13 @@ EFFECT=STRENGTH` adds it to the rig, and `gap.json` tells it. In the equations q
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
 have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
 diagnosis fits one strength for both, since the servos are alike; offsets (encoder, load, current)
-and effects of the bending have one for each. Payload offset and tilt of the frame are towards +x
-and about y only. The time t begins with the first row of the trial. Root and span are the two
-hinges of the plant, one at the base and one within the link ([../plant/link.md](../plant/link.md)).
-How to add an effect is told in [../plant/add-an-effect.md](../plant/add-an-effect.md). This page is
-written by `python -m models.plant.effects_page docs/gap/effects.md`.
+and effects of the bending have one for each. A payload offset is towards +x only. The size is the
+strength that would be noticed on the bench; the benchmark hides half to double of it, or a fifth
+([accuracy.md](accuracy.md)). The time t begins with the first row of the trial. Root and span are
+the two hinges of the plant, one at the base and one within the link
+([../plant/link.md](../plant/link.md)). How to add an effect is told in
+[../plant/add-an-effect.md](../plant/add-an-effect.md). This page is written by
+`python -m models.plant.effects_page docs/gap/effects.md`.
 """
 
 TITLES: Final[dict[Port, str]] = {
@@ -50,16 +53,17 @@ def effects_page() -> str:
     for port in get_args(Port):
         parts += [
             f"## {TITLES[port]}\n",
-            _row("effect", "strength", "equation", "other parameters"),
+            _row("effect", "strength", "size", "equation", "other parameters"),
         ]
-        parts.append("|---|---|---|---|")
+        parts.append("|---|---|---|---|---|")
         for name, row in EVERY_EFFECT.items():
             if row.port == port:
                 unit = "" if row.unit == "1" else f", {row.unit}"
                 only = " (loads of your own only)" if name in BEYOND_THE_RIG else ""
                 equation = (inspect.getdoc(EFFECTS[name]) or "").splitlines()[0]
                 also = "; ".join(_further_parameters(name))
-                parts.append(_row(f"`{name}`{only}", row.strength + unit, equation, also))
+                size = "" if math.isnan(row.size) else f"{row.size:g}"
+                parts.append(_row(f"`{name}`{only}", row.strength + unit, size, equation, also))
         told = [_told(name) for name, row in EVERY_EFFECT.items() if row.port == port]
         parts += ["", *(text for text in told if text), ""]
     return "\n".join(parts)

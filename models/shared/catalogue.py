@@ -40,45 +40,64 @@ class EffectRow(NamedTuple):
         Of its strength (its first parameter); "1" for a fraction.
     strength : str
         Meaning of the strength.
+    size : float, optional
+        Strength that would be noticed on the bench; NaN for none.
     """
 
     port: Port
     unit: str
     strength: str
+    size: float = math.nan
 
 
 CATALOGUE: Final[dict[str, EffectRow]] = {
-    "coulomb_friction": EffectRow("servo_torque", "N.m", "dry friction torque at the output"),
-    "viscous_friction": EffectRow("servo_torque", "N.m.s/rad", "friction torque per joint rate"),
-    "stribeck_friction": EffectRow("servo_torque", "N.m", "extra friction near standstill"),
-    "stiction": EffectRow("servo_torque", "N.m", "breakaway torque above sliding friction"),
-    "load_dependent_friction": EffectRow("servo_torque", "1", "friction per transmitted torque"),
-    "cogging": EffectRow("servo_torque", "N.m", "amplitude of the torque periodic in the angle"),
-    "backlash": EffectRow("servo_torque", "rad", "full backlash of the gear"),
-    "joint_elasticity": EffectRow("servo_torque", "rad/(N.m)", "gear wind-up per torque"),
-    "dead_time": EffectRow("command", "s", "delay of the goal on its way to the servo's loop"),
-    "current_saturation": EffectRow("command", "A", "reduction of the current limit"),
-    "torque_constant_drift": EffectRow("servo_torque", "1", "relative loss of torque per ampere"),
-    "unmodelled_payload": EffectRow("mass", "kg", "mass at the tip beyond the declared payload"),
-    "payload_offset": EffectRow("mass", "1", "payload's offset towards +x per link length"),
-    "prebend": EffectRow("bend_torque", "rad", "bend of the unloaded link towards +x"),
-    "directional_stiffness": EffectRow("stiffness", "1", "stiffer for positive bend, softer else"),
-    "stiffness_softening": EffectRow("stiffness", "1", "stiffness lost at 0.1 rad of bend"),
-    "stiffness_hardening": EffectRow("stiffness", "1", "stiffness gained at 0.1 rad of bend"),
-    "pressure_leak": EffectRow("stiffness", "1", "fraction of stiffness lost per 10 s"),
-    "hysteresis": EffectRow("bend_torque", "1", "Bouc-Wen fraction of the bending stiffness"),
-    "creep": EffectRow("bend_torque", "1", "relaxing fraction of the stiffness"),
-    "aerodynamic_drag": EffectRow("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic"),
-    "cross_axis_coupling": EffectRow("bend_torque", "1", "torque of one plane per other plane's"),
-    "encoder_offset": EffectRow("sensor", "rad", "constant error of the encoder, loop included"),
-    "encoder_ripple": EffectRow("sensor", "rad", "amplitude of the encoder's periodic error"),
-    "load_offset": EffectRow("joint_torque", "N.m", "constant torque on the joint"),
-    "current_bias": EffectRow("sensor", "A", "constant error of the measured current"),
-    "current_scale": EffectRow("sensor", "1", "relative error of the measured current"),
-    "marker_frame_tilt": EffectRow("sensor", "rad", "tilt of the mocap frame about y"),
-    "marker_scale": EffectRow("sensor", "1", "relative error of the mocap's scale"),
-    "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo"),
-    "sensor_lag": EffectRow("sensor", "s", "low-pass time of the measured current"),
+    "coulomb_friction": EffectRow("servo_torque", "N.m", "dry friction torque at the output", 2),
+    "viscous_friction": EffectRow("servo_torque", "N.m.s/rad", "friction torque per joint rate", 3),
+    "stribeck_friction": EffectRow("servo_torque", "N.m", "extra friction near standstill", 3),
+    "stiction": EffectRow("servo_torque", "N.m", "breakaway torque above sliding friction", 3),
+    "load_dependent_friction": EffectRow(
+        "servo_torque", "1", "friction per transmitted torque", 0.08
+    ),
+    "cogging": EffectRow("servo_torque", "N.m", "amplitude of the torque periodic in the angle", 2),
+    "backlash": EffectRow("servo_torque", "rad", "full backlash of the gear", 0.006),
+    "joint_elasticity": EffectRow("servo_torque", "rad/(N.m)", "gear wind-up per torque", 0.0005),
+    "dead_time": EffectRow(
+        "command", "s", "delay of the goal on its way to the servo's loop", 0.03
+    ),
+    "current_saturation": EffectRow("command", "A", "reduction of the current limit", 7),
+    "torque_constant_drift": EffectRow(
+        "servo_torque", "1", "relative loss of torque per ampere", 0.1
+    ),
+    "unmodelled_payload": EffectRow(
+        "mass", "kg", "mass at the tip beyond the declared payload", 0.3
+    ),
+    "payload_offset": EffectRow("mass", "1", "payload's offset towards +x per link length", 0.03),
+    "prebend": EffectRow("bend_torque", "rad", "bend of the unloaded link towards +x", 0.03),
+    "directional_stiffness": EffectRow(
+        "stiffness", "1", "stiffer for positive bend, softer else", 0.15
+    ),
+    "stiffness_softening": EffectRow("stiffness", "1", "stiffness lost at 0.1 rad of bend", 0.15),
+    "stiffness_hardening": EffectRow("stiffness", "1", "stiffness gained at 0.1 rad of bend", 0.3),
+    "pressure_leak": EffectRow("stiffness", "1", "fraction of stiffness lost per 10 s", 0.1),
+    "hysteresis": EffectRow("bend_torque", "1", "Bouc-Wen fraction of the bending stiffness", 0.3),
+    "creep": EffectRow("bend_torque", "1", "relaxing fraction of the stiffness", 0.3),
+    "aerodynamic_drag": EffectRow("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic", 2),
+    "cross_axis_coupling": EffectRow(
+        "bend_torque", "1", "torque of one plane per other plane's", 0.2
+    ),
+    "encoder_offset": EffectRow(
+        "sensor", "rad", "constant error of the encoder, loop included", 0.02
+    ),
+    "encoder_ripple": EffectRow(
+        "sensor", "rad", "amplitude of the encoder's periodic error", 0.004
+    ),
+    "load_offset": EffectRow("joint_torque", "N.m", "constant torque on the joint", 3),
+    "current_bias": EffectRow("sensor", "A", "constant error of the measured current", 0.2),
+    "current_scale": EffectRow("sensor", "1", "relative error of the measured current", 0.1),
+    "marker_frame_tilt": EffectRow("sensor", "rad", "tilt of the mocap frame about y", 0.015),
+    "marker_scale": EffectRow("sensor", "1", "relative error of the mocap's scale", 0.01),
+    "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo", 0.03),
+    "sensor_lag": EffectRow("sensor", "s", "low-pass time of the measured current", 0.02),
 }
 
 BEYOND_THE_RIG: Final[dict[str, EffectRow]] = {

@@ -51,7 +51,9 @@ class EncoderRipple(Effect):
 
     An eccentric or oval scale and unequal signals of its tracks cause it (docs/sources.md, "The
     servo"). A servo whose velocity loop has a sensor at the motor measures the rate without the
-    error; one with a single encoder has the error's rate in it. The fraction of it is fitted.
+    error; one with a single encoder has the error's rate in it. The fraction of it is fitted. The
+    number of periods is not: a search finds none of it where that of the plant file is not the
+    encoder's.
     """
 
     name = "encoder_ripple"
@@ -92,7 +94,8 @@ class Cogging(Effect):
 
     It pulls the joint towards n evenly spaced angles and takes no energy over a period. Slots and
     magnets of a motor, or the teeth of a gear, cause it [Hanselman 2003]. It acts on the rotor, so
-    the gear does not transmit it.
+    the gear does not transmit it. The number of periods is not fitted: a search finds none of it
+    where that of the plant file is not the servo's.
     """
 
     name = "cogging"
