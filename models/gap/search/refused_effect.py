@@ -51,7 +51,7 @@ def values_at_bounds(
     """Fitted values of nuisance and effects that ended at a bound away from the plant as given.
 
     The strength of an effect that the plant lacks counts at zero too, where that is its bound: the
-    fit found none of it.
+    fit found none of it, in no plane of the bending.
 
     Parameters
     ----------
@@ -68,12 +68,16 @@ def values_at_bounds(
     """
     known = plant_with_every_effect(plant).parameters
     found = []
-    for k, q in enumerate(fit_parameters):
+    nears = [settings.at_bound_fraction * (q.high - q.low) for q in fit_parameters]
+    present = {
+        q.effect for q, value, near in zip(fit_parameters, point.values, nears, strict=True)
+        if _is_strength(q) and abs(value) > near
+    }  # fmt: skip
+    for k, (q, near) in enumerate(zip(fit_parameters, nears, strict=True)):
         value = float(point.values[k])
         if q.trial is not None or not free[k] or not np.isfinite(q.high - q.low):
             continue
-        near = settings.at_bound_fraction * (q.high - q.low)
-        vanished = _is_strength(q) and q.low == 0.0 and value <= near
+        vanished = _is_strength(q) and q.low == 0.0 and value <= near and q.effect not in present
         unmoved = abs(value) <= near and not vanished
         if unmoved or min(value - q.low, q.high - value) > near:
             continue

@@ -28,6 +28,15 @@ def test_a_strength_that_fell_to_zero_or_reached_its_bound_is_found(strength, na
     assert [row.name for row in found_at(parameters, [strength])] == names
 
 
+@pytest.mark.parametrize(("shares", "count"), [((0.3, 0.0), 0), ((0.0, 0.001), 2)])
+def test_a_strength_may_be_zero_in_one_of_two_planes(shares, count):
+    plant = read_plant().with_values({"hysteresis_share_1": 0.0, "hysteresis_share_2": 0.0})
+    parameters = effect_fit_parameters(plant, "hysteresis", 2)
+    strengths = dict(zip(("hysteresis_share_1", "hysteresis_share_2"), shares, strict=True))
+    values = [strengths.get(q.name, 0.0) for q in parameters]
+    assert len(found_at(parameters, values)) == count
+
+
 def test_nuisance_that_did_not_move_is_not_at_a_bound():
     parameters = nuisance_fit_parameters(read_plant(), 1)
     assert found_at(parameters, [0.0] * len(parameters)) == []
