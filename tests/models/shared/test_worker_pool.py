@@ -1,6 +1,7 @@
 """Worker pool: its results arrive, and an interrupt ends its processes at once."""
 
 import multiprocessing
+import os
 import signal
 
 import pytest
@@ -23,4 +24,6 @@ def test_workers_end_with_the_command(error):
         raise error
     for worker in workers:
         worker.join()
-    assert all(worker.exitcode is not None for worker in workers)
+        # The exit code may be missing here: the pool's own thread may have asked for it first.
+        with pytest.raises(ProcessLookupError):
+            os.kill(worker.pid, 0)
