@@ -70,6 +70,10 @@ def shared_truth(p: RigParameters) -> dict[str, float]:
     bandwidth, constant = p["servo.velocity_bandwidth_rad_s"], p["servo.torque_constant_nm_a"]
     truth["velocity_gain_1_a_s_rad"] = bandwidth * p["servo.inertia_kg_m2"] / constant
     truth["velocity_integral_time_1_s"] = 1.0 / p["servo.velocity_integral_rad_s"]
+    extended = p.structure.position_loop == "feedforward"
+    truth["velocity_feedforward_1"] = p["servo.velocity_feedforward"] if extended else 0.0
+    integral = p["servo.position_integral_per_s2"] if extended else 0.0
+    truth["position_integral_1_per_s2"] = integral
     if p.structure.goal in INTERPOLATION:
         truth["goal_interpolation_1"] = INTERPOLATION[p.structure.goal]
     else:

@@ -51,6 +51,7 @@ FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "current_sampling": ("tick", "phase", "mean"),
     "mocap_filter": ("none", "zero_phase"),
     "rate_sensor": ("motor", "encoder"),
+    "position_loop": ("proportional", "proportional", "feedforward"),
 }
 """Forms that are drawn, by choice of `RigStructure`."""
 
@@ -100,7 +101,10 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
     values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
     values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
     values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    return replace(rig.changed(**values), structure=_draw_structure(rng))
+    structure = _draw_structure(rng)
+    values["servo.velocity_feedforward"] = float(rng.uniform(0.1, 0.9))
+    values["servo.position_integral_per_s2"] = float(rng.uniform(0.0, 5.0))
+    return replace(rig.changed(**values), structure=structure)
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:

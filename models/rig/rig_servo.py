@@ -7,7 +7,11 @@ transmits:
     g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2) + F_b exp(-s / d).
 
 The distance s since the last reversal is forgotten at rest, ds/dt = |w| - s / T. The forms of
-friction and set-point are those of `models.rig.forms`.
+friction and set-point are those of `models.rig.forms`. The position loop asks for the rate
+
+    k_p e + k_i S + k_f dr/dt,   e = r - q,   dS/dt = e,
+
+where the structure has a position loop with feed-forward; k_p e alone elsewhere.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from models.rig.rig_parameters import RigParameters
 
 
 class RigServo:
-    """A position servo: P position loop, PI velocity loop, current limit.
+    """A position servo: position loop, PI velocity loop, current limit.
 
     Parameters
     ----------
@@ -45,6 +49,9 @@ class RigServo:
         p = parameters
         self._step_s = step_s
         self._position_gain = p["servo.position_gain_per_s"]
+        extended = p.structure.position_loop == "feedforward"
+        self._feedforward = p["servo.velocity_feedforward"] if extended else 0.0
+        self._position_integral = p["servo.position_integral_per_s2"] if extended else 0.0
         self._speed_limit = p["servo.speed_limit_rad_s"]
         self._inertia = p["servo.inertia_kg_m2"]
         constant = p["servo.torque_constant_nm_a"]
@@ -79,7 +86,7 @@ class RigServo:
         self._pending: deque[tuple[float, float]] = deque()
         self._goal = goal_form(p, step_s)
         self._register = CurrentRegister(p, step_s)
-        self._integral_a = self._slid_rad = self._sensed_a = 0.0
+        self._integral_a = self._slid_rad = self._sensed_a = self._lag_rad_s = 0.0
         self._forward = True
         self.rotor_rad = self.rotor_rad_s = self.current_a = self.gear_nm = 0.0
 
@@ -150,7 +157,11 @@ class RigServo:
         return self.gear_nm
 
     def _update_current(self) -> None:
-        speed = self._position_gain * (self._goal.advance() - self.encoder_rad)
+        lag = self._goal.advance() - self.encoder_rad
+        self._lag_rad_s += self._step_s * lag
+        speed = self._position_gain * lag
+        speed += self._position_integral * self._lag_rad_s
+        speed += self._feedforward * self._goal.rate_rad_s
         speed = min(max(speed, -self._speed_limit), self._speed_limit)
         error = speed - self._measured_rad_s
         wanted = self._velocity_gain * error + self._integral_a

@@ -40,6 +40,9 @@ class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Set-point between two goals (`models.rig.forms.goal_forms`).
     current_sampling : str
         Current that the servo's register holds (`models.rig.forms.current_sampling`).
+    position_loop : str
+        Proportional, or with feed-forward of the goal's rate and an integral of the error
+        (`models.rig.rig_servo`).
     rate_sensor : str
         Where the velocity loop measures its rate: at the motor, or with the encoder, whose
         periodic error is then in it (`models.rig.rig_servo`).
@@ -56,6 +59,7 @@ class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     play: Literal["gear", "markers"] = "gear"
     goal: Literal["held", "interpolated", "profile"] = "held"
     current_sampling: Literal["tick", "phase", "mean"] = "tick"
+    position_loop: Literal["proportional", "feedforward"] = "proportional"
     rate_sensor: Literal["motor", "encoder"] = "motor"
     mocap_filter: Literal["none", "low_pass", "zero_phase"] = "none"
 

@@ -1,15 +1,17 @@
 """Further starts of the drive's fit, where its cost has separate valleys.
 
-A servo without a limit of its acceleration and one with a low limit: above the motion's own
-acceleration the limit changes nothing, so no step leads from "none" to a limit. A servo that holds
-its goals and one that interpolates them: by the phase at which the current is sampled the one
-passes for the other. The servos of one robot most often do the same.
+A servo may have options, which a plant lacks until the data speak for them (`OPTIONS`). A limit of
+its acceleration: above the motion's own acceleration it changes nothing, so no step leads from
+"none" to a limit. Feed-forward of the rate and an integral of the position error: free in every
+fit they would pass for a position gain. A servo that holds its goals and one that interpolates
+them: by the phase at which the current is sampled the one passes for the other. The servos of one
+robot most often do the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import msgspec
@@ -18,14 +20,32 @@ from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant
 
-LIMIT: Final = "profile_acceleration_"
-"""Beginning of the names of the limits."""
 
-STARTS_RAD_S2: Final = (30.0, 10.0)
-"""Limits to start from: at the study's 0.75 rad/s they make a goal 12 and 38 ms late [assumed]."""
+@dataclass(frozen=True)
+class DriveOption:
+    """What a servo may have or lack.
 
-PROFILE_FALL: Final = 0.05
-"""Least fall of the drive's cost for which a profile is kept [assumed]."""
+    Attributes
+    ----------
+    none : dict of str to float
+        Beginnings of its parameters' names, with the value that stands for "none".
+    starts : tuple of tuple of float
+        Values to start from, one for each parameter.
+    """
+
+    none: dict[str, float]
+    starts: tuple[tuple[float, ...], ...]
+
+
+OPTIONS: Final = (
+    DriveOption({"profile_acceleration_": NO_ACCELERATION_LIMIT}, ((30.0,), (10.0,))),
+    DriveOption({"velocity_feedforward_": 0.0, "position_integral_": 0.0}, ((0.3, 2.0),)),
+)
+"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late;
+feed-forward and integral are those of a moderate setting [assumed]."""
+
+OPTION_FALL: Final = 0.1
+"""Least fall of the drive's cost for which an option is kept [assumed]."""
 
 SHAPE: Final = ("goal_interpolation_{j}", "current_phase_{j}", "goal_delay_{j}_s")
 """Parameters of a goal's shape within the step."""
@@ -34,38 +54,44 @@ SHAPES_DIFFER: Final = 0.3
 """Difference of two joints' interpolation beyond which each is tried for both [assumed]."""
 
 
-def profiled_starts(plant: Plant) -> list[Plant]:
-    """Plants with a free limit; none where the drive has no limit to free, or it is known.
+def starts_with_option(plant: Plant) -> list[Plant]:
+    """Plants with one option more, its parameters free; none for one that the plant has or knows.
 
     Parameters
     ----------
     plant : Plant
         To start from.
     """
-    limits = [q for n, q in plant.parameters.items() if n.startswith(LIMIT)]
-    if any(q.value < NO_ACCELERATION_LIMIT for q in limits) or not limits:
-        return []
-    return [
-        _with_parameters(
-            plant,
-            (
-                msgspec.structs.replace(q, value=start, role="nuisance", prior_deviation=start)
-                for q in limits
-            ),
-        )
-        for start in STARTS_RAD_S2
-    ]
+    result = []
+    for option in OPTIONS:
+        own = [(n, q) for n, q in plant.parameters.items() if n.startswith(tuple(option.none))]
+        known = any(
+            q.role != "fixed" or q.value != none
+            for begin, none in option.none.items() for n, q in own if n.startswith(begin)
+        )  # fmt: skip
+        if known or not own:
+            continue
+        for values in option.starts:
+            start = dict(zip(option.none, values, strict=True))
+            result.append(_with_parameters(plant, [
+                msgspec.structs.replace(
+                    q, value=value, role="nuisance", prior_deviation=q.prior_deviation or value
+                )
+                for begin, value in start.items() for n, q in own if n.startswith(begin)
+            ]))  # fmt: skip
+    return result
 
 
-def with_profile_of(plant: Plant, other: Plant) -> Plant:
-    """Plant with the limits of another one: priors around what was found.
+def with_options_of(plant: Plant, other: Plant) -> Plant:
+    """Plant with the options of another one: priors around what was found.
 
     Parameters
     ----------
     plant, other : Plant
         Of one kind of drive.
     """
-    return _with_parameters(plant, (q for n, q in other.parameters.items() if n.startswith(LIMIT)))
+    begins = tuple(begin for option in OPTIONS for begin in option.none)
+    return _with_parameters(plant, (q for n, q in other.parameters.items() if n.startswith(begins)))
 
 
 def starts_with_alike_servos(plant: Plant) -> list[Plant]:

@@ -7,8 +7,8 @@ The trials to fit to are those that `TrialSet.split` gives; all others are held 
 2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
    Without a servo loop a wrong gain cannot hide a wrong stiffness.
 3. Fit the drive and its friction: the twin, driven by the goals, to angle and current. In the first
-   round also with profiled goals; where the goals of two joints differ in shape, also with either
-   shape for both (`models.plant.identification.drive_starts`).
+   round also with what a servo may have beside its cascade; where the goals of two joints differ in
+   shape, also with either shape for both (`models.plant.identification.drive_starts`).
 4. Repeat both on all trials, weighted by the errors of the first round. The first round uses the
    trials with the fewest joints only, which take the least time.
 
@@ -30,10 +30,10 @@ from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
 from models.plant.identification.drive_starts import (
-    PROFILE_FALL,
-    profiled_starts,
+    OPTION_FALL,
     starts_with_alike_servos,
-    with_profile_of,
+    starts_with_option,
+    with_options_of,
 )
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.simulation_fit import Objective, Solution, fit_objective
@@ -116,7 +116,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
         found = _scan_stiffness(plant, first, report)
         found, rms = _fit_link_and_drive(found, plant, first, None, report)
         found = _with_second_plane(found, first)
-        prior = with_profile_of(plant, found)
+        prior = with_options_of(plant, found)
         found, rms = _fit_link_and_drive(found, prior, fit.trials, rms, report)
     else:
         every = tuple(dict.fromkeys((*link, *drive)))  # friction is in both
@@ -174,17 +174,19 @@ def _fit_link_and_drive(
     first = _fit_stage(plant, prior, "driven", trials, link, LINK_SIGNALS, rms, report)
     extremes = _payload_extremes(trials)
     second = _fit_stage(first.plant, prior, "twin", extremes, drive, DRIVE_SIGNALS, angles, report)
-    if rms is None:
-        profiled = [
+    while rms is None:
+        optional = [
             _fit_stage(
-                start, with_profile_of(prior, start), "twin", extremes,
+                start, with_options_of(prior, start), "twin", extremes,
                 free_parameters(start, planes)[1], DRIVE_SIGNALS, angles, report,
             )
-            for start in profiled_starts(second.plant)
+            for start in starts_with_option(second.plant)
         ]  # fmt: skip
-        best = min(profiled, key=lambda s: s.cost, default=second)
-        if best.cost < (1 - PROFILE_FALL) * second.cost:
-            second = best
+        best = min(optional, key=lambda s: s.cost, default=second)
+        if best.cost > (1 - OPTION_FALL) * second.cost:
+            break
+        second = best
+    drive = free_parameters(second.plant, planes)[1]
     if planes == 2:
         alike = [
             _fit_stage(start, prior, "twin", extremes, drive, DRIVE_SIGNALS, angles, report)

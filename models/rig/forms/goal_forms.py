@@ -16,7 +16,15 @@ from models.rig.rig_parameters import RigParameters
 
 
 class GoalForm(Protocol):
-    """Set-point of one servo, at rest at zero."""
+    """Set-point of one servo, at rest at zero.
+
+    Attributes
+    ----------
+    rate_rad_s : float
+        Rate of the set-point in the last step; of a held goal its last change per period.
+    """
+
+    rate_rad_s: float
 
     def take(self, goal_rad: float) -> None:
         """Take the goal that takes effect now."""
@@ -28,17 +36,28 @@ class GoalForm(Protocol):
 
 
 class HeldGoal:
-    """Set-point that jumps to each goal."""
+    """Set-point that jumps to each goal.
 
-    def __init__(self) -> None:
-        self._goal_rad = 0.0
+    Parameters
+    ----------
+    step_s : float
+        Integration step.
+    """
+
+    def __init__(self, step_s: float) -> None:
+        self._steps = max(round(PERIOD_S / step_s), 1)
+        self._goal_rad = self._change_rad = self.rate_rad_s = 0.0
+        self._left = 0
 
     def take(self, goal_rad: float) -> None:
         """See `GoalForm`."""
+        self._change_rad, self._left = goal_rad - self._goal_rad, self._steps
         self._goal_rad = goal_rad
 
     def advance(self) -> float:
         """See `GoalForm`."""
+        self.rate_rad_s = self._change_rad / PERIOD_S if self._left else 0.0
+        self._left = max(self._left - 1, 0)
         return self._goal_rad
 
 
@@ -53,7 +72,8 @@ class InterpolatedGoal:
 
     def __init__(self, step_s: float) -> None:
         self._steps = max(round(PERIOD_S / step_s), 1)
-        self._goal_rad = self._setpoint_rad = self._per_step_rad = 0.0
+        self._step_s = step_s
+        self._goal_rad = self._setpoint_rad = self._per_step_rad = self.rate_rad_s = 0.0
         self._left = 0
 
     def take(self, goal_rad: float) -> None:
@@ -63,6 +83,7 @@ class InterpolatedGoal:
 
     def advance(self) -> float:
         """See `GoalForm`."""
+        self.rate_rad_s = self._per_step_rad / self._step_s if self._left else 0.0
         if self._left:
             self._left -= 1
             self._setpoint_rad = self._goal_rad - self._left * self._per_step_rad
@@ -84,7 +105,7 @@ class ProfiledGoal:
         self._step_s = step_s
         self._fastest = velocity_rad_s
         self._gain = acceleration_rad_s2 * step_s  # of velocity in a step
-        self._goal_rad = self._setpoint_rad = self._velocity = 0.0
+        self._goal_rad = self._setpoint_rad = self.rate_rad_s = 0.0
 
     def take(self, goal_rad: float) -> None:
         """See `GoalForm`."""
@@ -97,9 +118,9 @@ class ProfiledGoal:
         steps = math.sqrt(0.25 + 2.0 * abs(left) / (self._gain * self._step_s)) - 0.5
         speed = min(self._gain * steps, abs(left) / self._step_s, self._fastest)
         wanted = math.copysign(speed, left)
-        slowest, fastest = self._velocity - self._gain, self._velocity + self._gain
-        self._velocity = min(max(wanted, slowest), fastest)
-        self._setpoint_rad += self._step_s * self._velocity
+        slowest, fastest = self.rate_rad_s - self._gain, self.rate_rad_s + self._gain
+        self.rate_rad_s = min(max(wanted, slowest), fastest)
+        self._setpoint_rad += self._step_s * self.rate_rad_s
         return self._setpoint_rad
 
 
@@ -116,7 +137,7 @@ def goal_form(parameters: RigParameters, step_s: float) -> GoalForm:
     p = parameters
     match p.structure.goal:
         case "held":
-            return HeldGoal()
+            return HeldGoal(step_s)
         case "interpolated":
             return InterpolatedGoal(step_s)
         case "profile":

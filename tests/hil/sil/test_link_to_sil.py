@@ -37,7 +37,7 @@ def brief(monkeypatch):
         lambda name: rig_named(name).changed(**{"world.pause_s": 0.3, "world.settle_s": 0.1}),
     )
     monkeypatch.setattr(
-        "models.plant.identification.identification.profiled_starts", lambda plant: []
+        "models.plant.identification.identification.starts_with_option", lambda plant: []
     )
     monkeypatch.setattr("models.commands.identify.with_noise_floor", lambda plant, trials: plant)
     monkeypatch.setattr(candidate_list, "CANDIDATES", (ObserverTip, PaperPolynomial))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import casadi as ca
 
 from models.plant.components.drives.drive_protocol import friction_speed_parameter
 from models.plant.components.drives.goal_shape import (
+    above_end,
     above_mean,
+    declare_goal_rate_change,
     declare_shaped_goal,
+    goal_rate,
+    goal_rate_change,
     goal_shape_parameters,
     sampling_phase,
     staircase_in_current,
@@ -18,17 +22,42 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
+FEEDFORWARD: Final = "velocity_feedforward_{j}"
+POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
+"""Parameters of what a servo may have beside the cascade; zero where it has none."""
+
+
+def extension_parameters(joint: int) -> list[Parameter]:
+    """Feed-forward of the rate and integral of the position error, absent by default.
+
+    Parameters
+    ----------
+    joint : int
+        Number of the joint.
+    """
+    source = 'docs/sources.md, "Control tables": {}; 0 is none'
+    return [
+        Parameter(name=FEEDFORWARD.format(j=joint), unit="1", value=0.0, low=0.0, high=1.5,
+                  description="share of the goal's rate in the rate that is asked",
+                  source=source.format("feed-forward 1st gain"), prior_deviation=0.5),
+        Parameter(name=POSITION_INTEGRAL.format(j=joint), unit="1/s2", value=0.0, low=0.0,
+                  high=200.0, description="rate asked per integral of the position error",
+                  source=source.format("position I gain"), prior_deviation=10.0),
+    ]  # fmt: skip
+
 
 class Cascade:
     """P position → PI velocity → current, as the Dynamixel PRO runs it.
 
     docs/sources.md, "The servo".
 
-    With e = k_p (goal − q) − q̇::
+    With e = k_p (goal − q) + k_i S + k_f ġ − q̇, Ṡ = goal − q and ġ the rate of the goal::
 
         i = k_v (e + I / T_i),   İ = e,   τ = k_t i
 
-    the current clipped to its limit, and I held back while it is (back-calculation).
+    the current clipped to its limit, and I held back while it is (back-calculation). A servo
+    without feed-forward and position integral has k_f = k_i = 0. One with a derivative of the
+    position error, or with a PID straight to the current, is the same law with other gains.
     """
 
     kind: ClassVar[str] = "cascade"
@@ -49,6 +78,7 @@ class Cascade:
                 Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
                           high=5.0, role="nuisance", description="integral time of the rate error",
                           source="assumed: slower than the position loop"),
+                *extension_parameters(j),
                 Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=6.83, low=2.0,
                           high=15.0, description="torque at the output per ampere",
                           source='docs/sources.md, "The servo"'),
@@ -67,6 +97,10 @@ class Cascade:
         for j in scope.joints:
             declare_shaped_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
+            if FEEDFORWARD.format(j=j) not in scope.absent:
+                declare_goal_rate_change(scope, j)
+            if POSITION_INTEGRAL.format(j=j) not in scope.absent:
+                scope.state(Variable(f"position_integral_{j}_rad_s", "rad.s", nominal=0.01))
 
     def apply_control(self, scope: Scope) -> None:
         """Set torque by both loops, and the current as it is sampled."""
@@ -76,9 +110,7 @@ class Cascade:
             held = scope.holding_torque[j] / self.torque_constant(scope, j)
             integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
-            error = scope.p("position_gain_{j}_per_s", j) * (
-                scope.goal[j] - scope.measured_angle(j)
-            ) - scope.measured_rate(j)
+            error = self._wanted_rate(scope, j) - scope.measured_rate(j)
             wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = error - (wanted - current) / gain
@@ -88,6 +120,22 @@ class Cascade:
             scope.current_change[j] = per_goal * scope.goal_change[j]
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
             scope.current[j] = current + per_goal * at_once * staircase
+            if FEEDFORWARD.format(j=j) not in scope.absent:
+                jump = gain * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
+                scope.current_change[j] += jump
+                scope.current[j] += jump * above_end(scope, j, self._decay_s(scope, j))
+
+    def _wanted_rate(self, scope: Scope, joint: int) -> Expr:
+        """Rate that the position loop asks of the velocity loop."""
+        lag = scope.goal[joint] - scope.measured_angle(joint)
+        wanted = scope.p("position_gain_{j}_per_s", joint) * lag
+        if FEEDFORWARD.format(j=joint) not in scope.absent:
+            wanted += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
+        if POSITION_INTEGRAL.format(j=joint) not in scope.absent:
+            integral = scope.states[f"position_integral_{joint}_rad_s"]
+            integral.rate = lag
+            wanted += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
+        return wanted
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
@@ -100,19 +148,22 @@ class Cascade:
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
         """Current as it is sampled; the staircase of the goal makes the current a saw-tooth.
 
-        The goal jumps by (1 − λ) ġh in each step. The joint lags behind it, k_p (goal − q) = q̇, so
-        that ġ = q̇ + q̈ / k_p; a held goal is late by half a step, and its last jump by one and a
-        half. Sampled at the end, the current is below its mean in proportion to ġ, like negative
-        viscous friction and inertia.
+        The goal jumps by (1 − λ) ġh in each step. The joint lags behind it,
+        k_p (goal − q) = q̇ − k_f ġ, so that ġ = q̇ + (1 − k_f) q̈ / k_p; a held goal is late by half
+        a step, and its last jump by one and a half. Sampled at the end, the current is below its
+        mean in proportion to ġ, like negative viscous friction and inertia. Feed-forward jumps by
+        k_f g̈h, whatever the goal does within the step. The position integral is too slow to count.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
         follow_per_s = scope.p("position_gain_{j}_per_s", joint)
-        lead_s = 1 / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
-        goal_rate = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
-        jump = gain * follow_per_s * step_s * goal_rate
+        forward = scope.p(FEEDFORWARD, joint)
+        lead_s = (1 - forward) / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
+        followed = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
+        jump = gain * follow_per_s * step_s * followed
         held = 1 - scope.p("goal_interpolation_{j}", joint)
+        forward_jump = gain * forward * step_s * scope.mean_acceleration[joint]
         phase = sampling_phase(scope, joint, step_s)
-        return scope.current[joint] + held * jump * above_mean(
+        return scope.current[joint] + (held * jump + forward_jump) * above_mean(
             phase, step_s, self._decay_s(scope, joint)
         )
 

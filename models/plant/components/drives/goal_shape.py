@@ -116,14 +116,65 @@ def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
     """
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
-    above_end = above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
-    at_once = scope.goal_change[joint] * above_end
+    at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
     if joint not in scope.delayed_staircase:
         return at_once
     late = scope.delayed_staircase[joint]
     late_phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
     delayed = late.rate * step_s * above_mean(late_phase, step_s, decay_s)
     return at_once + late.share * (delayed - at_once)
+
+
+def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
+    """Current as sampled, above that at the end of the step, per jump of the current.
+
+    Parameters
+    ----------
+    scope, joint, decay_s
+        As for `staircase_in_current`.
+    """
+    step_s = declare_step_length(scope)
+    phase = sampling_phase(scope, joint, step_s)
+    return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
+
+
+def declare_goal_rate_change(scope: Scope, joint: int) -> None:
+    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`.
+
+    Parameters
+    ----------
+    scope : Scope
+        With a shaped goal.
+    joint : int
+        Number of the joint.
+    """
+    angle = scope.suffix["angle"]
+    name = f"goal_rate_change_{joint}_{angle}_s"
+    scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
+    change = scope.states[f"goal_change_{joint}_{angle}"]
+    scope.states[name].begin = (change.begin - change.symbol) / scope.step_s
+
+
+def goal_rate_change(scope: Scope, joint: int) -> Expr:
+    """Change of the goal's rate at the begin of the step."""
+    return scope.states[f"goal_rate_change_{joint}_{scope.suffix['angle']}_s"].symbol
+
+
+def goal_rate(scope: Scope, joint: int) -> Expr:
+    """Rate of the goal in this step, after the command port.
+
+    Parameters
+    ----------
+    scope : Scope
+        With a shaped goal.
+    joint : int
+        Number of the joint.
+    """
+    sent = scope.goal_change[joint] / declare_step_length(scope)
+    if joint not in scope.delayed_staircase:
+        return sent
+    late = scope.delayed_staircase[joint]
+    return sent + late.share * (late.rate - sent)
 
 
 def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:

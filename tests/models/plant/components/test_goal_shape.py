@@ -52,9 +52,9 @@ def run(compiled, goal, **changes):
     return dict(zip(names(compiled.model.outputs), y.T, strict=True))
 
 
-def integrated(goal, interpolation, phase=1.0, speed=np.inf):
+def integrated(goal, interpolation, phase=1.0, speed=np.inf, forward=0.0, gather=0.0):
     """Angle at the end of each step, and current at a phase of it, by an adaptive integration."""
-    v, x, before = VALUES, np.zeros(3), goal[0]
+    v, x, before = VALUES, np.zeros(4), goal[0]
     inertia = v["rotor_inertia_1_kg_m2"] + v["mass_kg"] * v["arm_length_m"] ** 2
     weight_nm = v["mass_kg"] * v["gravity_m_s2"] * v["arm_length_m"]
     rows = []
@@ -63,14 +63,16 @@ def integrated(goal, interpolation, phase=1.0, speed=np.inf):
 
         def current(t, x, before=before, change=change):
             shaped = before + change * (1 - interpolation + interpolation * t / STEP_S)
-            error = v["position_gain_1_per_s"] * (shaped - x[0]) - x[1]
+            lag = shaped - x[0]
+            wanted = v["position_gain_1_per_s"] * lag + forward * change / STEP_S + gather * x[3]
+            error = wanted - x[1]
             integral = x[2] / v["velocity_integral_time_1_s"]
-            return v["velocity_gain_1_a_s_rad"] * (error + integral), error
+            return v["velocity_gain_1_a_s_rad"] * (error + integral), error, lag
 
         def rate(t, x, current=current):
-            current_a, error = current(t, x)
+            current_a, error, lag = current(t, x)
             torque = v["torque_constant_1_nm_a"] * current_a - weight_nm * np.sin(x[0])
-            return [x[1], torque / inertia, error]
+            return [x[1], torque / inertia, error, lag]
 
         times = np.unique([phase * STEP_S, STEP_S])
         y = solve_ivp(rate, (0, STEP_S), x, rtol=1e-10, atol=1e-12, t_eval=times).y
@@ -86,6 +88,46 @@ def test_the_goal_within_a_step_is_the_one_of_an_independent_integration(pendulu
     angle_rad, current_a = integrated(goal, interpolation)
     np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
     np.testing.assert_allclose(y["current_1_a"][1:], current_a, atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def forward_pendulum(tmp_path_factory):
+    """With feed-forward and position integral, which a plant has only where they are not zero."""
+    path = tmp_path_factory.mktemp("plant") / "pendulum.toml"
+    path.write_text(DOCUMENT)
+    extended = {"velocity_feedforward_1": 0.4, "position_integral_1_per_s2": 8.0}
+    return CompiledModel(read_plant(path).with_values(VALUES | extended).step_model(1, "twin"))
+
+
+@pytest.mark.parametrize("interpolation, phase", [(0.0, 1.0), (1.0, 1.0), (0.0, 0.5), (1.0, 0.3)])
+def test_feedforward_and_position_integral_are_those_of_an_independent_integration(
+    forward_pendulum, interpolation, phase
+):
+    goal = sinusoid(300)
+    y = run(forward_pendulum, goal, goal_interpolation_1=interpolation, current_phase_1=phase)
+    angle_rad, at_phase = integrated(goal, interpolation, phase, forward=0.4, gather=8.0)
+    _, at_end = integrated(goal, interpolation, forward=0.4, gather=8.0)
+    np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
+    settled = slice(60, None)
+    error = (y["current_1_a"][1:] - at_phase)[settled]
+    moved = (at_phase - at_end)[settled]
+    ripple_a = 1e-3 if phase == 1.0 else 0.015 * interpolation
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(moved**2)) + ripple_a
+
+
+def test_full_feedforward_follows_a_ramp_without_lag_and_none_lags_by_the_gain(
+    pendulum, forward_pendulum
+):
+    ramp = 0.2 * STEP_S * np.arange(250)
+    values = {"goal_interpolation_1": 1.0, "gravity_m_s2": 0.0}
+    without = run(pendulum, ramp, **values)["angle_1_rad"][-1]
+    half = run(forward_pendulum, ramp, velocity_feedforward_1=0.5,
+               position_integral_1_per_s2=0.0, **values)["angle_1_rad"][-1]  # fmt: skip
+    full = run(forward_pendulum, ramp, velocity_feedforward_1=1.0,
+               position_integral_1_per_s2=0.0, **values)["angle_1_rad"][-1]  # fmt: skip
+    lag = 0.2 / VALUES["position_gain_1_per_s"]
+    lags = ramp[-1] - np.array([without, half, full])
+    np.testing.assert_allclose(lags, [lag, 0.5 * lag, 0.0], atol=2e-5)
 
 
 @pytest.mark.parametrize("interpolation", [0.0, 1.0])

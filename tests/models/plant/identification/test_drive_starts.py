@@ -1,8 +1,17 @@
 """Further starts of the drive's fit: only where they may lead to another valley of the cost."""
 
+from dataclasses import replace
+
+import msgspec
 import pytest
 
-from models.plant.identification.drive_starts import SHAPE, starts_with_alike_servos
+from models.plant.identification.drive_starts import (
+    OPTIONS,
+    SHAPE,
+    starts_with_alike_servos,
+    starts_with_option,
+    with_options_of,
+)
 from models.plant.plant import read_plant
 
 
@@ -37,3 +46,43 @@ def test_a_drive_without_a_shape_of_the_goal_needs_no_further_start():
     names = {n.format(j=2) for n in SHAPE}
     without = {n: q for n, q in plant.parameters.items() if n not in names}
     assert starts_with_alike_servos(type("Bare", (), {"parameters": without})()) == []
+
+
+def freed(plant, start):
+    before = plant.parameters
+    return {n: q.value for n, q in start.parameters.items() if q != before[n]}
+
+
+def test_a_cascade_is_tried_with_every_option_and_both_joints_get_it():
+    plant = read_plant()
+    starts = starts_with_option(plant)
+    assert [set(freed(plant, s)) for s in starts] == [
+        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
+        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
+        {f"velocity_feedforward_{j}" for j in (1, 2)}
+        | {f"position_integral_{j}_per_s2" for j in (1, 2)},
+    ]
+    for start in starts:
+        assert all(start.parameters[n].role == "nuisance" for n in freed(plant, start))
+
+
+@pytest.mark.parametrize("change", [{"value": 0.2}, {"role": "nuisance"}])
+def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
+    plant = read_plant()
+    q = msgspec.structs.replace(plant.parameters["velocity_feedforward_1"], **change)
+    known = replace(plant, parameters={**plant.parameters, q.name: q})
+    begins = {n[: n.rindex("_", 0, n.index("1"))] for s in starts_with_option(known)
+              for n in freed(known, s) if "_1" in n}  # fmt: skip
+    assert begins == {"profile_acceleration"}
+
+
+def test_a_plant_takes_over_the_options_of_another_and_nothing_else():
+    plant = read_plant()
+    other = starts_with_option(plant)[-1].with_values({"position_gain_1_per_s": 20.0})
+    begins = tuple(begin for option in OPTIONS for begin in option.none)
+    taken = freed(plant, with_options_of(plant, other))
+    assert taken and all(n.startswith(begins) for n in taken)
+
+
+def test_a_drive_without_options_needs_no_further_start():
+    assert starts_with_option(type("Bare", (), {"parameters": {}})()) == []

@@ -1,7 +1,9 @@
 """Forms of the servo: friction, set-point and the sampling of its current."""
 
 import math
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -115,6 +117,44 @@ def test_a_profile_from_rest_takes_the_time_of_the_trapezoid(way_rad):
     # A step is the coarseness of an overshoot: an eighth of what one step of acceleration moves.
     assert np.abs(way).max() <= size + acceleration * STEP_S**2 / 8
     assert way[-1] == pytest.approx(way_rad, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["default", "drive", "profile"])
+def test_a_goal_on_a_ramp_moves_at_its_rate_and_stands_when_no_goal_comes(name):
+    goal = goal_form(read_rig(name), STEP_S)
+    for k in range(1, 60):
+        goal.take(0.4 * PERIOD_S * k)
+        rates = [(goal.advance(), goal.rate_rad_s)[1] for _ in range(STEPS)]
+    assert np.mean(rates) == pytest.approx(0.4, rel=1e-3)
+    for _ in range(3 * STEPS):
+        goal.advance()
+    assert goal.rate_rad_s == pytest.approx(0.0, abs=1e-12)
+
+
+def lag_on_a_ramp(feedforward, integral):
+    """Lag of a frictionless servo in rad, in the middle of a period, after 4 s at 0.4 rad/s."""
+    rig = read_rig("drive").changed(**{
+        "servo.velocity_feedforward": feedforward, "servo.position_integral_per_s2": integral,
+        "servo.coulomb_friction_nm": 0.0, "servo.viscous_friction_nm_s_rad": 0.0,
+        "servo.load_friction_share": 0.0, "servo.velocity_integral_rad_s": 0.0,
+        "servo.backlash_rad": 1e3,
+    })  # fmt: skip
+    structure = msgspec.structs.replace(rig.structure, position_loop="feedforward")
+    servo = RigServo(replace(rig, structure=structure), STEP_S)
+    for k in range(round(4.0 / STEP_S)):
+        if k % STEPS == 0:
+            goal_rad = 0.4 * STEP_S * (k + STEPS)
+            servo.send(goal_rad, k * STEP_S)
+        servo.step(k * STEP_S, 0.0, 0.0)
+    return goal_rad - 0.4 * STEP_S * (STEPS - 1 - k % STEPS) - servo.rotor_rad
+
+
+def test_feedforward_takes_its_share_of_the_lag_and_the_position_integral_all_of_it():
+    none = lag_on_a_ramp(0.0, 0.0)
+    assert none == pytest.approx(0.4 / read_parameters()["servo.position_gain_per_s"], rel=0.02)
+    assert lag_on_a_ramp(0.3, 0.0) == pytest.approx(0.7 * none, rel=0.02)
+    assert abs(lag_on_a_ramp(1.0, 0.0)) < 0.02 * none
+    assert abs(lag_on_a_ramp(0.0, 20.0)) < 0.05 * none
 
 
 def test_forms_of_the_goal_wait_for_the_dead_time():
