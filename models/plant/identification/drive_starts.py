@@ -2,8 +2,8 @@
 
 A servo may have options, which a plant lacks until the data speak for them (`OPTIONS`). A limit of
 its acceleration: above the motion's own acceleration it changes nothing, so no step leads from
-"none" to a limit. Feed-forward of the rate and an integral of the position error: free in every
-fit they would pass for a position gain. A servo that holds its goals and one that interpolates
+"none" to a limit. Feed-forward of the rate and an integral of the position error, and a set-point
+weight of the velocity loop: free in every fit they would pass for its gains. A servo that holds its goals and one that interpolates
 them: by the phase at which the current is sampled the one passes for the other. The servos of one
 robot most often do the same.
 """
@@ -40,9 +40,10 @@ class DriveOption:
 OPTIONS: Final = (
     DriveOption({"profile_acceleration_": NO_ACCELERATION_LIMIT}, ((30.0,), (10.0,))),
     DriveOption({"velocity_feedforward_": 0.0, "position_integral_": 0.0}, ((0.3, 2.0),)),
+    DriveOption({"setpoint_weight_": 1.0}, ((0.8,),)),
 )
-"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late;
-feed-forward and integral are those of a moderate setting [assumed]."""
+"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late; the
+others are those of a moderate setting [assumed]."""
 
 OPTION_FALL: Final = 0.1
 """Least fall of the drive's cost for which an option is kept [assumed]."""

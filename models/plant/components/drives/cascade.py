@@ -24,11 +24,12 @@ from models.plant.step_model import Variable
 
 FEEDFORWARD: Final = "velocity_feedforward_{j}"
 POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
-"""Parameters of what a servo may have beside the cascade; zero where it has none."""
+SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
+"""Parameters of what a servo may have beside the cascade."""
 
 
 def extension_parameters(joint: int) -> list[Parameter]:
-    """Feed-forward of the rate and integral of the position error, absent by default.
+    """Feed-forward of the rate, integral of the position error and set-point weight; none at first.
 
     Parameters
     ----------
@@ -43,6 +44,9 @@ def extension_parameters(joint: int) -> list[Parameter]:
         Parameter(name=POSITION_INTEGRAL.format(j=joint), unit="1/s2", value=0.0, low=0.0,
                   high=200.0, description="rate asked per integral of the position error",
                   source=source.format("position I gain"), prior_deviation=10.0),
+        Parameter(name=SETPOINT_WEIGHT.format(j=joint), unit="1", value=1.0, low=0.0, high=1.5,
+                  description="weight of the asked rate in the velocity loop's proportional part",
+                  source="assumed: 1, a loop on the error of the rate", prior_deviation=0.3),
     ]  # fmt: skip
 
 
@@ -51,13 +55,15 @@ class Cascade:
 
     docs/sources.md, "The servo".
 
-    With e = k_p (goal − q) + k_i S + k_f ġ − q̇, Ṡ = goal − q and ġ the rate of the goal::
+    With w = k_p (goal − q) + k_i S + k_f ġ the rate that is asked, Ṡ = goal − q and ġ the rate of
+    the goal::
 
-        i = k_v (e + I / T_i),   İ = e,   τ = k_t i
+        i = k_v (b w − q̇ + I / T_i),   İ = w − q̇,   τ = k_t i
 
     the current clipped to its limit, and I held back while it is (back-calculation). A servo
-    without feed-forward and position integral has k_f = k_i = 0. One with a derivative of the
-    position error, or with a PID straight to the current, is the same law with other gains.
+    without feed-forward, position integral and set-point weight has k_f = k_i = 0 and b = 1. One
+    with a derivative of the position error, or with a PID straight to the current, is the same law
+    with other gains (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
     """
 
     kind: ClassVar[str] = "cascade"
@@ -110,32 +116,34 @@ class Cascade:
             held = scope.holding_torque[j] / self.torque_constant(scope, j)
             integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
             limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
-            error = self._wanted_rate(scope, j) - scope.measured_rate(j)
-            wanted = gain * (error + integral.symbol / scope.p("velocity_integral_time_{j}_s", j))
+            asked, measured = self._asked_rate(scope, j), scope.measured_rate(j)
+            gathered = integral.symbol / scope.p("velocity_integral_time_{j}_s", j)
+            weight = scope.p(SETPOINT_WEIGHT, j)
+            wanted = gain * (weight * asked - measured + gathered)
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
-            integral.rate = error - (wanted - current) / gain
+            integral.rate = asked - measured - (wanted - current) / gain
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
-            per_goal = gain * scope.p("position_gain_{j}_per_s", j)
+            per_goal = gain * weight * scope.p("position_gain_{j}_per_s", j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
             scope.current_change[j] = per_goal * scope.goal_change[j]
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
             scope.current[j] = current + per_goal * at_once * staircase
             if FEEDFORWARD.format(j=j) not in scope.absent:
-                jump = gain * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
+                jump = gain * weight * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
                 scope.current_change[j] += jump
                 scope.current[j] += jump * above_end(scope, j, self._decay_s(scope, j))
 
-    def _wanted_rate(self, scope: Scope, joint: int) -> Expr:
+    def _asked_rate(self, scope: Scope, joint: int) -> Expr:
         """Rate that the position loop asks of the velocity loop."""
         lag = scope.goal[joint] - scope.measured_angle(joint)
-        wanted = scope.p("position_gain_{j}_per_s", joint) * lag
+        asked = scope.p("position_gain_{j}_per_s", joint) * lag
         if FEEDFORWARD.format(j=joint) not in scope.absent:
-            wanted += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
+            asked += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
         if POSITION_INTEGRAL.format(j=joint) not in scope.absent:
             integral = scope.states[f"position_integral_{joint}_rad_s"]
             integral.rate = lag
-            wanted += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
-        return wanted
+            asked += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
+        return asked
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
         """Rotor inertia times gear ratio squared."""
@@ -154,7 +162,7 @@ class Cascade:
         mean in proportion to ġ, like negative viscous friction and inertia. Feed-forward jumps by
         k_f g̈h, whatever the goal does within the step. The position integral is too slow to count.
         """
-        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint) * scope.p(SETPOINT_WEIGHT, joint)
         follow_per_s = scope.p("position_gain_{j}_per_s", joint)
         forward = scope.p(FEEDFORWARD, joint)
         lead_s = (1 - forward) / follow_per_s - scope.p("current_phase_{j}", joint) * step_s

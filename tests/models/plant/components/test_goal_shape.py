@@ -26,6 +26,10 @@ VALUES = {
     "velocity_integral_time_1_s": 0.3, "torque_constant_1_nm_a": 6.0, "rotor_inertia_1_kg_m2": 2.0,
     "mass_kg": 1.0, "arm_length_m": 0.1, "gravity_m_s2": 9.81,
 }  # fmt: skip
+EXTENSION = {"forward": 0.4, "gather": 8.0, "weight": 0.7}
+EXTENDED = ("velocity_feedforward_1", "position_integral_1_per_s2", "setpoint_weight_1")
+"""Arguments of `integrated`, and the plant's parameters."""
+
 DOCUMENT = """
 schema = 1
 name = "pendulum on a cascade"
@@ -52,7 +56,7 @@ def run(compiled, goal, **changes):
     return dict(zip(names(compiled.model.outputs), y.T, strict=True))
 
 
-def integrated(goal, interpolation, phase=1.0, speed=np.inf, forward=0.0, gather=0.0):
+def integrated(goal, interpolation, phase=1.0, speed=np.inf, forward=0.0, gather=0.0, weight=1.0):
     """Angle at the end of each step, and current at a phase of it, by an adaptive integration."""
     v, x, before = VALUES, np.zeros(4), goal[0]
     inertia = v["rotor_inertia_1_kg_m2"] + v["mass_kg"] * v["arm_length_m"] ** 2
@@ -65,9 +69,9 @@ def integrated(goal, interpolation, phase=1.0, speed=np.inf, forward=0.0, gather
             shaped = before + change * (1 - interpolation + interpolation * t / STEP_S)
             lag = shaped - x[0]
             wanted = v["position_gain_1_per_s"] * lag + forward * change / STEP_S + gather * x[3]
-            error = wanted - x[1]
             integral = x[2] / v["velocity_integral_time_1_s"]
-            return v["velocity_gain_1_a_s_rad"] * (error + integral), error, lag
+            current_a = v["velocity_gain_1_a_s_rad"] * (weight * wanted - x[1] + integral)
+            return current_a, wanted - x[1], lag
 
         def rate(t, x, current=current):
             current_a, error, lag = current(t, x)
@@ -92,21 +96,21 @@ def test_the_goal_within_a_step_is_the_one_of_an_independent_integration(pendulu
 
 @pytest.fixture(scope="module")
 def forward_pendulum(tmp_path_factory):
-    """With feed-forward and position integral, which a plant has only where they are not zero."""
+    """With what a plant has only where it is not fixed at zero."""
     path = tmp_path_factory.mktemp("plant") / "pendulum.toml"
     path.write_text(DOCUMENT)
-    extended = {"velocity_feedforward_1": 0.4, "position_integral_1_per_s2": 8.0}
+    extended = dict(zip(EXTENDED, EXTENSION.values(), strict=True))
     return CompiledModel(read_plant(path).with_values(VALUES | extended).step_model(1, "twin"))
 
 
 @pytest.mark.parametrize("interpolation, phase", [(0.0, 1.0), (1.0, 1.0), (0.0, 0.5), (1.0, 0.3)])
-def test_feedforward_and_position_integral_are_those_of_an_independent_integration(
+def test_feedforward_position_integral_and_weight_are_those_of_an_independent_integration(
     forward_pendulum, interpolation, phase
 ):
     goal = sinusoid(300)
     y = run(forward_pendulum, goal, goal_interpolation_1=interpolation, current_phase_1=phase)
-    angle_rad, at_phase = integrated(goal, interpolation, phase, forward=0.4, gather=8.0)
-    _, at_end = integrated(goal, interpolation, forward=0.4, gather=8.0)
+    angle_rad, at_phase = integrated(goal, interpolation, phase, **EXTENSION)
+    _, at_end = integrated(goal, interpolation, **EXTENSION)
     np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
     settled = slice(60, None)
     error = (y["current_1_a"][1:] - at_phase)[settled]

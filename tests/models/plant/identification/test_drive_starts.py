@@ -61,6 +61,7 @@ def test_a_cascade_is_tried_with_every_option_and_both_joints_get_it():
         {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
         {f"velocity_feedforward_{j}" for j in (1, 2)}
         | {f"position_integral_{j}_per_s2" for j in (1, 2)},
+        {f"setpoint_weight_{j}" for j in (1, 2)},
     ]
     for start in starts:
         assert all(start.parameters[n].role == "nuisance" for n in freed(plant, start))
@@ -71,14 +72,13 @@ def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
     plant = read_plant()
     q = msgspec.structs.replace(plant.parameters["velocity_feedforward_1"], **change)
     known = replace(plant, parameters={**plant.parameters, q.name: q})
-    begins = {n[: n.rindex("_", 0, n.index("1"))] for s in starts_with_option(known)
-              for n in freed(known, s) if "_1" in n}  # fmt: skip
-    assert begins == {"profile_acceleration"}
+    begins = {n.split("_1")[0] for s in starts_with_option(known) for n in freed(known, s)}
+    assert {b for b in begins if "_2" not in b} == {"profile_acceleration", "setpoint_weight"}
 
 
 def test_a_plant_takes_over_the_options_of_another_and_nothing_else():
     plant = read_plant()
-    other = starts_with_option(plant)[-1].with_values({"position_gain_1_per_s": 20.0})
+    other = starts_with_option(plant)[-2].with_values({"position_gain_1_per_s": 20.0})
     begins = tuple(begin for option in OPTIONS for begin in option.none)
     taken = freed(plant, with_options_of(plant, other))
     assert taken and all(n.startswith(begins) for n in taken)

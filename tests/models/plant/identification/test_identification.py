@@ -46,11 +46,14 @@ def trials_of(plant, synthetic, rng, payloads=(0.0, 1.0, 2.0), numbers=(1, 2), d
 OPTIONS = {
     "none": {}, "profile": {"profile_acceleration_1_rad_s2": 18.0},
     "feedforward": {"velocity_feedforward_1": 0.4, "position_integral_1_per_s2": 5.0},
+    "weight": {"setpoint_weight_1": 0.6},
 }  # fmt: skip
 """What servos may have beside the cascade."""
 
 
-@pytest.mark.parametrize("seed, option", [(1, "none"), (2, "profile"), (5, "feedforward")])
+@pytest.mark.parametrize(
+    "seed, option", [(1, "none"), (2, "profile"), (5, "feedforward"), (6, "weight")]
+)
 def test_known_parameters_come_back(synthetic, seed, option):
     true, rng = drawn(seed)
     own = OPTIONS[option]
