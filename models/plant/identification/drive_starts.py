@@ -3,9 +3,9 @@
 A servo may have options, which a plant lacks until the data speak for them (`OPTIONS`). A limit of
 its acceleration: above the motion's own acceleration it changes nothing, so no step leads from
 "none" to a limit. Feed-forward of the rate and an integral of the position error, and a set-point
-weight of the velocity loop: free in every fit they would pass for its gains. A servo that holds its goals and one that interpolates
-them: by the phase at which the current is sampled the one passes for the other. The servos of one
-robot most often do the same.
+weight of the velocity loop: free in every fit they would pass for its gains. A servo that holds its
+goals and one that interpolates them: by the phase at which the current is sampled the one passes
+for the other. The servos of one robot most often do the same.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ OPTIONS: Final = (
     DriveOption({"velocity_feedforward_": 0.0, "position_integral_": 0.0}, ((0.3, 2.0),)),
     DriveOption({"setpoint_weight_": 1.0}, ((0.8,),)),
 )
-"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late; the
-others are those of a moderate setting [assumed]."""
+"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late;
+the others are those of a moderate setting [assumed]."""
 
 OPTION_FALL: Final = 0.1
 """Least fall of the drive's cost for which an option is kept [assumed]."""
