@@ -34,7 +34,7 @@ EXAMPLE = (
 )
 
 USUAL_STEPS: Final = 130
-"""Runs of all trials that an identification takes, as progress counts them [measured: 50 to 160]."""
+"""Runs of all trials that an identification takes; progress counts them [measured: 50 to 160]."""
 
 LEAST_LEFT: Final = 10
 """Steps that progress says are left while it does not know better."""

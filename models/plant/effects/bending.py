@@ -143,6 +143,7 @@ class Hysteresis(Effect):
 
     ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
 
+    It is added to the elastic torque K φ.
     Threads do not slip faster than in a few milliseconds: r is held below `FASTEST_SLIP_PER_S`,
     which the study's motions stay far from, so that no bend rate makes the equation stiff.
     """
@@ -184,8 +185,8 @@ class Creep(Effect):
 
     τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
-    (docs/sources.md, "The link"). Polymers relax over decades of time; one branch fits one period
-    of motion and no other.
+    (docs/sources.md, "The link"), added to the elastic torque K φ. Polymers relax over decades of
+    time; one branch fits one period of motion and no other.
     """
 
     name = "creep"

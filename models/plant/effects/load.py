@@ -27,7 +27,10 @@ class UnmodelledPayload(Effect):
 
 
 class PayloadOffset(Effect):
-    """Offset o L of the payload's centre from the axis, towards +x in the tip's frame."""
+    """Offset o L of the payload's centre from the axis, towards +x in the tip's frame.
+
+    Mass at the tip without a payload is on the axis.
+    """
 
     name = "payload_offset"
     needs = ("tip",)

@@ -95,7 +95,7 @@ class Cogging(Effect):
     It pulls the joint towards n evenly spaced angles and takes no energy over a period. Slots and
     magnets of a motor, or the teeth of a gear, cause it [Hanselman 2003]. It acts on the rotor, so
     the gear does not transmit it. The number of periods is not fitted: a search finds none of it
-    where that of the plant file is not the servo's.
+    where that of the plant file is not the servo's. The amplitude is √(a² + b²).
     """
 
     name = "cogging"
