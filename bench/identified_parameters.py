@@ -54,6 +54,9 @@ SAME_AS_IN_RIG: Final = {
 RELATIVE: Final = ("viscous_friction_1_nm_s_rad", "link_mass_kg")
 """Parameters that are to be right within a quarter whatever their standard errors."""
 
+FEEDFORWARD: Final = "velocity_feedforward_1"
+"""Option of a servo that `identify` keeps where the trials speak for it."""
+
 INTERPOLATION: Final = {"held": 0.0, "interpolated": 1.0}
 """Shape of the goal; a profile has no counterpart."""
 
@@ -71,7 +74,7 @@ def shared_truth(p: RigParameters) -> dict[str, float]:
     truth["velocity_gain_1_a_s_rad"] = bandwidth * p["servo.inertia_kg_m2"] / constant
     truth["velocity_integral_time_1_s"] = 1.0 / p["servo.velocity_integral_rad_s"]
     extended = p.structure.position_loop == "feedforward"
-    truth["velocity_feedforward_1"] = p["servo.velocity_feedforward"] if extended else 0.0
+    truth[FEEDFORWARD] = p["servo.velocity_feedforward"] if extended else 0.0
     integral = p["servo.position_integral_per_s2"] if extended else 0.0
     truth["position_integral_1_per_s2"] = integral
     if p.structure.goal in INTERPOLATION:
@@ -107,6 +110,8 @@ def identify_draw(rig: str, draw: int) -> dict[str, Any]:
     found, truth = identify(read_plant(), trials), shared_truth(parameters)
     return {
         "rig": rig, "draw": draw, "tip_rms_m": found.held_out.tip_rms_m,
+        "feedforward": truth[FEEDFORWARD],
+        "feedforward_found": found.plant.parameters[FEEDFORWARD].role != "fixed",
         "parameters": {
             q.name: {
                 "value": q.value, "error": q.error, "truth": truth[q.name],
@@ -188,6 +193,38 @@ def coverage_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, dict[str
     return summary
 
 
+def option_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """How often feed-forward was found where servos have it, and where they do not.
+
+    Parameters
+    ----------
+    results : iterable of mapping
+        Of `identify_draw`.
+
+    Returns
+    -------
+    dict
+        Draws, and the fractions `found` and `invented`; where a servo has it, also the largest
+        error of the position gain relative to it and of the feed-forward.
+    """
+    rows = list(results)
+    own = [r for r in rows if r["feedforward"]]
+    bare = [r for r in rows if not r["feedforward"]]
+    found = [r for r in own if r["feedforward_found"]]
+    summary = {"with": float(len(own)), "without": float(len(bare))}
+    if bare:
+        summary["invented"] = float(np.mean([r["feedforward_found"] for r in bare]))
+    if own:
+        gains = [r["parameters"]["position_gain_1_per_s"] for r in own]
+        errors = [r["parameters"][FEEDFORWARD]["value"] - r["feedforward"] for r in found]
+        summary |= {
+            "found": len(found) / len(own),
+            "position gain worst": max(abs(q["value"] / q["truth"] - 1) for q in gains),
+            "feedforward worst": max(map(abs, errors), default=float("nan")),
+        }
+    return summary
+
+
 def summary_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     """Markdown table of a summary.
 
@@ -250,10 +287,11 @@ def main(argv: list[str] | None = None) -> int:
     for draw, rig in wanted:
         results.append(draw_result(args.out, rig, draw))
         progress.step(f"{rig}_{draw}")
-    summary = coverage_summary(results)
-    (args.out / "coverage.json").write_text(json.dumps(summary, indent=1))
+    summary, options = coverage_summary(results), option_summary(results)
+    (args.out / "coverage.json").write_text(json.dumps(summary | {"options": options}, indent=1))
     print(coverage_table(results))
     print(summary_table(summary))
+    print(", ".join(f"{what} {value:.3g}" for what, value in options.items()))
     return 0
 
 

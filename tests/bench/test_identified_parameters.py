@@ -9,6 +9,7 @@ from bench.identified_parameters import (
     coverage_summary,
     coverage_table,
     draw_result,
+    option_summary,
     shared_truth,
     summary_table,
 )
@@ -50,6 +51,23 @@ def test_the_summary_has_the_relative_errors_of_each_rig_and_of_all():
     assert summary["all"]["link_mass_kg within 25 %"] == pytest.approx(2 / 3)
     row = summary_table(summary).splitlines()[2]
     assert row == "| x | 2 | 50% | – | – | 30%, 46%, 50% | 50% |"
+
+
+def test_options_are_counted_where_servos_have_them_and_where_they_have_none():
+    def result(feedforward, value, gain):
+        rows = {"position_gain_1_per_s": {"value": gain, "truth": 10.0}}
+        if value is not None:
+            rows["velocity_feedforward_1"] = {"value": value, "truth": feedforward}
+        return {"feedforward": feedforward, "feedforward_found": value is not None,
+                "parameters": rows}  # fmt: skip
+
+    summary = option_summary(
+        [result(0.3, 0.35, 10.5), result(0.3, None, 14.0), result(0.0, None, 30.0)]
+    )
+    assert (summary["with"], summary["without"]) == (2, 1)
+    assert (summary["found"], summary["invented"]) == (0.5, 0.0)
+    assert summary["position gain worst"] == pytest.approx(0.4)
+    assert summary["feedforward worst"] == pytest.approx(0.05)
 
 
 def test_a_result_of_other_code_is_computed_again(tmp_path, monkeypatch):
