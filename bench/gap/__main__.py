@@ -38,12 +38,9 @@ def main() -> None:
     add = parser.add_argument
     add("--plant", type=Path, help="identified on the default rig without effects")
     add(
-        "--rigs",
-        nargs="+",
-        default=[],
-        metavar="NAME",
+        "--rigs", nargs="+", default=[], metavar="NAME",
         help="rigs, each with a plant of its own: drawn_K, " + ", ".join(named_structures()),
-    )
+    )  # fmt: skip
     add("--out", type=Path, required=True, help="directory of results")
     add("--singles", type=int, default=4, help="cases of each effect and size")
     add("--nulls", type=int, default=150, help="data sets without an effect")
@@ -65,6 +62,7 @@ def main() -> None:
         help="payloads of the trials: study, or between those that the plant was identified on",
     )  # fmt: skip
     add("--same-link", action="store_true", help="the link that the plant was identified on")
+    add("--told", action="store_true", help="tell the diagnosis that the link is the same")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
     add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
@@ -73,6 +71,8 @@ def main() -> None:
         parser.error("give one of --plant, --rigs and --like")
     if (args.motions, args.payloads) != (["study"], "study") and not args.no_sealed:
         parser.error("sealed trials have motions and payloads of their own: give --no-sealed")
+    if args.told and not args.same_link:
+        parser.error("--told goes with --same-link")
     for name in args.rigs:
         try:
             rig_named(name)
@@ -101,7 +101,8 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
         counts = args.singles, args.nulls, args.pairs, args.outside
         own = list(draw_cases(*counts, args.seed, rig, args.same_link, args.joints))
         own = own if args.most is None else mixed_cases(own, args.most)
-        cases += [replace(case, motion=motion, payloads=args.payloads) for case in own]
+        told = {"motion": motion, "payloads": args.payloads, "told_same_link": args.told}
+        cases += [replace(case, **told) for case in own]
     return cases
 
 

@@ -61,7 +61,7 @@ def run_bench_case(
         return {"impossible": str(error)}
     start_s, cpu_s = time.perf_counter(), time.process_time()
     leave_out = list(case.hidden) if case.kind == "outside" else []
-    found = diagnose(plant, trials, leave_out=leave_out, patterns=patterns)
+    found = diagnose(plant, trials, leave_out=leave_out, settings=case.settings, patterns=patterns)
     times |= {"wall_s": time.perf_counter() - start_s, "cpu_s": time.process_time() - cpu_s}
     known = found.fitted.parameters
     written = found.improved.parameters != found.plant.parameters
@@ -135,7 +135,7 @@ def separable(
     """
     if case.kind != "outside":
         return True
-    found = diagnose(plant, trials, patterns=patterns)
+    found = diagnose(plant, trials, settings=case.settings, patterns=patterns)
     alike = {
         e for c in found.inclusions if set(c.effects) & set(case.hidden)
         for a in c.look_alikes for e in a.effects

@@ -17,6 +17,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from firmware_py.motion import Motion
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.rig.drawn_rig import LINK_DEVIATION
 from models.shared.catalogue import CATALOGUE
 
@@ -93,6 +94,8 @@ class BenchCase:
         Name of their payloads, of `PAYLOAD_SETS`.
     frame_turn_rad : dict of str to float
         Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty).
+    told_same_link : bool
+        Whether the diagnosis is told that the link is the same.
     """
 
     kind: Kind
@@ -104,6 +107,12 @@ class BenchCase:
     motion: str = "study"
     payloads: str = "study"
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
+    told_same_link: bool = False
+
+    @property
+    def settings(self) -> GapSettings:
+        """Settings of the diagnosis."""
+        return DEFAULT_SETTINGS.for_same_link() if self.told_same_link else DEFAULT_SETTINGS
 
 
 def motion_named(name: str, joints: int) -> Motion:

@@ -177,10 +177,12 @@ def _repeated(
     every = every.where(lambda t: t.meta.dof == trial.meta.dof)
     inputs = msgspec.structs.replace(inputs, trials_sha256=every.content_sha256())
     patterns = patterns_beside(Path(inputs.plant))
+    given = read_gap_document(args.gap)
     _, document, page = write_diagnosis(
-        plant, every, inputs, directory / "gap", progress.step, patterns=patterns
-    )
-    before = credible_set(rivals_of(read_gap_document(args.gap).hypotheses))
+        plant, every, inputs, directory / "gap", progress.step, patterns=patterns,
+        settings=given.settings,
+    )  # fmt: skip
+    before = credible_set(rivals_of(given.hypotheses))
     after = credible_set(rivals_of(document.hypotheses))
     result = {
         "set_before": {r.label: round(r.probability, 4) for r in before},

@@ -34,6 +34,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--without", action="append", default=[], metavar="EFFECT",
         help="leave an effect out of the catalogue; repeatable",
     )  # fmt: skip
+    parser.add_argument(
+        "--same-link", action="store_true",
+        help="the link is the one that the plant was identified on, unchanged since: fainter "
+        "effects of it are found then, as creep and hysteresis",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words
+    from models.gap.settings import DEFAULT_SETTINGS
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
@@ -59,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),
         trials.content_sha256(), args.dof,
     )  # fmt: skip
+    settings = DEFAULT_SETTINGS.for_same_link() if args.same_link else DEFAULT_SETTINGS
     found, document, page = write_diagnosis(
-        plant, trials, inputs, args.out, progress.step, args.without, patterns
+        plant, trials, inputs, args.out, progress.step, args.without, patterns, settings
     )
     progress.step("done", 0)
     emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")

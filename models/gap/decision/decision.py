@@ -170,7 +170,7 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
             accepted = kept.acceptance.without_named(accepted, answers)
     if not result.named:
         left = float(verdict != "no gap")
-        if search.learned and verdict == "no gap":
+        if search.learned and verdict == "no gap" and not search.settings.same_link:
             accepted = kept.acceptance.changed_link()
     failed, consistencies = kept.acceptance.withheld, kept.consistencies
     return Decision(result, accepted, failed, consistencies, tested, verdict, left)

@@ -13,19 +13,15 @@ import numpy as np
 
 from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.residuals.spectrum import Array
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 REFERENCE: Final = {"_stiffness_": 0.1, "link_mass_kg": 0.1}
 """Relative changes, by a part of the parameter's name, of the links of the calibration."""
 
-LEAST: Final = 0.3
-"""Least change that counts: the fit finds it with an error of some per cent [assumed]."""
 
-MOST: Final = 1.0
-"""Largest that counts: that of the calibration. A hidden effect that stiffens or softens looks like
-a large change of the link, and would hide itself."""
-
-
-def link_change(fit_parameters: Sequence[FitParameter], values: Array) -> float:
+def link_change(
+    fit_parameters: Sequence[FitParameter], values: Array, settings: GapSettings = DEFAULT_SETTINGS
+) -> float:
     """Root mean square of the changes, relative to those of the calibration's links.
 
     Parameters
@@ -34,7 +30,10 @@ def link_change(fit_parameters: Sequence[FitParameter], values: Array) -> float:
         Of the residuals.
     values : ndarray, shape (p,)
         Their values after the nuisance fit.
+    settings : GapSettings
+        Least and largest change that counts.
     """
+    least, most = settings.least_link_change, settings.largest_link_change
     changes = [
         value / reference
         for q, value in zip(fit_parameters, values, strict=True)
@@ -42,5 +41,5 @@ def link_change(fit_parameters: Sequence[FitParameter], values: Array) -> float:
         if q.kind == "nuisance" and part in q.name
     ]
     if not changes:
-        return MOST
-    return float(np.clip(np.sqrt(np.mean(np.square(changes))), LEAST, MOST))
+        return most
+    return float(np.clip(np.sqrt(np.mean(np.square(changes))), least, most))

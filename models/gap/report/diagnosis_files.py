@@ -14,6 +14,7 @@ from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
 from models.gap.report.waterfall import waterfall_steps
 from models.gap.search.effect_search import ReportProgress
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import TrialSet
 
@@ -21,7 +22,7 @@ from models.trials.trial import TrialSet
 def write_diagnosis(
     plant: Plant, trials: TrialSet, inputs: DiagnosisInputs, out: Path,
     report: ReportProgress, leave_out: Sequence[str] = (),
-    patterns: Sequence[ModelDiscrepancy] = (),
+    patterns: Sequence[ModelDiscrepancy] = (), settings: GapSettings = DEFAULT_SETTINGS,
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
@@ -41,13 +42,15 @@ def write_diagnosis(
         Effects that may not be named.
     patterns : sequence of ModelDiscrepancy
         Of the plant's own error, as for `models.gap.diagnosis.diagnose`.
+    settings : GapSettings
+        Tuned numbers, and whether the link is known to be the same.
 
     Returns
     -------
     tuple
         The diagnosis, its document, and the page.
     """
-    found = diagnose(plant, trials, report, leave_out, patterns=patterns)
+    found = diagnose(plant, trials, report, leave_out, settings, patterns=patterns)
     document = gap_document(found, trials, waterfall_steps(found, found.trials))
     document = msgspec.structs.replace(document, inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from firmware_py.display_units import DURATION
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
+
+OF_CHANCE: Final = frozenset({"improbable", "stand-in"})
+"""Refusals of an effect for its probability."""
 
 
 def notes_in_words(document: GapDocument) -> list[str]:
@@ -18,7 +23,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     notes = (
         _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
         _own_error(document), _patterns(document), _amplification(document),
-        *_changed(document),
+        *_changed(document), _link(document),
     )  # fmt: skip
     return [text for text in notes if text]
 
@@ -79,6 +84,19 @@ def _amplification(document: GapDocument) -> str:
     return where and (
         "repetitions differ far more than when the plant was identified: the noise floor is larger "
         f"there, {where}"
+    )
+
+
+def _link(document: GapDocument) -> str:
+    """What is known of the link; empty where nothing was refused that knowing more would help."""
+    if document.settings.same_link:
+        return "the link is taken for the one that the plant was identified on, as said"
+    refused = {r.effect.replace("_", " ") for r in document.refused if r.kind in OF_CHANCE}
+    if not refused or "di" not in document.noise_floor.signals:
+        return ""
+    return (
+        "a link that changed since the plant was identified may look like "
+        f"{', '.join(sorted(refused))}: where yours is the same, say --same-link"
     )
 
 

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.estimation.link_change import LEAST, link_change
+from models.gap.estimation.link_change import link_change
 from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
@@ -174,7 +174,8 @@ class EffectSearch:
     def _candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
-        same = self.unchanged_null.for_link_change(LEAST, self.settings)
+        change = self.settings.least_link_change
+        same = self.unchanged_null.for_link_change(change, self.settings)
         least = self.least(effects, point), same.least(effects)
         return Candidate(effects, point, here.cost - point.cost, *least, predicted)
 
@@ -184,7 +185,8 @@ class EffectSearch:
         A hidden effect may look like a change of the link, which the fit with the effect does not
         need: the plant's own error is that of a link that changed as that fit says.
         """
-        change = min(link_change(self.fit_parameters, point.values), self.first.floor.link_change)
+        change = link_change(self.fit_parameters, point.values, self.settings)
+        change = min(change, self.first.floor.link_change)
         return self.unchanged_null.for_link_change(change, self.settings).least(effects)
 
     def free(self, effects: Sequence[str]) -> Array:
@@ -312,7 +314,7 @@ class EffectSearch:
     def _widen(self, point: FitPoint) -> None:
         """Allow for repetitions that differ, a fraction of the gap, and a changed link."""
         residuals = self.estimator.residuals
-        change = link_change(self.fit_parameters, point.values)
+        change = link_change(self.fit_parameters, point.values, self.settings)
         floor = replace(self.first.floor, link_change=change)
         if point.values.any():  # once fitted
             pooled = self.unchanged_null.repetitions_pooled

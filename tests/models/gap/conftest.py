@@ -11,6 +11,7 @@ from firmware_py.signals import PERIOD_S
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.gap.residuals.fit_parameters import candidate_effects
+from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -100,11 +101,11 @@ def hidden(plant):
 
 @pytest.fixture(scope="session")
 def diagnosed():
-    """Function (plant, trials) -> diagnosis over the effects of `CONSIDERED`."""
+    """Function (plant, trials, settings) -> diagnosis over the effects of `CONSIDERED`."""
 
-    def run(plant, trials):
+    def run(plant, trials, settings=DEFAULT_SETTINGS):
         others = [e for e in candidate_effects(plant) if e not in CONSIDERED]
-        return diagnose(plant, trials, leave_out=others)
+        return diagnose(plant, trials, leave_out=others, settings=settings)
 
     return run
 

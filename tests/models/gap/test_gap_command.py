@@ -26,3 +26,25 @@ def test_one_and_two_joints_are_not_mixed(plant, make_trial):
     trials = TrialSet((make_trial(np.zeros((80, 1))), make_trial(np.zeros((80, 2)))))
     with pytest.raises(InputError, match="one and of two joints"):
         diagnose(plant, trials)
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_what_is_said_of_the_link_reaches_the_diagnosis(
+    same, plant, trials_of, tmp_path, monkeypatch
+):
+    plant.write(tmp_path / "plant.json")
+    trials = trials_of(plant, 2, (0.0,), 1)
+    given = []
+
+    def kept(*arguments):
+        given.append(arguments[-1])
+        raise InputError("the diagnosis", "ends here", "see its settings")
+
+    monkeypatch.setattr(
+        "models.commands.gap_workflow.gap.read_trial_directories", lambda *a: trials
+    )
+    monkeypatch.setattr("models.gap.report.diagnosis_files.write_diagnosis", kept)
+    said = ["--same-link"] if same else []
+    main(["gap", "trials", "--plant", str(tmp_path / "plant.json"), "--out", str(tmp_path / "gap"),
+          *said])  # fmt: skip
+    assert [settings.same_link for settings in given] == [same]

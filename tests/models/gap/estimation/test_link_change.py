@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.link_change import LEAST, MOST, link_change
+from models.gap.estimation.link_change import link_change
 from models.gap.residuals.fit_parameters import FitParameter
+from models.gap.settings import DEFAULT_SETTINGS
 
 PARAMETERS = [
     FitParameter("root_stiffness_1_nm_rad", "nuisance"),
@@ -24,11 +25,20 @@ def test_a_tenth_in_stiffness_and_mass_counts_one():
 
 def test_more_than_the_calibration_saw_counts_no_more():
     """A hidden effect may look like a change of the link."""
-    assert link_change(PARAMETERS, np.array([0.5, 0.4, 0.0, 0.0, 0.0, 0.0])) == MOST
+    values = np.array([0.5, 0.4, 0.0, 0.0, 0.0, 0.0])
+    assert link_change(PARAMETERS, values) == DEFAULT_SETTINGS.largest_link_change
 
 
 def test_damping_variation_and_effects_do_not_count():
-    assert link_change(PARAMETERS, np.array([0, 0, 0, 0.5, 3.0, 0.9])) == LEAST
+    values = np.array([0, 0, 0, 0.5, 3.0, 0.9])
+    assert link_change(PARAMETERS, values) == DEFAULT_SETTINGS.least_link_change
+
+
+def test_a_link_that_is_known_to_be_the_same_has_not_changed_whatever_the_fit_says():
+    same = DEFAULT_SETTINGS.for_same_link()
+    assert same.same_link and not DEFAULT_SETTINGS.same_link
+    assert link_change(PARAMETERS, np.array([0.5, 0.4, 0.1, 0.0, 0.0, 0.0]), same) == 0.0
+    assert link_change([], np.zeros(0), same) == 0.0
 
 
 def test_without_a_link_the_measured_amount_holds():

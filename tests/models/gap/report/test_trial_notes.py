@@ -6,6 +6,7 @@ import pytest
 
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
+from models.gap.settings import DEFAULT_SETTINGS
 
 
 def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
@@ -18,6 +19,8 @@ def document(curve="measured", amplification=(), patterns="measured", signals=("
         "nuisance_bias": {},
         "rows_fitted": {},
         "changed_conditions": (),
+        "settings": DEFAULT_SETTINGS,
+        "refused": [],
     }
     return SimpleNamespace(noise_floor=floor, **plain | others)
 
@@ -37,6 +40,20 @@ def test_everything_that_a_reader_has_to_know_is_noted():
         "not subtracted, for: 1dof steps", "3.9 times at 2 kg",
     ):  # fmt: skip
         assert words in said
+
+
+def test_a_refusal_by_chance_asks_whether_the_link_is_the_same_until_that_is_said():
+    refused = [
+        SimpleNamespace(effect="creep", kind="improbable"),
+        SimpleNamespace(effect="backlash", kind="held-out error"),
+    ]
+    (note,) = notes_in_words(document(refused=refused))
+    assert "like creep" in note and "--same-link" in note and "backlash" not in note
+    assert notes_in_words(document(refused=refused[1:])) == []
+    assert notes_in_words(document(refused=refused, signals=("angle_1_rad",))) == []
+    same = DEFAULT_SETTINGS.for_same_link()
+    (note,) = notes_in_words(document(refused=refused, settings=same))
+    assert "as said" in note and "--same-link" not in note
 
 
 def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():

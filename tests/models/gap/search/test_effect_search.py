@@ -72,6 +72,25 @@ def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(plant, hidden
     assert alone < found.inclusions[0].least < found.null_distribution.least(["creep"]) / 2
 
 
+def test_on_a_link_that_is_said_to_be_the_same_creep_needs_less(plant, hidden, diagnosed):
+    trials = hidden(creep_share_1=0.4)
+    free, told = (
+        diagnosed(plant, trials, s) for s in (DEFAULT_SETTINGS, DEFAULT_SETTINGS.for_same_link())
+    )
+    assert told.named == free.named == ("creep",)
+    assert told.link_change == 0.0 and told.settings.same_link
+    assert told.inclusions[0].least < 0.7 * free.inclusions[0].least
+    catalogue = [d.tested[-1].answers.catalogue for d in (free, told)]
+    assert catalogue[1] > catalogue[0]
+
+
+def test_a_link_that_is_said_to_be_the_same_is_not_written_as_changed(plant, hidden, diagnosed):
+    trials = hidden(link_mass_kg=0.03, root_stiffness_1_nm_rad=12.0)
+    found = diagnosed(plant, trials, DEFAULT_SETTINGS.for_same_link())
+    assert found.verdict == "no gap"
+    assert found.improved.parameters == found.plant.parameters
+
+
 def test_nuisance_alone_is_refitted_and_never_called_missing(plant, hidden, diagnosed):
     found = diagnosed(
         plant,
