@@ -17,7 +17,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from firmware_py.motion import Motion
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.gap.settings import GapSettings
 from models.rig.drawn_rig import LINK_DEVIATION
 from models.shared.catalogue import CATALOGUE
 
@@ -112,7 +112,7 @@ class BenchCase:
     @property
     def settings(self) -> GapSettings:
         """Settings of the diagnosis."""
-        return DEFAULT_SETTINGS.for_same_link() if self.told_same_link else DEFAULT_SETTINGS
+        return GapSettings(same_link=self.told_same_link)
 
 
 def motion_named(name: str, joints: int) -> Motion:

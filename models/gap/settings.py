@@ -234,9 +234,11 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Least information of a block, or of a direction of the blocks [assumed]."""
 
     # Change of the link since the plant was identified, relative to the links of the calibration
+    same_link: bool = False
+    """Whether the user says that the link is the one that the plant was identified on."""
     least_link_change: float = 0.3
-    """Least change that counts: the fit finds it with an error of some per cent [assumed]. 0 where
-    the user says that the link is the same (`same_link`)."""
+    """Least change that counts: the fit finds it with an error of some per cent [assumed]. What an
+    effect must exceed on a link that is the same does not depend on it."""
     largest_link_change: float = 1.0
     """Largest that counts: that of the calibration. A hidden effect that stiffens or softens looks
     like a large change of the link, and would hide itself."""
@@ -288,15 +290,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     waterfall_relative_fall: float = 1e-3
     """Fall of the cost, as a fraction of that so far, at which these fits compute exact
     derivatives [assumed]."""
-
-    @property
-    def same_link(self) -> bool:
-        """Whether the link is known to be the one that the plant was identified on."""
-        return self.largest_link_change == 0.0
-
-    def for_same_link(self) -> GapSettings:
-        """Settings for a link that is known to be the one that the plant was identified on."""
-        return msgspec.structs.replace(self, least_link_change=0.0, largest_link_change=0.0)
 
 
 DEFAULT_SETTINGS: Final = GapSettings()

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words
-    from models.gap.settings import DEFAULT_SETTINGS
+    from models.gap.settings import GapSettings
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),
         trials.content_sha256(), args.dof,
     )  # fmt: skip
-    settings = DEFAULT_SETTINGS.for_same_link() if args.same_link else DEFAULT_SETTINGS
+    settings = GapSettings(same_link=args.same_link)
     found, document, page = write_diagnosis(
         plant, trials, inputs, args.out, progress.step, args.without, patterns, settings
     )

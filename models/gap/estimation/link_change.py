@@ -31,9 +31,11 @@ def link_change(
     values : ndarray, shape (p,)
         Their values after the nuisance fit.
     settings : GapSettings
-        Least and largest change that counts.
+        Least and largest change that counts; the least one where the link is the same.
     """
     least, most = settings.least_link_change, settings.largest_link_change
+    if settings.same_link:
+        return least
     changes = [
         value / reference
         for q, value in zip(fit_parameters, values, strict=True)

@@ -183,10 +183,10 @@ class EffectSearch:
         """Least d′ that effects must reach together in a fit that holds them.
 
         A hidden effect may look like a change of the link, which the fit with the effect does not
-        need: the plant's own error is that of a link that changed as that fit says.
+        need: the plant's own error is that of a link that changed as that fit says, if it may have.
         """
         change = link_change(self.fit_parameters, point.values, self.settings)
-        change = min(change, self.first.floor.link_change)
+        change = min(change, self.first.floor.link_change) * (not self.settings.same_link)
         return self.unchanged_null.for_link_change(change, self.settings).least(effects)
 
     def free(self, effects: Sequence[str]) -> Array:

@@ -6,7 +6,7 @@ import pytest
 
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
-from models.gap.settings import DEFAULT_SETTINGS
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 
 def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
@@ -51,7 +51,7 @@ def test_a_refusal_by_chance_asks_whether_the_link_is_the_same_until_that_is_sai
     assert "like creep" in note and "--same-link" in note and "backlash" not in note
     assert notes_in_words(document(refused=refused[1:])) == []
     assert notes_in_words(document(refused=refused, signals=("angle_1_rad",))) == []
-    same = DEFAULT_SETTINGS.for_same_link()
+    same = GapSettings(same_link=True)
     (note,) = notes_in_words(document(refused=refused, settings=same))
     assert "as said" in note and "--same-link" not in note
 

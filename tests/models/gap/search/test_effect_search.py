@@ -13,7 +13,7 @@ from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.residuals import rows_that_follow
 from models.gap.search.candidate import Candidate, SearchResult, may_pass
-from models.gap.settings import DEFAULT_SETTINGS
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import read_plant
 
@@ -75,10 +75,10 @@ def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(plant, hidden
 def test_on_a_link_that_is_said_to_be_the_same_creep_needs_less(plant, hidden, diagnosed):
     trials = hidden(creep_share_1=0.4)
     free, told = (
-        diagnosed(plant, trials, s) for s in (DEFAULT_SETTINGS, DEFAULT_SETTINGS.for_same_link())
+        diagnosed(plant, trials, s) for s in (DEFAULT_SETTINGS, GapSettings(same_link=True))
     )
     assert told.named == free.named == ("creep",)
-    assert told.link_change == 0.0 and told.settings.same_link
+    assert told.link_change == told.settings.least_link_change and told.settings.same_link
     assert told.inclusions[0].least < 0.7 * free.inclusions[0].least
     catalogue = [d.tested[-1].answers.catalogue for d in (free, told)]
     assert catalogue[1] > catalogue[0]
@@ -86,7 +86,7 @@ def test_on_a_link_that_is_said_to_be_the_same_creep_needs_less(plant, hidden, d
 
 def test_a_link_that_is_said_to_be_the_same_is_not_written_as_changed(plant, hidden, diagnosed):
     trials = hidden(link_mass_kg=0.03, root_stiffness_1_nm_rad=12.0)
-    found = diagnosed(plant, trials, DEFAULT_SETTINGS.for_same_link())
+    found = diagnosed(plant, trials, GapSettings(same_link=True))
     assert found.verdict == "no gap"
     assert found.improved.parameters == found.plant.parameters
 
