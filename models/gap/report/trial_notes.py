@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from firmware_py.display_units import DURATION
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
-
-OF_CHANCE: Final = frozenset({"improbable", "stand-in"})
-"""Refusals of an effect for its probability."""
 
 
 def notes_in_words(document: GapDocument) -> list[str]:
@@ -88,10 +83,10 @@ def _amplification(document: GapDocument) -> str:
 
 
 def _link(document: GapDocument) -> str:
-    """What is known of the link; empty where nothing was refused that knowing more would help."""
+    """What is known of the link; empty where that it may have changed refused no effect."""
     if document.settings.same_link:
         return "the link is taken for the one that the plant was identified on, as said"
-    refused = {r.effect.replace("_", " ") for r in document.refused if r.kind in OF_CHANCE}
+    refused = {r.effect.replace("_", " ") for r in document.refused if r.kind == "improbable"}
     if not refused or "di" not in document.noise_floor.signals:
         return ""
     return (

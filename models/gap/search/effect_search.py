@@ -185,8 +185,8 @@ class EffectSearch:
         A hidden effect may look like a change of the link, which the fit with the effect does not
         need: the plant's own error is that of a link that changed as that fit says, if it may have.
         """
-        change = link_change(self.fit_parameters, point.values, self.settings)
-        change = min(change, self.first.floor.link_change) * (not self.settings.same_link)
+        fitted = link_change(self.fit_parameters, point.values, self.settings)
+        change = 0.0 if self.settings.same_link else min(fitted, self.first.floor.link_change)
         return self.unchanged_null.for_link_change(change, self.settings).least(effects)
 
     def free(self, effects: Sequence[str]) -> Array:

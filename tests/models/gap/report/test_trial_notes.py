@@ -42,13 +42,14 @@ def test_everything_that_a_reader_has_to_know_is_noted():
         assert words in said
 
 
-def test_a_refusal_by_chance_asks_whether_the_link_is_the_same_until_that_is_said():
+def test_an_improbable_effect_asks_whether_the_link_is_the_same_until_that_is_said():
     refused = [
         SimpleNamespace(effect="creep", kind="improbable"),
         SimpleNamespace(effect="backlash", kind="held-out error"),
+        SimpleNamespace(effect="sensor_lag", kind="stand-in"),
     ]
     (note,) = notes_in_words(document(refused=refused))
-    assert "like creep" in note and "--same-link" in note and "backlash" not in note
+    assert "like creep:" in note and "--same-link" in note
     assert notes_in_words(document(refused=refused[1:])) == []
     assert notes_in_words(document(refused=refused, signals=("angle_1_rad",))) == []
     same = GapSettings(same_link=True)
