@@ -50,7 +50,7 @@ def write_diagnosis(
     tuple
         The diagnosis, its document, and the page.
     """
-    found = diagnose(plant, trials, report, leave_out, settings, patterns=patterns)
+    found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
     document = gap_document(found, trials, waterfall_steps(found, found.trials))
     document = msgspec.structs.replace(document, inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)

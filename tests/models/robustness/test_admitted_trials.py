@@ -65,7 +65,9 @@ def few_steps(monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(identification, "DRAWS", 3)
     monkeypatch.setattr(identification, "STIFFNESS_SCAN", (1.0,))
-    monkeypatch.setattr(diagnosis, "diagnose", functools.partial(diagnose, settings=FEW_STEPS))
+    monkeypatch.setattr(
+        diagnosis, "diagnose", lambda *a, **o: diagnose(*a, **o | {"settings": FEW_STEPS})
+    )
     from models.commands import identify
 
     monkeypatch.setattr(
