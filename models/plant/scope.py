@@ -81,8 +81,11 @@ class Scope:
         Parameters that are fixed at zero.
     goal, start : dict by joint
         Goal after the command port; coordinate of the joint at the start.
-    goal_change, current_change : dict by joint
-        Change of a goal in the step that has a shape within it; jump of the current by all of it.
+    goal_change, current_jump_per_rate : dict by joint
+        Change of a goal in the step that has a shape within it; jump of the current in each step,
+        per rate of a goal that is held within it.
+    sampled_above : dict by joint
+        Of a sample of the saw-tooth in the current over its value at the end of the step.
     goal_without_staircase : dict by joint
         Declares what it needs and returns the line through the middles of a goal's steps, where
         the goal has a shape within the step.
@@ -150,7 +153,8 @@ class Scope:
     goal: dict[int, Expr] = field(default_factory=dict)
     start: dict[int, Expr] = field(default_factory=dict)
     goal_change: dict[int, Expr] = field(default_factory=dict)
-    current_change: dict[int, Expr] = field(default_factory=dict)
+    current_jump_per_rate: dict[int, Expr] = field(default_factory=dict)
+    sampled_above: dict[int, Expr] = field(default_factory=dict)
     goal_without_staircase: dict[int, Callable[[], Expr]] = field(default_factory=dict)
     delayed_staircase: dict[int, DelayedStaircase] = field(default_factory=dict)
     angle: dict[int, Expr] = field(default_factory=dict)

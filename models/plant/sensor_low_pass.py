@@ -19,8 +19,8 @@ class SensorLowPass:
     angle_s : SX
         Time of the first-order low-pass of the coordinate.
     jump_fraction : SX or None
-        Mean of the current above its sample in jumps of the whole goal, beyond that of the drive's
-        saw-tooth; None for a drive without one.
+        Mean of the current above that of the plant, in jumps of a goal that moves as the joint
+        does; None for a drive without a saw-tooth.
     """
 
     time_s: Any

@@ -183,7 +183,8 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     """Fit parameters of one effect: its strength first, then others that may be fitted.
 
     A servo's effect is the same in every joint, but for offsets (`Effect.of_each_joint`); that of
-    the bend may differ by plane. Both then have a strength for each.
+    the bend may differ by plane. Both then have a strength for each. What the plant believes of the
+    staircase of its goals may be wrong in each joint by itself.
 
     Parameters
     ----------
@@ -202,7 +203,8 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     groups: list[list[str]] = []
     for q in effect.per_joint:
         own = [scope.name(q.name, j) for j in scope.joints]
-        groups += [own] if tied else [[n] for n in own]
+        together = tied and q.name not in effect.of_staircase
+        groups += [own] if together else [[n] for n in own]
     groups += [[scope.name(q.name)] for q in effect.shared]
     strengths = effect.strengths(scope)
     result = []

@@ -6,7 +6,8 @@ fast: its state follows with D = √(θ² + D_0²), and the output takes the fra
     ż = (y − z) / D,   y_lagged = y + θ/D (z − y)
 
 The mean delay is θ exactly, at zero the signal passes untouched, and all is smooth in θ; for θ well
-above D_0 it is the first-order low-pass 1 / (1 + θ s) [Oppenheim & Willsky 1997].
+above D_0 it is the first-order low-pass 1 / (1 + θ s) [Oppenheim & Willsky 1997]. It acts on the
+current within the step; that is sampled behind it (`models.plant.composition.sample_phase`).
 """
 
 from __future__ import annotations
@@ -45,16 +46,21 @@ def lag_outputs(
     for j, lag in scope.sensor_lag.items():
         name = lagged_output(outputs, j, scope.columns)
         variable, value = outputs[name]
+        if lag.jump_fraction is not None and name == current_variable(j).name:
+            jump = lag.jump_fraction * scope.current_jump_per_rate[j] * scope.rate[j]
+            value += passed_fraction(lag.time_s) * jump
         second = lag.second_share
         shares = [1] if second is None else [1 - second, second]
         for number, share in enumerate(shares, 1):
             filtered = Variable(f"lagged_{name}_{number}", variable.unit)
             value = _stage(scope, filtered, value, share * lag.time_s)
-        if lag.jump_fraction is not None and name == current_variable(j).name:
-            passed = _passed_fraction(lag.time_s)
-            value += passed * lag.jump_fraction * scope.current_change[j]
         result[name] = (variable, value)
     return result
+
+
+def passed_fraction(time_s: Expr) -> Expr:
+    """Fraction θ/D of an output that passes a filter of time θ."""
+    return time_s / _delay_s(time_s)
 
 
 def lagged_output(
@@ -81,13 +87,8 @@ def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:
     still = [(s.symbol, s.initial) for s in scope.states.values()]
     state = scope.state(variable, substitute(value, still))
     scope.states[variable.name].rate = (value - state) / _delay_s(time_s)
-    return value + _passed_fraction(time_s) * (state - value)
+    return value + passed_fraction(time_s) * (state - value)
 
 
 def _delay_s(time_s: Expr) -> Expr:
     return ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
-
-
-def _passed_fraction(time_s: Expr) -> Expr:
-    """Fraction θ/D of the output that passes the filter."""
-    return time_s / _delay_s(time_s)

@@ -1,13 +1,41 @@
 """Current sampled at a phase of the step: its smooth part between two ends of steps.
 
-The drive adds the saw-tooth of a goal that jumps (`models.plant.components.drives.goal_shape`).
-What remains moves little within a step, so a line between the currents at both ends is taken.
+The drive gives the saw-tooth of a goal that jumps (`models.plant.components.drives.goal_shape`);
+behind a low-pass little of it is left. The rest of the current moves little within a step, so a
+line between the currents at both ends is taken.
 """
 
 from __future__ import annotations
 
+from models.plant.composition.output_lag import lagged_output, passed_fraction
+from models.plant.composition.step_functions import current_variable
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
+
+Outputs = dict[str, tuple[Variable, Expr]]
+
+
+def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
+    """Outputs with every measured current as it is sampled.
+
+    Parameters
+    ----------
+    scope : Scope
+        Composed: the initial value of every state is set.
+    outputs : dict of str to (Variable, SX)
+        By name; currents at the end of the step, behind the low-pass where they have one.
+    """
+    result = dict(outputs)
+    for j in scope.current:
+        name = current_variable(j).name
+        variable, value = outputs[name]
+        if j in scope.sampled_above:
+            above = (1 + scope.current_scale[j]) * scope.sampled_above[j]
+            if j in scope.sensor_lag and lagged_output(outputs, j, scope.columns) == name:
+                above *= 1 - passed_fraction(scope.sensor_lag[j].time_s)
+            value += above
+        result[name] = (variable, current_at_phase(scope, j, value))
+    return result
 
 
 def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:

@@ -13,7 +13,7 @@ from models.plant.components.load_protocol import PlantLoad
 from models.plant.composition.equilibrium import set_initial_equilibrium, start_in_motion
 from models.plant.composition.output_lag import lag_outputs
 from models.plant.composition.port_effects import apply_effects, apply_load_torques
-from models.plant.composition.sample_phase import current_at_phase
+from models.plant.composition.sample_phase import sampled_currents
 from models.plant.composition.step_functions import (
     COORDINATE_NAME,
     build_step_model,
@@ -77,11 +77,9 @@ def compose_twin(
         outputs[variable.name] = (variable, reported_angle(scope, j))
     for j, current in scope.current.items():
         variable = current_variable(j)
-        outputs[variable.name] = (
-            variable,
-            measured_current(scope, j, current_at_phase(scope, j, current)),
-        )
-    return build_step_model(name, scope, lag_outputs(scope, outputs | load.outputs(scope)))
+        outputs[variable.name] = (variable, measured_current(scope, j, current))
+    lagged = lag_outputs(scope, outputs | load.outputs(scope))
+    return build_step_model(name, scope, sampled_currents(scope, lagged))
 
 
 def reported_angle(scope: Scope, joint: int) -> Expr:

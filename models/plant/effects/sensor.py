@@ -142,8 +142,9 @@ class SensorLag(Effect):
     (`models.plant.composition.output_lag`). A fraction of θ
     lies in a second stage where a plant document frees it or gives it; otherwise there is none.
     A low-pass also takes the saw-tooth away that a held goal makes in the current. A trial without
-    it does not tell the saw-tooth from viscous friction, since all samples have one phase; so what
-    the plant believes of it may be wrong, and a fit corrects it together with the lag.
+    it does not tell the saw-tooth from viscous friction, since all samples have one phase; so the
+    plant may hold too much of one for too little of the other, and a fit corrects its friction in
+    the current together with the lag, in each joint by itself.
     Lags of the coordinate and of the motion capture are zero unless a document frees or gives them:
     −T of their rate and T² of their acceleration, which leaves (ωT)³. The drive's own loops are not
     delayed, nor is anything in the driven link and the observer.
@@ -160,8 +161,8 @@ class SensorLag(Effect):
                   source="assumed of first order"),
         Parameter(name="sensor_lag_jump_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
                   role="effect", prior_deviation=0.29,
-                  description="mean of the current above its sample, in jumps of the goal, beyond "
-                  "the plant's saw-tooth", source="uniform: a saw-tooth spans one jump"),
+                  description="mean of the current above that of the plant, in jumps of a goal "
+                  "that moves as the joint does", source="uniform: a saw-tooth spans one jump"),
         Parameter(name="sensor_lag_angle_{j}_s", unit="s", value=0.0, low=0.0, high=0.05,
                   description="low-pass of the measured angle", source="assumed absent"),
     )  # fmt: skip

@@ -12,6 +12,7 @@ from models.plant.components.drives.goal_shape import (
     above_mean,
     declare_goal_rate_change,
     declare_shaped_goal,
+    declare_step_length,
     goal_rate,
     goal_rate_change,
     goal_shape_parameters,
@@ -125,13 +126,13 @@ class Cascade:
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
             per_goal = gain * weight * scope.p("position_gain_{j}_per_s", j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
-            scope.current_change[j] = per_goal * scope.goal_change[j]
+            scope.current_jump_per_rate[j] = per_goal * declare_step_length(scope)
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
-            scope.current[j] = current + per_goal * at_once * staircase
+            scope.sampled_above[j] = per_goal * at_once * staircase
             if FEEDFORWARD.format(j=j) not in scope.absent:
                 jump = gain * weight * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
-                scope.current_change[j] += jump
-                scope.current[j] += jump * above_end(scope, j, self._decay_s(scope, j))
+                scope.sampled_above[j] += jump * above_end(scope, j, self._decay_s(scope, j))
+            scope.current[j] = current
 
     def _asked_rate(self, scope: Scope, joint: int) -> Expr:
         """Rate that the position loop asks of the velocity loop."""

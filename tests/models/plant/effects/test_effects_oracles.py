@@ -83,6 +83,40 @@ def test_a_lag_takes_the_saw_tooth_of_a_held_goal_away_and_its_jump_gives_it_bac
     assert abs(np.mean(restored - sampled)) < 0.1 * above * change_a
 
 
+def test_behind_a_lag_it_does_not_matter_when_the_saw_tooth_is_sampled(bench):
+    """A low-pass of three steps leaves the mean of the current, whatever the phase of the sample."""
+    step_s, rate_rad_s = 0.017, 0.2
+    model = CompiledModel(bench.plant("sensor_lag").step_model(1))
+    goal = rate_rad_s * step_s * np.arange(-150, 150)
+    u = np.column_stack([goal, np.zeros(len(goal))])
+    column = names(model.model.outputs).index("current_1_a")
+
+    def mean_current_a(phase, lag_s):
+        changes = {"current_phase_1": phase, "sensor_lag_1_s": lag_s}
+        values = model.model.parameter_values(changes)
+        return model.simulate(u, step_s, values)[100:, column].mean()
+
+    sampled = [mean_current_a(phase, 0.0) for phase in (0.1, 0.5, 1.0)]
+    lagged = [mean_current_a(phase, 0.05) for phase in (0.1, 0.5, 1.0)]
+    assert np.ptp(sampled) > 0.1
+    assert np.ptp(lagged) < 0.01 * np.ptp(sampled)
+
+
+def test_the_jump_of_a_lag_is_viscous_friction_in_the_current_alone(bench):
+    """A plant that errs in its saw-tooth has made up for it by viscous friction."""
+    lag_s, jump = 0.05, 0.4
+    plant = bench.plant("sensor_lag")
+    known = {name: q.value for name, q in plant.parameters.items()}
+    before = fine_run(plant, {"sensor_lag_1_s": lag_s})
+    after = fine_run(plant, {"sensor_lag_1_s": lag_s, "sensor_lag_jump_1": jump})
+    rate = np.gradient(before["angle_1_rad"], FINE_S)
+    per_rate = known["velocity_gain_1_a_s_rad"] * known["position_gain_1_per_s"] * FINE_S
+    expected = low_pass(jump * per_rate * rate, lag_s)
+    error = np.abs(after["current_1_a"] - before["current_1_a"] - expected)
+    assert error.max() < 0.02 * np.abs(expected).max()
+    assert np.array_equal(before["angle_1_rad"], after["angle_1_rad"])
+
+
 def test_the_lags_of_angle_and_mocap_delay_slow_signals(bench):
     lag_s = 0.02
     plant = bench.plant("sensor_lag")
