@@ -81,11 +81,8 @@ class Scope:
         Parameters that are fixed at zero.
     goal, start : dict by joint
         Goal after the command port; coordinate of the joint at the start.
-    goal_change, current_jump_per_rate : dict by joint
-        Change of a goal in the step that has a shape within it; jump of the current in each step,
-        per rate of a goal that is held within it.
-    sampled_above : dict by joint
-        Of a sample of the saw-tooth in the current over its value at the end of the step.
+    goal_change, current_jump_per_rate, sampled_above : dict by joint
+        Change of a shaped goal; jump of the current per its rate; sample above the step's end.
     goal_without_staircase : dict by joint
         Declares what it needs and returns the line through the middles of a goal's steps, where
         the goal has a shape within the step.

@@ -84,7 +84,7 @@ def test_a_lag_takes_the_saw_tooth_of_a_held_goal_away_and_its_jump_gives_it_bac
 
 
 def test_behind_a_lag_it_does_not_matter_when_the_saw_tooth_is_sampled(bench):
-    """A low-pass of three steps leaves the mean of the current, whatever the phase of the sample."""
+    """A low-pass of three steps leaves the mean of the current, at whatever phase it is read."""
     step_s, rate_rad_s = 0.017, 0.2
     model = CompiledModel(bench.plant("sensor_lag").step_model(1))
     goal = rate_rad_s * step_s * np.arange(-150, 150)
