@@ -36,7 +36,7 @@ from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
-from models.plant.parameter import Parameter, bound_reached
+from models.plant.parameter import AT_BOUND, Parameter, bound_reached
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 
@@ -127,7 +127,8 @@ def _refitted(found: Diagnosis) -> dict[str, FittedValue]:
 
 def _fitted(q: Parameter, before: Mapping[str, Parameter]) -> FittedValue:
     known = before[q.name].value if q.name in before else 0.0
-    return FittedValue(q.value, q.unit, q.error, known, bound_reached(q))
+    none_of_it = q.name not in before and abs(q.value) <= AT_BOUND * (q.high - q.low)
+    return FittedValue(q.value, q.unit, q.error, known, None if none_of_it else bound_reached(q))
 
 
 def _listed(probabilities: Mapping[str, float]) -> dict[str, float]:

@@ -203,7 +203,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     groups: list[list[str]] = []
     for q in effect.per_joint:
         own = [scope.name(q.name, j) for j in scope.joints]
-        together = tied and q.name not in effect.of_staircase
+        together = tied and effect.parameter_needs.get(q.name) != "goal shape"
         groups += [own] if together else [[n] for n in own]
     groups += [[scope.name(q.name)] for q in effect.shared]
     strengths = effect.strengths(scope)

@@ -48,7 +48,7 @@ def lag_outputs(
         variable, value = outputs[name]
         if lag.jump_fraction is not None and name == current_variable(j).name:
             jump = lag.jump_fraction * scope.current_jump_per_rate[j] * scope.rate[j]
-            value += passed_fraction(lag.time_s) * jump
+            value += _passed_fraction(lag.time_s) * jump
         second = lag.second_share
         shares = [1] if second is None else [1 - second, second]
         for number, share in enumerate(shares, 1):
@@ -56,11 +56,6 @@ def lag_outputs(
             value = _stage(scope, filtered, value, share * lag.time_s)
         result[name] = (variable, value)
     return result
-
-
-def passed_fraction(time_s: Expr) -> Expr:
-    """Fraction θ/D of an output that passes a filter of time θ."""
-    return time_s / _delay_s(time_s)
 
 
 def lagged_output(
@@ -87,8 +82,13 @@ def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:
     still = [(s.symbol, s.initial) for s in scope.states.values()]
     state = scope.state(variable, substitute(value, still))
     scope.states[variable.name].rate = (value - state) / _delay_s(time_s)
-    return value + passed_fraction(time_s) * (state - value)
+    return value + _passed_fraction(time_s) * (state - value)
 
 
 def _delay_s(time_s: Expr) -> Expr:
     return ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
+
+
+def _passed_fraction(time_s: Expr) -> Expr:
+    """Fraction θ/D of an output that passes a filter of time θ."""
+    return time_s / _delay_s(time_s)

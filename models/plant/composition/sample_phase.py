@@ -1,13 +1,16 @@
 """Current sampled at a phase of the step: its smooth part between two ends of steps.
 
 The drive gives the saw-tooth of a goal that jumps (`models.plant.components.drives.goal_shape`);
-behind a low-pass little of it is left. The rest of the current moves little within a step, so a
-line between the currents at both ends is taken.
+of that a low-pass keeps the part in phase at the frequency of the steps. The rest of the current
+moves little within a step, so a line between the currents at both ends is taken.
 """
 
 from __future__ import annotations
 
-from models.plant.composition.output_lag import lagged_output, passed_fraction
+import math
+
+from models.plant.components.drives.goal_shape import declare_step_length
+from models.plant.composition.output_lag import lagged_output
 from models.plant.composition.step_functions import current_variable
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
@@ -32,7 +35,7 @@ def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
         if j in scope.sampled_above:
             above = (1 + scope.current_scale[j]) * scope.sampled_above[j]
             if j in scope.sensor_lag and lagged_output(outputs, j, scope.columns) == name:
-                above *= 1 - passed_fraction(scope.sensor_lag[j].time_s)
+                above *= _kept_fraction(scope, scope.sensor_lag[j].time_s)
             value += above
         result[name] = (variable, current_at_phase(scope, j, value))
     return result
@@ -58,3 +61,8 @@ def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
     before = scope.state(Variable(f"current_before_{joint}_a", "A"), substitute(current, still))
     scope.states[before.name()].begin = current
     return phase * current + (1 - phase) * before
+
+
+def _kept_fraction(scope: Scope, time_s: Expr) -> Expr:
+    """Part in phase of what a first-order low-pass keeps at the frequency of the steps."""
+    return 1 / (1 + (2 * math.pi * time_s / declare_step_length(scope)) ** 2)

@@ -30,7 +30,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
-    "straight guide",
+    "smooth friction", "straight guide",
 ]  # fmt: skip
 """Features that an effect may need and that not every drive and load has."""
 
@@ -48,8 +48,8 @@ class Effect:
         Names are patterns ({j}, {angle}, {torque}); one of each for every joint.
     shared : tuple of Parameter
         One for all joints.
-    of_staircase : tuple of str
-        Names in `per_joint` that only a drive with a shape of the goal within the step has.
+    parameter_needs : mapping of str to str
+        Feature that the drive must have for a name in `per_joint`; none where it is not in here.
     needs : tuple of str
         Features that the drive or the load must have.
     of_each_joint : bool
@@ -63,7 +63,7 @@ class Effect:
     port: ClassVar[Port]
     per_joint: ClassVar[tuple[Parameter, ...]] = ()
     shared: ClassVar[tuple[Parameter, ...]] = ()
-    of_staircase: ClassVar[tuple[str, ...]] = ()
+    parameter_needs: ClassVar[Mapping[str, Need]] = {}
     needs: ClassVar[tuple[Need, ...]] = ()
     of_each_joint: ClassVar[bool] = False
     search_start: ClassVar[Mapping[str, float]] = {}
@@ -79,7 +79,7 @@ class Effect:
         named = [
             _for_joint_kind(q, scope.name(q.name, j), scope)
             for q in self.per_joint
-            if q.name not in self.of_staircase or "goal shape" in scope.features
+            if q.name not in self.parameter_needs or self.parameter_needs[q.name] in scope.features
             for j in scope.joints
         ]
         return (*named, *(_for_joint_kind(q, scope.name(q.name), scope) for q in self.shared))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 import casadi as ca
@@ -37,7 +38,7 @@ class DeadTime(Effect):
     """
 
     name = "dead_time"
-    of_staircase = ("dead_time_phase_{j}",)
+    parameter_needs = MappingProxyType({"dead_time_phase_{j}": "goal shape"})
     per_joint = (
         Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="delay of the goal on its way to the servo's loop",

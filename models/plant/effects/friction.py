@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import Final
 
 import casadi as ca
@@ -13,7 +14,7 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 FASTEST_SLIDE_S: Final = 2e-3
-"""Shortest time in which sliding breaks the contacts of `Stiction`; two integration steps."""
+"""Shortest time in which sliding breaks or bends contacts; two integration steps."""
 
 PEAK_EXPONENT: Final = 1.55
 """Exponent that joins the limits of `StribeckFriction`'s peak to within 2.1 %, found by a scan."""
@@ -95,15 +96,20 @@ class DirectionalFriction(Effect):
 
 
 class StribeckFriction(Effect):
-    """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) sign(q̇) [Stribeck 1902].
+    """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) b [Stribeck 1902].
 
-    μ_s, its part per transmitted torque τ (BAM, model M4), is zero unless a plant document frees
-    it; in a gear that slides slowly under load it is the larger part. A smooth sign rises over
-    rates at which the friction already fades: the torque is scaled by what it takes away, so that
-    F_s is the largest extra torque.
+        ḃ = |q̇| (sign(q̇) − b) / (δ + |q̇| T_0)
+
+    After a reversal the contacts bend before they slide (Dahl 1968): b reaches sign(q̇) within the
+    distance δ, at rates at which the friction already fades. A drive with presliding of its own has
+    its b in place of this. μ_s, the part per transmitted torque τ (BAM, model M4), is zero unless a
+    plant document frees it; in a gear that slides slowly under load it is the larger part. A smooth
+    sign rises over rates too: the torque is scaled by what that takes away, so that F_s is the
+    largest extra torque where δ is short.
     """
 
     name = "stribeck_friction"
+    parameter_needs = MappingProxyType({"stribeck_distance_{j}_{angle}": "smooth friction"})
     per_joint = (
         Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
                   role="effect", description="extra friction near standstill",
@@ -111,6 +117,10 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.01, high=1.0,
                   role="effect", description="rate at which it has faded to 37 %",
                   source="assumed: a fifth of the study's peak rate"),
+        Parameter(name="stribeck_distance_{j}_{angle}", unit="rad", value=2e-5, low=2e-5,
+                  high=0.05, role="effect", prior_deviation=0.001,
+                  description="distance in which it builds up after a reversal",
+                  source="assumed: presliding of 0.2 mrad in a LuGre model of such a servo"),
         Parameter(name="stribeck_load_{j}", unit="1", value=0.0, low=0.0, high=1.0,
                   description="extra friction near standstill per transmitted torque",
                   source="assumed absent"),
@@ -122,7 +132,20 @@ class StribeckFriction(Effect):
             fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
             extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
-            scope.friction[j] += extra * fade * friction_direction(scope, j) / _peak(scope, j)
+            scope.friction[j] += extra * fade * _built_up(scope, j) / _peak(scope, j)
+
+
+def _built_up(scope: Scope, joint: int) -> Expr:
+    """Direction b of sliding in which the contacts have built up; see `StribeckFriction`."""
+    direction = friction_direction(scope, joint)
+    distance = scope.name("stribeck_distance_{j}_{angle}", joint)
+    if distance not in scope.parameters:
+        return direction
+    speed = ca.fabs(scope.rate[joint])
+    built = scope.state(Variable(f"stribeck_built_{joint}", "1", minimum=-1.0, maximum=1.0))
+    reach = scope.p(distance) + speed * FASTEST_SLIDE_S
+    scope.states[built.name()].rate = speed / reach * (direction - built)
+    return built
 
 
 def _peak(scope: Scope, joint: int) -> Expr:

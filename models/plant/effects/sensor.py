@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
@@ -139,8 +141,7 @@ class SensorLag(Effect):
 
     Where no current is modelled or declared as measured the strength is that of a measured
     deflection, and where there is none that of the joint's coordinate
-    (`models.plant.composition.output_lag`). A fraction of θ
-    lies in a second stage where a plant document frees it or gives it; otherwise there is none.
+    (`models.plant.composition.output_lag`). A fraction of θ may lie in a second stage.
     A low-pass also takes the saw-tooth away that a held goal makes in the current. A trial without
     it does not tell the saw-tooth from viscous friction, since all samples have one phase; so the
     plant may hold too much of one for too little of the other, and a fit corrects its friction in
@@ -151,14 +152,15 @@ class SensorLag(Effect):
     """
 
     name = "sensor_lag"
-    of_staircase = ("sensor_lag_jump_{j}",)
+    parameter_needs = MappingProxyType({"sensor_lag_jump_{j}": "goal shape"})
     per_joint = (
         Parameter(name="sensor_lag_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
                   description="mean delay of the low-pass of the measured current",
                   source="assumed absent"),
         Parameter(name="sensor_lag_second_{j}", unit="1", value=0.0, low=0.0, high=0.5,
+                  role="effect", prior_deviation=0.29,
                   description="fraction of it in a second stage; 0.5 is critically damped",
-                  source="assumed of first order"),
+                  source="assumed of first order; uniform: none to two equal stages"),
         Parameter(name="sensor_lag_jump_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
                   role="effect", prior_deviation=0.29,
                   description="mean of the current above that of the plant, in jumps of a goal "

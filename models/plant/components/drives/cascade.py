@@ -68,7 +68,9 @@ class Cascade:
     """
 
     kind: ClassVar[str] = "cascade"
-    features: ClassVar[tuple[str, ...]] = ("current", "current limit", "goal shape")
+    features: ClassVar[tuple[str, ...]] = (
+        "current", "current limit", "goal shape", "smooth friction",
+    )  # fmt: skip
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

@@ -24,7 +24,7 @@ class Force:
     """
 
     kind: ClassVar[str] = "force"
-    features: ClassVar[tuple[str, ...]] = ()
+    features: ClassVar[tuple[str, ...]] = ("smooth friction",)
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

@@ -23,7 +23,7 @@ class Measured:
     """
 
     kind: ClassVar[str] = "measured"
-    features: ClassVar[tuple[str, ...]] = ("imposed motion",)
+    features: ClassVar[tuple[str, ...]] = ("imposed motion", "smooth friction")
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

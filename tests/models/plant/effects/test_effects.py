@@ -47,9 +47,14 @@ def test_every_effect_is_documented_bounded_and_absent_by_default():
 
 
 @pytest.mark.parametrize(
-    "effect, phase", [("dead_time", "dead_time_phase_1"), ("sensor_lag", "sensor_lag_jump_1")]
+    "effect, phase",
+    [
+        ("dead_time", "dead_time_phase_1"),
+        ("sensor_lag", "sensor_lag_jump_1"),
+        ("stribeck_friction", "stribeck_distance_1_rad"),
+    ],
 )
-def test_a_drive_without_a_staircase_has_no_parameter_for_it(effect, phase):
+def test_a_drive_without_a_staircase_or_with_bristles_has_no_parameter_for_it(effect, phase):
     held, plain = (
         {q.name for q in EFFECTS[effect]().parameters(scope_of(drive, load, 1))}
         for drive, load in (("cascade", "link"), ("duty", "pendulum"))

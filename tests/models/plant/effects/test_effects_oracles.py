@@ -34,6 +34,29 @@ def low_pass(signal, time_s):
     return lfilter([gain, gain], [1, -pole], signal - signal[0]) + signal[0]
 
 
+def test_stribeck_friction_builds_up_over_its_distance_after_a_reversal(bench):
+    """Slower than it fades, b = 1 - 2 exp(-s/δ) at the distance s from the reversal."""
+    step_s, rate_rad_s, distance_rad = 0.001, 0.1, 0.01
+    plant = bench.plant("stribeck_friction").with_values(
+        {"stribeck_speed_1_rad_s": 1.0, "stribeck_distance_1_rad": distance_rad}
+    )
+    model = CompiledModel(plant.step_model(1, "driven"))
+    travelled = rate_rad_s * step_s * np.arange(1200)
+    angle = np.where(travelled < 0.06, travelled, 0.12 - travelled)
+    u = np.column_stack([angle, np.zeros(len(angle))])
+    column = names(model.model.outputs).index("current_1_a")
+    plain, extra = (
+        model.simulate(
+            u, step_s, model.model.parameter_values({"stribeck_friction_1_nm": strength})
+        )[1:, column]
+        for strength in (0.0, 4.0)
+    )
+    back = travelled - 0.06
+    sliding = back > 0.2 * distance_rad
+    expected = -4.0 * (1 - 2 * np.exp(-back[sliding] / distance_rad))
+    assert 6.83 * (extra - plain)[sliding] == pytest.approx(expected, abs=0.15)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_sensor_lag_is_a_low_pass_of_the_current_alone(bench, share):
     """Of first order, or of two equal stages where the document gives the second a fraction.

@@ -110,7 +110,11 @@ def test_friction_opposes_the_rate_each_in_its_way(bench):
     assert torque[fast] == pytest.approx(4.0 * np.sign(rate[fast]), abs=0.01)
     torque, rate = friction_nm(bench, "viscous_friction", {"viscous_friction_1_nm_s_rad": 3.0})
     assert np.polyfit(rate, torque, 1)[0] == pytest.approx(3.0, rel=0.03)
-    strength = {"stribeck_friction_1_nm": 4.0, "stribeck_speed_1_rad_s": 0.1}
+    strength = {
+        "stribeck_friction_1_nm": 4.0,
+        "stribeck_speed_1_rad_s": 0.1,
+        "stribeck_distance_1_rad": 1e-5,
+    }
     torque, rate = friction_nm(bench, "stribeck_friction", strength)
     assert np.abs(torque[np.abs(rate) > 0.5]).max() < 0.01
     for speed_rad_s in (0.03, 0.1, 0.4):  # the smooth sign rises up to 0.02 rad/s
