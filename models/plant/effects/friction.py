@@ -98,7 +98,7 @@ class DirectionalFriction(Effect):
 class StribeckFriction(Effect):
     """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) b [Stribeck 1902].
 
-        ḃ = |q̇| (sign(q̇) − b) / (δ + |q̇| T_0)
+        ḃ = |q̇| (sign(q̇) − b) / (δ + |q̇| T_0),   T_0 = 2 ms
 
     After a reversal the contacts bend before they slide (Dahl 1968): b reaches sign(q̇) within the
     distance δ, at rates at which the friction already fades. A drive with presliding of its own has
@@ -120,7 +120,7 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_distance_{j}_{angle}", unit="rad", value=2e-5, low=2e-5,
                   high=0.05, role="effect", prior_deviation=0.001,
                   description="distance in which it builds up after a reversal",
-                  source="assumed: presliding of 0.2 mrad in a LuGre model of such a servo"),
+                  source="assumed next to none; a LuGre model of such a servo has 0.2 mrad"),
         Parameter(name="stribeck_load_{j}", unit="1", value=0.0, low=0.0, high=1.0,
                   description="extra friction near standstill per transmitted torque",
                   source="assumed absent"),
