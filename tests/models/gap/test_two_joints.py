@@ -10,6 +10,7 @@ from models.gap.estimation.noise_floor_fit import (
     nuisance_and_variation,
     with_noise_floor,
 )
+from models.gap.residuals.fit_parameters import effect_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.null_distribution import null_distribution_of
@@ -42,6 +43,19 @@ def test_each_number_of_joints_has_a_null_distribution():
     assert (one.repetitions_pooled, two.repetitions_pooled) == (False, True)
     for null in (one, two):
         assert null.for_link_change(0.0).explained >= DEFAULT_SETTINGS.noise_residual
+
+
+@pytest.mark.parametrize(
+    "effect, strength, staircase",
+    [
+        ("sensor_lag", "sensor_lag_{}_s", "sensor_lag_jump_{}"),
+        ("dead_time", "dead_time_{}_s", "dead_time_phase_{}"),
+    ],
+)
+def test_one_strength_for_both_servos_but_each_goal_has_its_staircase(effect, strength, staircase):
+    moved = [set(q.parameters) for q in effect_fit_parameters(read_plant(), effect, 2)]
+    assert moved[0] == {strength.format(j) for j in (1, 2)}
+    assert all({staircase.format(j)} in moved for j in (1, 2))
 
 
 def test_where_no_patterns_are_known_more_counts_as_noise(two_joints, trials_of):

@@ -113,7 +113,7 @@ def test_friction_opposes_the_rate_each_in_its_way(bench):
     strength = {
         "stribeck_friction_1_nm": 4.0,
         "stribeck_speed_1_rad_s": 0.1,
-        "stribeck_distance_1_rad": 1e-5,
+        "stribeck_distance_1_rad": 2e-5,
     }
     torque, rate = friction_nm(bench, "stribeck_friction", strength)
     assert np.abs(torque[np.abs(rate) > 0.5]).max() < 0.01
