@@ -49,7 +49,7 @@ TYPICAL: Final = {
         "stiffness_softening", "stiffness_hardening", "pressure_leak", "hysteresis", "creep",
         "aerodynamic_drag", "encoder_offset", "load_offset", "current_bias", "current_scale",
         "marker_frame_tilt", "sync_offset", "sensor_lag", "encoder_ripple", "cogging",
-        "marker_scale", "stiction",
+        "marker_scale", "stiction", "position_gain_change",
     )
 }  # fmt: skip
 """Strength that matters, in the order of the draw [chosen before any run]."""
@@ -63,6 +63,7 @@ SIGNED: Final = {
     "torque_constant_drift", "payload_offset", "prebend", "directional_stiffness",
     "encoder_offset", "load_offset", "current_bias", "current_scale", "marker_frame_tilt",
     "sync_offset", "encoder_ripple", "cogging", "marker_scale", "cross_axis_coupling",
+    "position_gain_change",
 }  # fmt: skip
 
 FRAME_TURN_RAD: Final = 0.0005

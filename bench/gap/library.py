@@ -205,6 +205,7 @@ def _command_terms(trial: Trial) -> dict[str, Array]:
     limited = np.abs(current) > 0.95 * np.abs(current).max()
     return {
         "dead_time": derivative(trial.columns["goal_1_rad"], trial.step_s),
+        "position_gain_change": trial.columns["goal_1_rad"] - trial.columns["angle_1_rad"],
         "current_scale": current,
         "current_saturation": np.sign(current) * limited,
         "(constant)": np.ones(len(trial)),

@@ -84,8 +84,7 @@ class Scope:
     goal_change, current_jump_per_rate, sampled_above : dict by joint
         Change of a shaped goal; jump of the current per its rate; sample above the step's end.
     goal_without_staircase : dict by joint
-        Declares what it needs and returns the line through the middles of a goal's steps, where
-        the goal has a shape within the step.
+        Declares and returns the line through the middles of the steps of a goal with a shape.
     delayed_staircase : dict by joint
         Delay of such a goal, where there is one.
     angle, rate, acceleration : dict by joint
@@ -103,8 +102,8 @@ class Scope:
     transmitted_torque, gear_drive_torque : dict by joint
         Torque that the load puts on the gear apart from its inertia, and that the drive puts on it,
         where friction depends on it.
-    torque_scale, current_limit_reduction : dict by joint
-        Factor on the drive's torque; reduction of its current limit.
+    torque_scale, position_gain_scale, current_limit_reduction : dict by joint
+        Factors on the drive's torque and position gain; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
         Lost motion in the gear: the load's coordinate is angle - windup.
     lean, lean_rate, lean_acceleration : dict by joint
@@ -167,6 +166,7 @@ class Scope:
     transmitted_torque: dict[int, Expr] = field(default_factory=dict)
     gear_drive_torque: dict[int, Expr] = field(default_factory=dict)
     torque_scale: dict[int, Expr] = field(default_factory=dict)
+    position_gain_scale: dict[int, Expr] = field(default_factory=dict)
     current_limit_reduction: dict[int, Expr] = field(default_factory=dict)
     windup: dict[int, Expr] = field(default_factory=dict)
     windup_rate: dict[int, Expr] = field(default_factory=dict)
@@ -203,7 +203,7 @@ class Scope:
                 self.lean_acceleration, self.encoder_error, self.current_bias, self.current_scale,
             ):  # fmt: skip
                 quantity[j] = 0
-            self.torque_scale[j] = 1
+            self.torque_scale[j] = self.position_gain_scale[j] = 1
 
     def declare(self, parameters: Sequence[Parameter]) -> None:
         """Add parameters, each with its symbol."""

@@ -48,7 +48,8 @@ class RigServo:
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p = parameters
         self._step_s = step_s
-        self._position_gain = p["servo.position_gain_per_s"]
+        gain_change = p["servo.position_gain_change"]
+        self._position_gain = p["servo.position_gain_per_s"] * (1.0 + gain_change)
         extended = p.structure.position_loop == "feedforward"
         self._feedforward = p["servo.velocity_feedforward"] if extended else 0.0
         self._position_integral = p["servo.position_integral_per_s2"] if extended else 0.0

@@ -64,6 +64,9 @@ CATALOGUE: Final[dict[str, EffectRow]] = {
     "dead_time": EffectRow(
         "command", "s", "delay of the goal on its way to the servo's loop", 0.03
     ),
+    "position_gain_change": EffectRow(
+        "command", "1", "relative change of the position loop's gain", 0.2
+    ),
     "current_saturation": EffectRow("command", "A", "reduction of the current limit", 7),
     "torque_constant_drift": EffectRow(
         "servo_torque", "1", "relative loss of torque per ampere", 0.1

@@ -30,7 +30,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {}
 """Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
-    "smooth friction", "straight guide",
+    "position gain", "smooth friction", "straight guide",
 ]  # fmt: skip
 """Features that an effect may need and that not every drive and load has."""
 

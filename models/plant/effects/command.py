@@ -1,4 +1,4 @@
-"""Effects of the command: delay of the goal, limits of current and torque."""
+"""Effects of the command: delay of the goal, gain of its loop, limits of current and torque."""
 
 from __future__ import annotations
 
@@ -73,6 +73,29 @@ class DeadTime(Effect):
             if j in smooth:
                 shift = scope.p("dead_time_phase_{j}", j)
                 scope.delayed_staircase[j] = DelayedStaircase(share, rate, shift)
+
+
+class PositionGainChange(Effect):
+    """Position loop whose gain is not the one that was identified, k_p (1 + c).
+
+    A register of the servo that somebody wrote, or another servo of the same make. A lower gain lets
+    the joint lag behind its goal by ġ / k_p, much as a delay does, but it rounds the turns of the
+    goal off, and it leaves the joint softer.
+    """
+
+    name = "position_gain_change"
+    needs = ("position gain",)
+    of_each_joint = True
+    per_joint = (
+        Parameter(name="position_gain_change_{j}", unit="1", value=0.0, low=-0.8, high=3.0,
+                  role="effect", description="relative change of the position gain",
+                  source='docs/sources.md, "Control tables": position P gain'),
+    )  # fmt: skip
+
+    def apply(self, scope: Scope) -> None:
+        """Scale the gain."""
+        for j in scope.joints:
+            scope.position_gain_scale[j] *= 1 + scope.p("position_gain_change_{j}", j)
 
 
 class CurrentSaturation(Effect):

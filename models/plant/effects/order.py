@@ -33,8 +33,9 @@ ORDER: Final[tuple[str, ...]] = (
     "hysteresis",
     "creep",
     "cross_axis_coupling",
-    # command: the goal and the current limit are separate quantities.
+    # command: the goal, the gain and the current limit are separate quantities.
     "dead_time",
+    "position_gain_change",
     "current_saturation",
     # servo_torque: the torque constant is a factor, each friction and the cogging an addend.
     "torque_constant_drift",

@@ -23,6 +23,7 @@ from models.trials.trial import Trial, TrialMeta
 REST_ROWS = 60
 HIDDEN = {
     "dead_time": ("command", "dead_time_1_s", 0.03),
+    "position_gain_change": ("command", "position_gain_change_1", 0.1),
     "load_offset": ("torque", "load_offset_1_nm", 3.0),
 }
 

@@ -69,7 +69,7 @@ class Cascade:
 
     kind: ClassVar[str] = "cascade"
     features: ClassVar[tuple[str, ...]] = (
-        "current", "current limit", "goal shape", "smooth friction",
+        "current", "current limit", "goal shape", "position gain", "smooth friction",
     )  # fmt: skip
     has_presliding: ClassVar[bool] = False
 
@@ -126,7 +126,7 @@ class Cascade:
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
             integral.rate = asked - measured - (wanted - current) / gain
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
-            per_goal = gain * weight * scope.p("position_gain_{j}_per_s", j)
+            per_goal = gain * weight * self._position_gain(scope, j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
             scope.current_jump_per_rate[j] = per_goal * declare_step_length(scope)
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
@@ -139,7 +139,7 @@ class Cascade:
     def _asked_rate(self, scope: Scope, joint: int) -> Expr:
         """Rate that the position loop asks of the velocity loop."""
         lag = scope.goal[joint] - scope.measured_angle(joint)
-        asked = scope.p("position_gain_{j}_per_s", joint) * lag
+        asked = self._position_gain(scope, joint) * lag
         if FEEDFORWARD.format(j=joint) not in scope.absent:
             asked += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
         if POSITION_INTEGRAL.format(j=joint) not in scope.absent:
@@ -166,7 +166,7 @@ class Cascade:
         k_f g̈h, whatever the goal does within the step. The position integral is too slow to count.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint) * scope.p(SETPOINT_WEIGHT, joint)
-        follow_per_s = scope.p("position_gain_{j}_per_s", joint)
+        follow_per_s = self._position_gain(scope, joint)
         forward = scope.p(FEEDFORWARD, joint)
         lead_s = (1 - forward) / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
         followed = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
@@ -177,6 +177,10 @@ class Cascade:
         return scope.current[joint] + (held * jump + forward_jump) * above_mean(
             phase, step_s, self._decay_s(scope, joint)
         )
+
+    def _position_gain(self, scope: Scope, joint: int) -> Expr:
+        """Rate asked per error of the position."""
+        return scope.position_gain_scale[joint] * scope.p("position_gain_{j}_per_s", joint)
 
     def _decay_s(self, scope: Scope, joint: int) -> Expr:
         """Time constant of the velocity loop."""

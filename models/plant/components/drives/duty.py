@@ -23,7 +23,7 @@ class Duty:
     """
 
     kind: ClassVar[str] = "duty"
-    features: ClassVar[tuple[str, ...]] = ("current", "current limit")
+    features: ClassVar[tuple[str, ...]] = ("current", "current limit", "position gain")
     has_presliding: ClassVar[bool] = True
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -64,7 +64,8 @@ class Duty:
     def apply_control(self, scope: Scope) -> None:
         """Set the current through the winding, and its torque."""
         for j in scope.joints:
-            duty = scope.p("duty_gain_{j}", j) * (scope.goal[j] - scope.measured_angle(j))
+            gain = scope.position_gain_scale[j] * scope.p("duty_gain_{j}", j)
+            duty = gain * (scope.goal[j] - scope.measured_angle(j))
             duty = ca.fmin(ca.fmax(duty, -1), 1)
             constant = self.torque_constant(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]

@@ -122,6 +122,16 @@ def test_dry_friction_holds_a_servo_that_stands_and_lets_one_slide_that_it_canno
         assert np.ptp(angle[-400:]) < 1e-5  # no creep in the last two seconds
 
 
+def test_a_changed_position_gain_scales_the_duty(plant_of):
+    plant = plant_of("duty", "pendulum", SERVO, ["viscous_friction", "position_gain_change"])
+    model = plant.step_model(1)
+    other, changed = (
+        rest_of(model, changes, 0.3, seconds=1.0)
+        for changes in ({"duty_gain_1": 0.4}, {"position_gain_change_1": -0.2})
+    )
+    np.testing.assert_allclose(changed, other, rtol=0, atol=1e-9)
+
+
 def test_friction_of_a_small_gear_grows_with_what_presses_it_from_both_sides(plant_of):
     """A weight is lifted from rest once T (1 − μ) > G (1 + μ), the teeth pressed by T + G."""
     share, start_rad = 0.25, 0.8

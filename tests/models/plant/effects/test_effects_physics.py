@@ -62,6 +62,23 @@ def test_the_phase_at_which_a_late_goal_meets_the_sampling_moves_the_current_alo
     assert np.corrcoef(above, rate)[0, 1] > 0.95, "sooner after a jump the current is larger"
 
 
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("change", [-0.4, 0.25])
+def test_a_changed_position_gain_is_a_loop_with_that_gain(bench, change, dof):
+    effects, known = ["position_gain_change"], bench.plant().parameters
+    shaped = {"goal_interpolation_1": 0.4, "current_phase_1": 0.3}
+    gain = "position_gain_1_per_s"
+    other = shaped | {gain: known[gain].value * (1 + change)}
+    wanted = bench.run(effects, other, dof=dof)
+    found = bench.run(effects, shaped | {"position_gain_change_1": change}, dof=dof)
+    before = bench.run(effects, shaped, dof=dof)
+    for name, column in wanted.items():
+        np.testing.assert_allclose(found[name], column, rtol=0, atol=1e-9, err_msg=name)
+    moved = [np.ptp(found[n] - before[n]) for n in found if n in ("angle_1_rad", "angle_2_rad")]
+    assert moved[0] > 1e-3
+    assert all(other < 0.1 * moved[0] for other in moved[1:]), "each servo has a register of its own"
+
+
 def test_a_step_passes_only_after_the_dead_time(bench):
     step = np.r_[np.zeros(20), np.full(100, 0.2)]
     after = bench.run(["dead_time"], {"dead_time_1_s": 0.102}, goal=step, count=120)
