@@ -78,9 +78,9 @@ class DeadTime(Effect):
 class PositionGainChange(Effect):
     """Position loop whose gain is not the one that was identified, k_p (1 + c).
 
-    A register of the servo that somebody wrote, or another servo of the same make. A lower gain lets
-    the joint lag behind its goal by ġ / k_p, much as a delay does, but it rounds the turns of the
-    goal off, and it leaves the joint softer.
+    A register of the servo that somebody wrote, or another servo of the same make. A lower gain
+    lets the joint lag behind its goal, by ġ / k_p, much as a delay does, but it rounds the turns
+    of the goal off and leaves the joint softer.
     """
 
     name = "position_gain_change"

@@ -76,7 +76,7 @@ def test_a_changed_position_gain_is_a_loop_with_that_gain(bench, change, dof):
         np.testing.assert_allclose(found[name], column, rtol=0, atol=1e-9, err_msg=name)
     moved = [np.ptp(found[n] - before[n]) for n in found if n in ("angle_1_rad", "angle_2_rad")]
     assert moved[0] > 1e-3
-    assert all(other < 0.1 * moved[0] for other in moved[1:]), "each servo has a register of its own"
+    assert all(other < 0.1 * moved[0] for other in moved[1:]), "a gain for each servo"
 
 
 def test_a_step_passes_only_after_the_dead_time(bench):
