@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words
+from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_json import GapDocument, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
@@ -121,7 +122,7 @@ def gap_sections(
         Section(
             "what", "What is missing",
             [
-                *named_effects(document, hidden), *compared_effects(document),
+                *named_effects(document, hidden), *_checks(document), *compared_effects(document),
                 Paragraph(
                     "d′ is the distance from a plant without the effect, in standard deviations "
                     f"of the {floor_in_words(document)}. The d′ that an effect needs was "
@@ -140,6 +141,12 @@ def gap_sections(
     result.append(_compared(document, before, after, trials))
     result.append(Section("others", "Effects not named", [_rejected(document)]))
     return result
+
+
+def _checks(document: GapDocument) -> list[Part]:
+    """Table of what a person checks on the robot; none where nothing may be missing."""
+    rows: list[list[Cell]] = [[_words(e), check] for e, check in effects_to_check(document).items()]
+    return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
 
 
 def _refused(document: GapDocument) -> list[Part]:

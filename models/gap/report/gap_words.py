@@ -7,6 +7,7 @@ from typing import Final
 from firmware_py.signals import without_unit
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.rejected_effects import UNEXCITED
+from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.gap.report.trial_notes import notes_in_words
 
@@ -234,6 +235,8 @@ def gap_in_words(document: GapDocument) -> str:
     unexcited = [r.effect for r in document.rejected if r.reason == UNEXCITED]
     if unexcited:
         lines.append("not excited: " + ", ".join(unexcited))
+    for effect, check in effects_to_check(document).items():
+        lines.append(f"check on the robot, for {effect.replace('_', ' ')}: {check}")
     lines.append("next: " + next_step_in_words(document))
     return "\n".join(lines)
 
