@@ -29,7 +29,8 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
     "dead_time":
         "Check baud rate, latency timer of the USB adapter and the host's work before it sends.",
     "position_gain_change":
-        "Read the position P gain of the servo and set it to that of the plant's trials.",
+        "Compare the position P gain of the servo with that of the plant's trials "
+        "(`gains` in robot.toml: the loop then refuses another one).",
     "current_saturation": "Read the current limit of the servo.",
     "torque_constant_drift":
         "Let the motor cool down and repeat a trial: warm magnets lose torque.",
