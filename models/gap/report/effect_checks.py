@@ -1,4 +1,4 @@
-"""What a person checks on the robot to see whether an effect is there.
+"""Checks on the robot: how a person sees whether an effect is there.
 
 A diagnosis names what the trials show. A look at the robot often decides sooner than a further
 trial, and it tells look-alikes apart.
