@@ -50,7 +50,7 @@ def values_at_bounds(
 ) -> list[OffendingValue]:
     """Fitted values of nuisance and effects that ended at a bound away from the plant as given.
 
-    The strength of an effect that the plant lacks counts at zero too, where that is its bound: the
+    The strength of an effect that the plant lacks counts at zero too, be that its bound or not: the
     fit found none of it, in no plane of the bending.
 
     Parameters
@@ -77,19 +77,20 @@ def values_at_bounds(
         value = float(point.values[k])
         if q.trial is not None or not free[k] or not np.isfinite(q.high - q.low):
             continue
-        vanished = _is_strength(q) and q.low == 0.0 and value <= near and q.effect not in present
+        vanished = _is_strength(q) and q.low <= 0.0 <= q.high and q.effect not in present
         unmoved = abs(value) <= near and not vanished
-        if unmoved or min(value - q.low, q.high - value) > near:
+        if unmoved or (min(value - q.low, q.high - value) > near and not vanished):
             continue
-        bound, side = (q.low, "lower") if value - q.low <= near else (q.high, "upper")
+        bound, side = (q.high, "upper") if q.high - value <= near else (q.low, "lower")
+        if vanished and q.low < 0.0:
+            bound, side = 0.0, ""
         name = next(iter(q.parameters), q.name)
         first = known.get(name) if q.name != "synchronisation" else None
         weight = q.parameters.get(name, 1.0) if first else 1.0
         start, unit = (first.value, first.unit) if first else (0.0, "s")
         limit = start + weight * bound
-        said = f"{q.name} ended at its {side} bound of {limit:.4g}" + (
-            f" {unit}" if unit != "1" else ""
-        )
+        place = f"at its {side} bound of" if side else "where it began, at"
+        said = f"{q.name} ended {place} {limit:.4g}" + (f" {unit}" if unit != "1" else "")
         found.append(OffendingValue((k,), q.name, unit, start + weight * value, limit, said))
     return found
 

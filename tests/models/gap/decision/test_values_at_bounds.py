@@ -28,6 +28,17 @@ def test_a_strength_that_fell_to_zero_or_reached_its_bound_is_found(strength, na
     assert [row.name for row in found_at(parameters, [strength])] == names
 
 
+@pytest.mark.parametrize(("strength", "words"), [
+    (0.002, "where it began, at 0"), (-0.002, "where it began, at 0"), (-0.02, None), (0.02, None),
+    (-0.8, "at its lower bound of -0.8"), (3.0, "at its upper bound of 3"),
+])  # fmt: skip
+def test_a_strength_of_either_sign_that_stayed_at_zero_is_found(strength, words):
+    """However small the noise: a thousandth of its range is none of it."""
+    parameters = effect_fit_parameters(read_plant(), "position_gain_change", 1)
+    said = [row.said for row in found_at(parameters, [strength])]
+    assert said == ([] if words is None else [f"position_gain_change_1 ended {words}"])
+
+
 @pytest.mark.parametrize(("shares", "count"), [((0.3, 0.0), 0), ((0.0, 0.001), 2)])
 def test_a_strength_may_be_zero_in_one_of_two_planes(shares, count):
     plant = read_plant().with_values({"hysteresis_share_1": 0.0, "hysteresis_share_2": 0.0})
