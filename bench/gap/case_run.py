@@ -15,6 +15,7 @@ from firmware_py.errors import InputError
 from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.equation_error import read_equation_error
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
@@ -169,9 +170,10 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
 
 
 def unsaid_bounds(found: Diagnosis) -> list[str]:
-    """Refitted parameters of the improved plant that are at a bound.
+    """Refitted nuisance of the improved plant that came to a bound: nothing tells it.
 
-    The workflow is to refuse such a plant, so that none is left.
+    The workflow is to refuse such a value, so that none is left. The bound of a named effect's
+    parameter is told beside it, and `identify` tells that of a parameter of the plant as given.
 
     Parameters
     ----------
@@ -183,13 +185,12 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
         name
         for q in found.fit_parameters
         for name in q.parameters
-        if q.trial is None and name in improved
+        if q.trial is None and q.effect not in found.named and name in improved
     }
     return sorted(
         name
         for name in refitted
-        if (name not in given or improved[name].value != given[name].value)
-        and improved[name].value in (improved[name].low, improved[name].high)
+        if bound_reached(improved[name]) not in (None, bound_reached(given[name]))
     )
 
 

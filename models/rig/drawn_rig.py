@@ -8,6 +8,7 @@ drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges,
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
@@ -55,6 +56,9 @@ FORMS: Final[dict[str, tuple[str | int, ...]]] = {
 }
 """Forms that are drawn, by choice of `RigStructure`."""
 
+LATER_FORMS: Final[dict[str, tuple[str, ...]]] = {"stribeck": ("gaussian", "rational")}
+"""Forms that are drawn after all values: a rig keeps what it had before these were added."""
+
 LOG_DEVIATION: Final = {
     "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
     "stiffness.root_limit_nm": 0.2, "stiffness.span_limit_nm": 0.2, "stiffness.damping_s": 0.3,
@@ -101,9 +105,10 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
     values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
     values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
     values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    structure = _draw_structure(rng)
+    forms = _drawn_forms(rng, FORMS)
     values["servo.velocity_feedforward"] = float(rng.uniform(0.1, 0.9))
     values["servo.position_integral_per_s2"] = float(rng.uniform(0.0, 5.0))
+    structure = msgspec.convert(forms | _drawn_forms(rng, LATER_FORMS), RigStructure)
     return replace(rig.changed(**values), structure=structure)
 
 
@@ -198,6 +203,7 @@ def _drawn_number(name: str) -> int:
     return int(number)
 
 
-def _draw_structure(rng: np.random.Generator) -> RigStructure:
-    drawn = {name: forms[int(rng.integers(len(forms)))] for name, forms in FORMS.items()}
-    return msgspec.convert(drawn, RigStructure)
+def _drawn_forms(
+    rng: np.random.Generator, choices: Mapping[str, Sequence[str | int]]
+) -> dict[str, str | int]:
+    return {name: forms[int(rng.integers(len(forms)))] for name, forms in choices.items()}

@@ -64,6 +64,7 @@ class RigServo:
         self._coulomb = p["servo.coulomb_friction_nm"]
         self._stribeck = p["servo.stribeck_friction_nm"]
         self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
+        self._fades_rationally = p.structure.stribeck == "rational"
         self._breakaway = p["servo.breakaway_friction_nm"]
         self._breakaway_rad = p["servo.breakaway_distance_rad"]
         self._dwell_s = p["servo.breakaway_dwell_s"]
@@ -182,10 +183,15 @@ class RigServo:
     def _friction_level(self) -> float:
         level = self._coulomb + self._load_friction * abs(self.gear_nm)
         if self._stribeck:
-            level += self._stribeck * math.exp(-((self.rotor_rad_s / self._stribeck_speed) ** 2))
+            level += self._stribeck * self._near_standstill(self.rotor_rad_s)
         if self._breakaway:
             level += self._breakaway_level(self.rotor_rad_s)
         return level
+
+    def _near_standstill(self, rate: float) -> float:
+        """Fraction of Stribeck friction that is left at a rate (see `StribeckFriction`)."""
+        squared = (rate / self._stribeck_speed) ** 2
+        return 1.0 / (1.0 + squared) if self._fades_rationally else math.exp(-squared)
 
     def _breakaway_level(self, rate: float) -> float:
         """Friction above the sliding level: full after a reversal, lost with the distance."""

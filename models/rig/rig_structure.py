@@ -33,6 +33,8 @@ class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Spectrum of relaxation (`models.rig.forms.creep_forms`).
     friction : str
         Friction of the servo (`models.rig.forms.friction_forms`).
+    stribeck : str
+        How Stribeck friction fades with the rate (`models.rig.rig_servo`).
     play : str
         Backlash inside the gear, or in the link's mount, where markers alone show it
         (`models.rig.forms.marker_play`).
@@ -56,6 +58,7 @@ class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     hysteresis: Literal["bouc_wen", "maxwell_slip", "dahl"] = "bouc_wen"
     creep: Literal["branches", "power_law"] = "branches"
     friction: Literal["lugre", "smooth"] = "lugre"
+    stribeck: Literal["gaussian", "rational"] = "gaussian"
     play: Literal["gear", "markers"] = "gear"
     goal: Literal["held", "interpolated", "profile"] = "held"
     current_sampling: Literal["tick", "phase", "mean"] = "tick"

@@ -51,6 +51,8 @@ class FitParameter:
         Index of the only trial that it acts on.
     effect : str
         Effect that it belongs to; empty for none.
+    fitted_last : bool
+        See `models.plant.effects.Effect`.
     """
 
     name: str
@@ -62,6 +64,7 @@ class FitParameter:
     high: float = math.inf
     trial: int | None = None
     effect: str = ""
+    fitted_last: bool = False
 
 
 def plant_with_every_effect(plant: Plant) -> Plant:
@@ -207,6 +210,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
         groups += [own] if together else [[n] for n in own]
     groups += [[scope.name(q.name)] for q in effect.shared]
     strengths = effect.strengths(scope)
+    last = {scope.name(name, j) for name in effect.fitted_last for j in scope.joints}
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):
         first = full.parameters[group[0]]
@@ -219,7 +223,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
                 first.prior_deviation or abs(first.value) if has_scale else math.inf,
                 max(full.parameters[n].low - full.parameters[n].value for n in group),
                 min(full.parameters[n].high - full.parameters[n].value for n in group),
-                effect=name,
+                effect=name, fitted_last=bool(last & set(group)),
             )
         )  # fmt: skip
     return sorted(result, key=lambda q: q.name not in strengths)

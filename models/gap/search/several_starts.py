@@ -16,7 +16,8 @@ def refitted_from_both_signs(
 ) -> FitPoint:
     """Fit from a screened start, from zero and from the other sign.
 
-    The present fit is among the starts, so the cost of a nested model never rises.
+    The present fit is among the starts, so the cost of a nested model never rises. What is
+    `fitted_last` is freed where the others ended.
 
     Parameters
     ----------
@@ -33,14 +34,16 @@ def refitted_from_both_signs(
     mirrored[own] = np.clip(-mirrored[own], estimator.low[own], estimator.high[own])
     if np.any(mirrored != screened.values):
         starts.append(estimator.carry(here, estimator.at(mirrored)))
+    last = np.array([q.fitted_last for q in estimator.residuals.fit_parameters])
     first = [
-        estimator.fit(start, free, settings.candidate_start_steps)
+        estimator.fit(start, free & ~last, settings.candidate_start_steps)
         for start in starts
         if start.cost < np.inf
     ]
     best = min([here, *first], key=lambda p: p.cost)
-    steps, relative = settings.candidate_fit_steps, settings.candidate_relative_fall
-    return estimator.fit(best, free, steps, relative)
+    most = settings.candidate_fit_steps, settings.candidate_relative_fall
+    best = estimator.fit(best, free & ~last, *most)
+    return estimator.fit(best, free, *most) if np.any(free & last) else best
 
 
 def refitted_from_far_strengths(

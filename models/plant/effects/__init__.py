@@ -57,6 +57,9 @@ class Effect:
         make are alike in all else, and planes of bending differ.
     search_start : mapping of str to float
         Values of further parameters from which a search for the strength begins.
+    fitted_last : tuple of str
+        Names in `per_joint` that a search fits after the others: freed at once with a strength that
+        is far off, they lead into a valley of their own.
     """
 
     name: ClassVar[str]
@@ -67,6 +70,7 @@ class Effect:
     needs: ClassVar[tuple[Need, ...]] = ()
     of_each_joint: ClassVar[bool] = False
     search_start: ClassVar[Mapping[str, float]] = {}
+    fitted_last: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

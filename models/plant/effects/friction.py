@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import MappingProxyType
 from typing import Final
 
@@ -17,7 +16,9 @@ FASTEST_SLIDE_S: Final = 2e-3
 """Shortest time in which sliding breaks or bends contacts; two integration steps."""
 
 PEAK_EXPONENT: Final = 1.55
-"""Exponent that joins the limits of `StribeckFriction`'s peak to within 2.1 %, found by a scan."""
+PEAK_EXPONENT_FALL: Final = 0.1
+"""Exponent that joins the limits of `StribeckFriction`'s peak, and its fall with the tail κ: within
+2.1 % up to κ = 1, found by a scan."""
 
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
@@ -96,10 +97,13 @@ class DirectionalFriction(Effect):
 
 
 class StribeckFriction(Effect):
-    """Extra dry friction near standstill, (F_s + μ_s |τ|) exp(−(q̇/v_s)²) b [Stribeck 1902].
+    """Extra dry friction near standstill, (F_s + μ_s |τ|) φ(q̇/v_s) b [Stribeck 1902].
 
+        φ(r) = (1 + (e^κ − 1) r²)^(−1/κ),
         ḃ = |q̇| (sign(q̇) − b) / (δ + |q̇| T_0),   T_0 = 2 ms
 
+    Friction fades like exp(−r²) (Bo and Pavelescu 1982; κ → 0) or more slowly, like 1/(1 + 1.7 r²)
+    (Hess and Soom 1990; κ = 1); at v_s it has faded to 37 % with any tail κ.
     After a reversal the contacts bend before they slide (Dahl 1968): b reaches sign(q̇) within the
     distance δ, at rates at which the friction already fades. A drive with presliding of its own has
     its b in place of this. μ_s, the part per transmitted torque τ (BAM, model M4), is zero unless a
@@ -110,6 +114,7 @@ class StribeckFriction(Effect):
 
     name = "stribeck_friction"
     parameter_needs = MappingProxyType({"stribeck_distance_{j}_{angle}": "smooth friction"})
+    fitted_last = ("stribeck_tail_{j}",)
     per_joint = (
         Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
                   role="effect", description="extra friction near standstill",
@@ -117,6 +122,9 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.01, high=1.0,
                   role="effect", description="rate at which it has faded to 37 %",
                   source="assumed: a fifth of the study's peak rate"),
+        Parameter(name="stribeck_tail_{j}", unit="1", value=0.02, low=0.02, high=1.5, role="effect",
+                  prior_deviation=1.0, description="how slowly it fades at higher rates",
+                  source="assumed next to none; 1 by Hess and Soom"),
         Parameter(name="stribeck_distance_{j}_{angle}", unit="rad", value=2e-5, low=2e-5,
                   high=0.05, role="effect", prior_deviation=0.001,
                   description="distance in which it builds up after a reversal",
@@ -129,7 +137,9 @@ class StribeckFriction(Effect):
     def apply(self, scope: Scope) -> None:
         """Add a friction that fades with the rate."""
         for j in scope.joints:
-            fade = ca.exp(-((scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)) ** 2))
+            tail = scope.p("stribeck_tail_{j}", j)
+            ratio = scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)
+            fade = ca.exp(-ca.log1p(ca.expm1(tail) * ratio**2) / tail)
             load = scope.p("stribeck_load_{j}", j) * gear_load(scope, j)
             extra = scope.p("stribeck_friction_{j}_{torque}", j) + load
             scope.friction[j] += extra * fade * _built_up(scope, j) / _peak(scope, j)
@@ -149,16 +159,20 @@ def _built_up(scope: Scope, joint: int) -> Expr:
 
 
 def _peak(scope: Scope, joint: int) -> Expr:
-    """Largest value of tanh(q̇/v_0) exp(−(q̇/v_s)²) over rates; 1 with a sign of the drive's own.
+    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 with a sign of the drive's own.
 
-    Between its limits, v_s / (v_0 √(2e)) for v_s ≪ v_0 and 1 for v_s ≫ v_0, interpolated by powers.
+    Interpolated by powers between its limits: 1 for v_s ≫ v_0, and for v_s ≪ v_0 the largest value
+    of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ).
     """
     if joint in scope.friction_direction:
         return 1
     fading = scope.p("stribeck_speed_{j}_{angle}_s", joint)
     rising = scope.p("friction_speed_{j}_{angle}_s", joint)
-    limit = fading / rising / math.sqrt(2 * math.e)
-    return (1 + limit**-PEAK_EXPONENT) ** (-1 / PEAK_EXPONENT)
+    tail = scope.p("stribeck_tail_{j}", joint)
+    width = fading / rising * ca.sqrt(tail / (2 - tail) / ca.expm1(tail))
+    limit = width * (2 / (2 - tail)) ** (-1 / tail)
+    exponent = PEAK_EXPONENT - PEAK_EXPONENT_FALL * tail
+    return (1 + limit**-exponent) ** (-1 / exponent)
 
 
 class Stiction(Effect):

@@ -1,6 +1,7 @@
 """Effects against independent calculations: scipy's filters and integrators, closed forms."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -55,6 +56,32 @@ def test_stribeck_friction_builds_up_over_its_distance_after_a_reversal(bench):
     sliding = back > 0.2 * distance_rad
     expected = -4.0 * (1 - 2 * np.exp(-back[sliding] / distance_rad))
     assert 6.83 * (extra - plain)[sliding] == pytest.approx(expected, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("tail", "law"),
+    [(0.02, lambda r: np.exp(-(r**2))), (1.0, lambda r: 1 / (1 + (math.e - 1) * r**2))],
+    ids=["gaussian", "rational"],
+)
+def test_stribeck_friction_fades_by_the_laws_of_the_literature(bench, tail, law):
+    """Bo and Pavelescu with next to no tail, Hess and Soom with tail 1."""
+    step_s, speed_rad_s = 0.001, 1.0
+    plant = bench.plant("stribeck_friction").with_values(
+        {"stribeck_speed_1_rad_s": speed_rad_s, "stribeck_tail_1": tail}
+    )
+    model = CompiledModel(plant.step_model(1, "driven"))
+    rate = 4.0 * np.arange(1, 1001) * step_s
+    u = np.column_stack([np.cumsum(rate) * step_s, np.zeros(len(rate))])
+    column = names(model.model.outputs).index("current_1_a")
+    plain, extra = (
+        model.simulate(
+            u, step_s, model.model.parameter_values({"stribeck_friction_1_nm": strength})
+        )[1:, column]
+        for strength in (0.0, 4.0)
+    )
+    sliding = rate > 0.08  # beyond the smooth sign
+    expected = 4.0 * law(rate[sliding] / speed_rad_s)
+    assert 6.83 * (extra - plain)[sliding] == pytest.approx(expected, abs=0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

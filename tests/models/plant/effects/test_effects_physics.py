@@ -1,5 +1,7 @@
 """Each effect changes what it should, and leaves alone what it should not touch."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -38,8 +40,9 @@ def test_friction_opposes_the_rate_each_in_its_way(bench):
     }
     torque, rate = friction_nm(bench, "stribeck_friction", strength)
     assert np.abs(torque[np.abs(rate) > 0.5]).max() < 0.01
-    for speed_rad_s in (0.03, 0.1, 0.4):  # the smooth sign rises up to 0.02 rad/s
-        strength["stribeck_speed_1_rad_s"] = speed_rad_s
+    for speed_rad_s, tail in itertools.product((0.03, 0.1, 0.4), (0.02, 0.5, 1.0)):
+        # the smooth sign rises up to 0.02 rad/s
+        strength |= {"stribeck_speed_1_rad_s": speed_rad_s, "stribeck_tail_1": tail}
         torque, _ = friction_nm(bench, "stribeck_friction", strength)
         assert np.abs(torque).max() == pytest.approx(4.0, rel=0.06)
 
