@@ -61,7 +61,7 @@ class EffectSearch:
     first, estimator : GaussNewton
         As given, and with a floor that allows for the error of an effect's equation.
     of : dict of str to ndarray of bool
-        Fit parameters of each effect.
+        Fit parameters of each effect; those `fitted_last` only where the noise floor is learned.
     held : ndarray of bool, shape (p,)
         Fit parameters that keep the plant's value because they ended at a bound.
     excluded : frozenset of str
@@ -78,12 +78,12 @@ class EffectSearch:
         patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
         given = residuals.plant, residuals.trials[0].meta.dof, patterns, self.settings
         self.null_distribution = self.unchanged_null = null_distribution_of(*given)
-        self.fit_parameters = residuals.fit_parameters
-        self.base = np.array([q.kind != "effect" for q in self.fit_parameters])
+        parameters = self.fit_parameters = residuals.fit_parameters
+        self.base = np.array([q.kind != "effect" for q in parameters])
         self.of = {
-            e: np.array([q.effect == e for q in self.fit_parameters])
+            e: np.array([q.effect == e and (self.learned or not q.fitted_last) for q in parameters])
             for e in catalogue
-            if any(q.effect == e for q in self.fit_parameters)
+            if any(q.effect == e for q in parameters)
         }
         self.absent = [e for e in catalogue if e not in self.of]
         self.held = np.zeros(len(self.fit_parameters), dtype=bool)
