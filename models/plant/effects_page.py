@@ -82,10 +82,14 @@ def _told(effect: str) -> str:
 
 def _further_parameters(effect: str) -> list[str]:
     """Parameters beside the strength, each with its meaning; of one joint."""
-    own = EFFECTS[effect]().parameters(scope_of("cascade", "link", 1))
+    scope = scope_of("cascade", "link", 1)
+    last = [scope.name(name, 1) for name in EFFECTS[effect].fitted_last]
+    fitted = [
+        (q, q.role == "effect" or q.name in last) for q in EFFECTS[effect]().parameters(scope)
+    ]
     return [
-        f"`{q.name}`: {q.description}" + ("" if q.role == "effect" else f" ({_fixed(q)})")
-        for q in own[1:]
+        f"`{q.name}`: {q.description}" + ("" if known else f" ({_fixed(q)})")
+        for q, known in fitted[1:]
     ]
 
 

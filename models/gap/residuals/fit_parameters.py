@@ -214,7 +214,7 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
     result = []
     for group in (g for g in groups if set(g) <= set(declared)):
         first = full.parameters[group[0]]
-        if first.role != "effect" and group[0] not in strengths:
+        if first.role != "effect" and group[0] not in (*strengths, *last):
             continue
         has_scale = group[0] not in strengths and (first.prior_deviation or first.value)
         result.append(

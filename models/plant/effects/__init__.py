@@ -58,8 +58,9 @@ class Effect:
     search_start : mapping of str to float
         Values of further parameters from which a search for the strength begins.
     fitted_last : tuple of str
-        Names in `per_joint` that a search fits after the others, and only where the noise floor is
-        learned: freed at once with a strength that is far off, they lead into a valley of their own.
+        Names in `per_joint` that `identify` keeps, and that a search fits after the others where
+        the noise floor is learned: freed at once, with a strength that is far off, they lead into
+        a valley of their own.
     """
 
     name: ClassVar[str]

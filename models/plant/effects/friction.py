@@ -122,7 +122,7 @@ class StribeckFriction(Effect):
         Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.01, high=1.0,
                   role="effect", description="rate at which it has faded to 37 %",
                   source="assumed: a fifth of the study's peak rate"),
-        Parameter(name="stribeck_tail_{j}", unit="1", value=0.02, low=0.02, high=1.5, role="effect",
+        Parameter(name="stribeck_tail_{j}", unit="1", value=0.02, low=0.02, high=1.5,
                   prior_deviation=1.0, description="how slowly it fades at higher rates",
                   source="assumed next to none; 1 by Hess and Soom"),
         Parameter(name="stribeck_distance_{j}_{angle}", unit="rad", value=2e-5, low=2e-5,
