@@ -185,7 +185,7 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
         name
         for q in found.fit_parameters
         for name in q.parameters
-        if q.trial is None and q.effect not in found.named and name in improved
+        if q.trial is None and name in given and q.effect not in found.named
     }
     return sorted(
         name
