@@ -189,7 +189,7 @@ class RigServo:
         return level
 
     def _near_standstill(self, rate: float) -> float:
-        """Fraction of Stribeck friction that is left at a rate (`models.plant.effects.friction`)."""
+        """Fraction of Stribeck friction left at a rate (`models.plant.effects.friction`)."""
         squared = (rate / self._stribeck_speed) ** 2
         return 1.0 / (1.0 + squared) if self._fades_rationally else math.exp(-squared)
 
