@@ -1,10 +1,17 @@
 """Stribeck friction in the effect search: its strength is found by whichever law it fades."""
 
+from dataclasses import replace
+
 import pytest
 
-from models.gap.diagnosis import diagnose
+from models.gap.diagnosis import all_fit_parameters, diagnose
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.noise_floor_fit import noise_floor_for
 from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
+from models.gap.residuals.residuals import Residuals
+from models.gap.search.effect_search import EffectSearch
 from models.plant.effects import EFFECTS
+from models.plant.provenance import Provenance
 
 CONSIDERED = ("coulomb_friction", "stiction", "stribeck_friction", "viscous_friction")
 
@@ -39,3 +46,17 @@ def test_what_is_fitted_last_is_no_strength(plant):
     for parameter, effect in late.items():
         assert parameter not in plant.with_effects(effect).strengths(effect, 1)
         assert set(EFFECTS[effect].fitted_last) <= {q.name for q in EFFECTS[effect].per_joint}
+
+
+@pytest.mark.parametrize("learned", [True, False])
+def test_the_tail_is_fitted_only_where_the_noise_floor_is_learned(plant, hidden, learned):
+    given = plant if learned else replace(plant, provenance=Provenance())
+    trials, effect = hidden(stribeck_friction_1_nm=4.0).trials, "stribeck_friction"
+    residuals = Residuals(given, trials, all_fit_parameters(given, trials, [effect]))
+    search = EffectSearch(GaussNewton(residuals, noise_floor_for(residuals)), [effect])
+    fitted = [
+        q.name for q, own in zip(search.fit_parameters, search.of[effect], strict=True) if own
+    ]
+    assert search.learned is learned
+    assert ("stribeck_tail_1" in fitted) is learned
+    assert {"stribeck_friction_1_nm", "stribeck_speed_1_rad_s"} <= set(fitted)

@@ -35,27 +35,33 @@ def low_pass(signal, time_s):
     return lfilter([gain, gain], [1, -pole], signal - signal[0]) + signal[0]
 
 
+def stribeck_torque_nm(plant, angle_rad, step_s, strength_nm):
+    """Torque of a Stribeck friction on a driven course, by the current that it takes."""
+    model = CompiledModel(plant.step_model(1, "driven"))
+    u = np.column_stack([angle_rad, np.zeros(len(angle_rad))])
+    column = names(model.model.outputs).index("current_1_a")
+    plain, extra = (
+        model.simulate(
+            u, step_s, model.model.parameter_values({"stribeck_friction_1_nm": strength})
+        )[1:, column]
+        for strength in (0.0, strength_nm)
+    )
+    return 6.83 * (extra - plain)
+
+
 def test_stribeck_friction_builds_up_over_its_distance_after_a_reversal(bench):
     """Slower than it fades, b = 1 - 2 exp(-s/δ) at the distance s from the reversal."""
     step_s, rate_rad_s, distance_rad = 0.001, 0.1, 0.01
     plant = bench.plant("stribeck_friction").with_values(
         {"stribeck_speed_1_rad_s": 1.0, "stribeck_distance_1_rad": distance_rad}
     )
-    model = CompiledModel(plant.step_model(1, "driven"))
     travelled = rate_rad_s * step_s * np.arange(1200)
     angle = np.where(travelled < 0.06, travelled, 0.12 - travelled)
-    u = np.column_stack([angle, np.zeros(len(angle))])
-    column = names(model.model.outputs).index("current_1_a")
-    plain, extra = (
-        model.simulate(
-            u, step_s, model.model.parameter_values({"stribeck_friction_1_nm": strength})
-        )[1:, column]
-        for strength in (0.0, 4.0)
-    )
+    torque = stribeck_torque_nm(plant, angle, step_s, 4.0)
     back = travelled - 0.06
     sliding = back > 0.2 * distance_rad
     expected = -4.0 * (1 - 2 * np.exp(-back[sliding] / distance_rad))
-    assert 6.83 * (extra - plain)[sliding] == pytest.approx(expected, abs=0.15)
+    assert torque[sliding] == pytest.approx(expected, abs=0.15)
 
 
 @pytest.mark.parametrize(
@@ -69,19 +75,11 @@ def test_stribeck_friction_fades_by_the_laws_of_the_literature(bench, tail, law)
     plant = bench.plant("stribeck_friction").with_values(
         {"stribeck_speed_1_rad_s": speed_rad_s, "stribeck_tail_1": tail}
     )
-    model = CompiledModel(plant.step_model(1, "driven"))
     rate = 4.0 * np.arange(1, 1001) * step_s
-    u = np.column_stack([np.cumsum(rate) * step_s, np.zeros(len(rate))])
-    column = names(model.model.outputs).index("current_1_a")
-    plain, extra = (
-        model.simulate(
-            u, step_s, model.model.parameter_values({"stribeck_friction_1_nm": strength})
-        )[1:, column]
-        for strength in (0.0, 4.0)
-    )
+    torque = stribeck_torque_nm(plant, np.cumsum(rate) * step_s, step_s, 4.0)
     sliding = rate > 0.08  # beyond the smooth sign
     expected = 4.0 * law(rate[sliding] / speed_rad_s)
-    assert 6.83 * (extra - plain)[sliding] == pytest.approx(expected, abs=0.1)
+    assert torque[sliding] == pytest.approx(expected, abs=0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
