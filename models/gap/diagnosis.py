@@ -232,7 +232,7 @@ def diagnose(
     )
     free = search.free(result.named)
     improved = improved_plant(plant, search, result, accepted.point, accepted.free, recorded)
-    is_written = bool(accepted.free.any()) or not result.named
+    is_written = set(result.named) == set(improved.provenance.named)
     return Diagnosis(
         plant=plant,
         improved=improved,

@@ -30,7 +30,7 @@ def improved_plant(
     """Plant with the named effects and the refitted nuisance, its parentage in the provenance.
 
     Where nothing was named and the link did not change, or what was named may not be written, the
-    values stay as they are.
+    values stay as they are. Of several named effects those that were fitted there are written.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def improved_plant(
     """
     origin = plant.provenance
     written = bool(np.any(free))
-    named = result.named if written else []
+    named = [e for e in result.named if np.any(free & search.of[e])]
     if written:
         given = plant.provenance
         origin = Provenance(noise_floor=given.noise_floor, servo_gains=given.servo_gains)

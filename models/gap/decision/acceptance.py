@@ -28,7 +28,6 @@ written only where other motions were left out and it passed there.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import msgspec
 import numpy as np
@@ -36,6 +35,8 @@ import numpy as np
 from models.gap.decision.accepted_fit import AcceptedFit, refit_is_earned
 from models.gap.decision.answers import Answers
 from models.gap.decision.evidence import consistencies_of_named
+from models.gap.decision.further_effect import with_further_effect
+from models.gap.decision.rejected_effects import STAND_IN_BESIDE_OTHERS, refused_by_evidence
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
 from models.gap.residuals.fit_parameters import plant_with_searched_effects
@@ -52,13 +53,6 @@ from models.gap.search.refused_effect import (
     refusal_of_value,
     refusals,
     values_at_bounds,
-)
-
-IMPROBABLE: Final = "its probability is {:.0%} only; "
-STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
-NOTHING_MISSING: Final = IMPROBABLE + "with {:.0%} nothing is missing"
-STAND_IN_BESIDE_OTHERS: Final = (
-    "beside the effects that are named it more probably stands in for something else"
 )
 
 
@@ -79,6 +73,8 @@ class Acceptance:
     as_given : ndarray of bool, shape (p,)
         Those whose refitted value is refused: the fit that tells the verdict keeps it, the plant
         that is written does not.
+    keeps_named : bool
+        Whether effects that fail a test on held-out errors stay named, whichever is to blame.
     """
 
     def __init__(self, search: EffectSearch, result: SearchResult) -> None:
@@ -88,6 +84,7 @@ class Acceptance:
         self.as_given = np.zeros_like(self.nuisance)
         self.judged = self._as_given()
         self.withheld: RefusedEffect | None = None
+        self.keeps_named = False
         self._errors: dict[bytes, HeldOutErrors] = {}
         self._refits: dict[bytes, FitPoint] = {}
 
@@ -105,8 +102,8 @@ class Acceptance:
             if not further and not self._failing(fits[1]):
                 self.judged = fits[1]
                 return fits[1]
-            none_to_blame = not any(row.effect for row in failing) or len(self.result.named) == 1
-            if none_to_blame and self.search.learned:
+            to_blame = any(row.effect for row in failing) and len(self.result.named) > 1
+            if self.search.learned and (self.keeps_named or not to_blame):
                 together = " + ".join(self.result.named)
                 self.withheld = msgspec.structs.replace(failing[0], effect=together)
                 return self._as_given()
@@ -135,6 +132,19 @@ class Acceptance:
         rest._take_out([effect])
         return rest
 
+    def with_further(self, effect: str) -> Acceptance:
+        """Tests of the same result with one effect more.
+
+        Parameters
+        ----------
+        effect : str
+            Tried by the search beside the named ones.
+        """
+        more, free = self.copy(), self.search.free([*self.result.named, effect])
+        point = self._refitted(self.result.after.values, free)
+        more.result = with_further_effect(self.search, more.result, effect, point)
+        return more
+
     def without_named(self, accepted: AcceptedFit, answers: Answers) -> AcceptedFit:
         """Plant as given in place of a fit whose effects are not believed.
 
@@ -147,15 +157,10 @@ class Acceptance:
         answers : Answers
             Of the evidence for its effects.
         """
-        named = self.result.named
-        if answers.is_outside:
-            if "motions" in self.held_out.folds and np.any(accepted.free):
-                return accepted
-            reason = STAND_IN.format(answers.catalogue, answers.outside)
-            self.result.refused += refusals(named, "stand-in", reason, answers.outside)
-        else:
-            reason = NOTHING_MISSING.format(answers.catalogue, answers.nothing)
-            self.result.refused += refusals(named, "improbable", reason, answers.nothing)
+        moved = "motions" in self.held_out.folds
+        if answers.is_outside and moved and np.any(accepted.free):
+            return accepted
+        self.result.refused += refused_by_evidence(self.result.named, answers)
         self.result.named, self.result.after = [], self.result.before
         return self._as_given()
 

@@ -1,16 +1,18 @@
 """Decision on a search: what is named, its verdict, and what is tried in place of what fails.
 
 The evidence for what the tests leave gives the probability that it is what is missing, that nothing
-is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where what the
-tests leave of several effects is not believed, each of them is left out in turn, and the largest
-set that is believed is kept. Several effects often explain a gap almost equally well: where a test
-refuses the first choice, or its strength is not the same everywhere, the search goes on from its
-first round without it. Where no alternative is believed, the decision on the first choice stands.
+is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where the tests
+on held-out errors take out one of several effects, the whole set is judged as well. Where none is
+believed, each effect is left out in turn; where one is and a further effect would explain more, so
+are both together. The largest set that is believed is kept. Several effects often explain a gap
+almost equally well: where a test refuses the first choice, or its strength is not the same
+everywhere, the search goes on from its first round without it. Where no alternative is believed,
+the decision on the first choice stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -179,27 +181,60 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
 def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
     """Sets of the effects that were found, as tested and judged, the largest believed one last.
 
-    All effects together first. Where what the tests leave of them is not believed each is left out
-    in turn, of the most believed rest again. Fewer effects are always likelier to be right: of the
-    believed sets the largest one counts. Where that does not help either, the tests may have
-    taken out the right effect: the same begins with all effects, and a rest with one that was taken
-    out counts where it fits the trials better than what the tests left.
+    All effects together first. Where that is not believed each is left out in turn, of the most
+    believed rest again. Fewer effects are always likelier to be right: of the believed sets the
+    largest one counts. Where that does not help either, the tests may have taken out the right
+    effect: the same begins with all effects, and a rest with one that was taken out counts where
+    it fits the trials better than what the tests left. Where a further effect would explain more
+    beside what is believed, both together are judged last.
     """
-    found = [_judged(acceptance.copy(), model)]
+    found = _judged_both(acceptance, model)
     first = found[0].acceptance.copy()
     left = set(first.result.named)
     for whole in (first, acceptance):
         while len(whole.result.named) > 1 and not any(j.believed for j in found):
             rests = [whole.without(e) for e in whole.result.named]
-            judged = [_judged(rest.copy(), model) for rest in rests]
-            whole = max(zip(judged, rests, strict=True), key=lambda row: row[0].order)[1]
-            for row in judged:
-                result, known = row.acceptance.result, {j.tested.effects for j in found}
-                fits = set(result.named) <= left or result.after.cost < first.result.after.cost
-                if fits and row.tested.effects not in known:
-                    found.append(row)
+            judged = [_judged_both(rest, model) for rest in rests]
+            orders = [max(row.order for row in rows) for rows in judged]
+            whole = max(zip(orders, rests, strict=True), key=lambda row: row[0])[1]
+            for row in (row for rows in judged for row in rows):
+                result = row.acceptance.result
+                if set(result.named) <= left or result.after.cost < first.result.after.cost:
+                    found += _unknown(found, [row])
     best = max(found, key=lambda j: j.order)
+    further = best.tested.further
+    if best.believed and further is not None and further.is_missing:
+        more = best.acceptance.with_further(further.effect)
+        found += _unknown(found, _judged_both(more, model))
+        best = max(found, key=lambda j: j.order)
     return [*(j for j in found if j is not best), best]
+
+
+def _unknown(
+    found: Sequence[JudgedAcceptance], rows: Sequence[JudgedAcceptance]
+) -> list[JudgedAcceptance]:
+    """Rows whose effects were not judged together before."""
+    known = {j.tested.effects for j in found}
+    return [row for row in rows if row.tested.effects not in known]
+
+
+def _judged_both(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
+    """A result as tested, and with the effects that held-out errors alone refuse.
+
+    The plant as given may have made up for such an effect: the evidence decides on it. What passed
+    all tests is written.
+    """
+    passed, whole = _judged(acceptance.copy(), model), acceptance.copy()
+    left = passed.tested.effects
+    if len(left) == len(whole.result.named):
+        return [passed]
+    whole.keeps_named = True
+    judged = _judged(whole, model)
+    if whole.withheld is None:
+        return [passed]
+    names = " + ".join(e for e in judged.tested.effects if e not in left)
+    whole.withheld = msgspec.structs.replace(whole.withheld, effect=names)
+    return [passed, replace(judged, accepted=passed.accepted)]
 
 
 def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:

@@ -9,9 +9,12 @@ pairs of which one was named, and 41 of 139 right names of the only missing effe
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 
+from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult, missed_by
 from models.gap.search.effect_search import EffectSearch
 
@@ -63,3 +66,27 @@ def further_effect_of(search: EffectSearch, result: SearchResult) -> FurtherEffe
         least = float(np.sqrt(noise + missed))
         found.append(FurtherEffect(effect, float(np.sqrt(gain)), least))
     return max(found, key=lambda f: f.separation / f.least, default=None)
+
+
+def with_further_effect(
+    search: EffectSearch, result: SearchResult, effect: str, point: FitPoint
+) -> SearchResult:
+    """Result that names one effect more.
+
+    Parameters
+    ----------
+    search : EffectSearch
+        After its run.
+    result : SearchResult
+        Of that run; it stays as it is.
+    effect : str
+        Further effect.
+    point : FitPoint
+        Fit of the named effects and this one.
+    """
+    more = replace(result, named=[*result.named, effect], after=point)
+    if not any(effect in c.effects for c in result.chosen):
+        found = search.candidate((effect,), point, result.after)
+        more.chosen = [*result.chosen, found]
+    more.explore(more.named, point)
+    return more

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Final
+
 import msgspec
 import numpy as np
 
+from models.gap.decision.answers import Answers
 from models.gap.search.candidate import SearchResult
 from models.gap.search.null_distribution import NullDistribution
+from models.gap.search.refused_effect import RefusedEffect, refusals
 
 UNEXCITED = "not excited by these trials"
+IMPROBABLE: Final = "its probability is {:.0%} only; "
+STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
+NOTHING_MISSING: Final = IMPROBABLE + "with {:.0%} nothing is missing"
+STAND_IN_BESIDE_OTHERS: Final = (
+    "beside the effects that are named it more probably stands in for something else"
+)
 
 
 class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,3 +80,20 @@ def rejected_effects(
         if e not in known
     ]
     return tuple(rows)
+
+
+def refused_by_evidence(named: Iterable[str], answers: Answers) -> list[RefusedEffect]:
+    """Refusals of effects that passed the tests and are not believed.
+
+    Parameters
+    ----------
+    named : iterable of str
+        What the tests left.
+    answers : Answers
+        Of the evidence for them.
+    """
+    if answers.is_outside:
+        reason = STAND_IN.format(answers.catalogue, answers.outside)
+        return refusals(named, "stand-in", reason, answers.outside)
+    reason = NOTHING_MISSING.format(answers.catalogue, answers.nothing)
+    return refusals(named, "improbable", reason, answers.nothing)

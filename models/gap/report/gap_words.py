@@ -134,8 +134,13 @@ def refusals_in_words(document: GapDocument) -> list[str]:
 
 def is_plant_as_given(document: GapDocument) -> bool:
     """Whether the plant that was written is the one as given."""
-    withheld = any(row.kind == "not written" for row in document.refused)
-    return withheld or not (document.refitted or any(row.kept for row in document.named))
+    named = {e for row in document.named if row.kept for e in row.effect.split(" + ")}
+    return not (document.refitted or named - _withheld(document))
+
+
+def _withheld(document: GapDocument) -> set[str]:
+    rows = [row for row in document.refused if row.kind == "not written"]
+    return {effect for row in rows for effect in row.effect.split(" + ")}
 
 
 def probabilities_in_words(document: GapDocument) -> str:
@@ -200,6 +205,12 @@ def next_step_in_words(document: GapDocument) -> str:
         return (
             "Identify the plant again on these trials, or record another motion or payload: with "
             "the effect alone the plant as given would not err less on what was left out."
+        )
+    if lacks := _withheld(document):
+        lacking = ", ".join(sorted(effect.replace("_", " ") for effect in lacks))
+        return (
+            f"Identify the plant again on these trials: the improved plant lacks {lacking}, with "
+            "which it would not err less on what was left out."
         )
     return "Use the improved plant: train a bundle with it (python -m models train --plant)."
 

@@ -171,9 +171,10 @@ class EffectSearch:
         few = self.learned or self.estimator.residuals.plant.load == "link"
         return self.settings.refitted_candidates if few else len(self.of)
 
-    def _candidate(
+    def candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
+        """Effects with their fit; `here` is that without them."""
         change = self.settings.least_link_change
         same = self.unchanged_null.for_link_change(change, self.settings)
         least = self.least(effects, point), same.least(effects)
@@ -211,7 +212,7 @@ class EffectSearch:
             tried += strengths_far_from_zero(self.estimator, *given, effect, own, free, flat)
             point = min(tried, key=lambda p: p.cost)
             found.explore([*found.named, effect], point)
-            result[effect,] = self._candidate((effect,), point, here, predicted)
+            result[effect,] = self.candidate((effect,), point, here, predicted)
         return result
 
     def _choices(self, found: SearchResult) -> list[str]:
@@ -226,7 +227,7 @@ class EffectSearch:
         fit = self.estimator, candidate.point, here, self.free(named), own
         found.explore(named, point := refitted_from_both_signs(*fit))
         self.report(" + ".join(candidate.effects), further)
-        return self._candidate(candidate.effects, point, here)
+        return self.candidate(candidate.effects, point, here)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
         strengths = [int(np.flatnonzero(self.of[e])[0]) for e in choice.effects]
@@ -241,10 +242,9 @@ class EffectSearch:
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
-            if further:  # held-out errors alone let small effects in that fit one fold
-                enough = candidate.separation >= candidate.least
-            else:
-                enough = self._stands_out(candidate, here, found)
+            # held-out errors alone let small effects in that fit one fold
+            beyond = candidate.separation >= candidate.least
+            enough = beyond if further else self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
             if not enough or self.excluded & set(candidate.effects):
                 continue
@@ -307,7 +307,7 @@ class EffectSearch:
         if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
         own = found.named, self._choices(found), self.free
-        tried = [self._candidate(*r, here) for r in promising_pairs(self.estimator, here, *own)]
+        tried = [self.candidate(*r, here) for r in promising_pairs(self.estimator, here, *own)]
         refitted = [self._refit(c, here, found, len(tried) - k) for k, c in enumerate(tried)]
         return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), here, found)
 

@@ -9,6 +9,7 @@ import pytest
 from models.gap.decision import decision
 from models.gap.decision.answers import Answers
 from models.gap.decision.decision import Decision, JudgedNames, decide
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.search.refused_effect import RefusedEffect
@@ -149,14 +150,17 @@ COST = {"prebend": 9.0, "creep": 1.0}
 class PassingTests:
     """Acceptance that passes everything, but for one effect beside others."""
 
-    blamed = None
+    blamed, held_out = None, False
 
     def __init__(self, search, result):
         self.search, self.result, self.withheld = search, result, None
+        self.keeps_named = False
         self.judged = SimpleNamespace(errors=None)
 
     def accepted(self):
-        if len(self.result.named) > 1:
+        if self.keeps_named and self.held_out:
+            self.withheld = refusal(self.blamed)
+        elif len(self.result.named) > 1:
             self.result.named = [e for e in self.result.named if e != self.blamed]
         cost = sum(COST[e] for e in COST if e not in self.result.named)
         self.result.after = SimpleNamespace(cost=cost)
@@ -169,6 +173,10 @@ class PassingTests:
         named = [e for e in self.result.named if e != effect]
         return PassingTests(self.search, replace(self.result, named=named))
 
+    def with_further(self, effect):
+        named = [*self.result.named, effect]
+        return PassingTests(self.search, replace(self.result, named=named))
+
     def changed_link(self):
         return "link as refitted"
 
@@ -177,12 +185,15 @@ class PassingTests:
         return "as given"
 
 
-def decide_with(monkeypatch, believed):
-    """Decision on two effects, where some sets of them are believed, or have these answers."""
+def decide_with(monkeypatch, believed, named=("prebend", "creep"), further=None):
+    """Decision on effects, where some sets are believed, or have these answers.
+
+    A further effect is found beside what it is not part of.
+    """
     chosen = [
         Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
     ]  # fmt: skip
-    result = SearchResult(POINT, POINT, ["prebend", "creep"], chosen=chosen)
+    result = SearchResult(POINT, POINT, list(named), chosen=chosen)
     known = believed if isinstance(believed, dict) else dict.fromkeys(believed, BELIEVED)
     model = SimpleNamespace(
         answers=lambda evidence, named: known.get(evidence, DOUBTED),
@@ -192,7 +203,10 @@ def decide_with(monkeypatch, believed):
     monkeypatch.setattr(decision, "read_answer_model", lambda: model)
     monkeypatch.setattr(decision, "consistencies_of_named", lambda search, of: {})
     monkeypatch.setattr(decision, "evidence_of", lambda search, of, *rest: tuple(of.named))
-    monkeypatch.setattr(decision, "further_effect_of", lambda *of: None)
+    monkeypatch.setattr(
+        decision, "further_effect_of",
+        lambda search, of: further if further and further.effect not in of.named else None,
+    )  # fmt: skip
     monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[5] else "no")
     monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
     return decide(Search(), result)
@@ -240,6 +254,43 @@ def test_what_the_tests_took_out_is_named_where_it_fits_better_than_the_rest(
     assert found.result.named == named
     first = ("creep",) if blamed == "prebend" else ("prebend",)
     assert [t.effects for t in found.tested] == [first, *([(blamed,)] if named else [])]
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_an_effect_that_held_out_errors_refuse_is_named_where_the_whole_set_is_believed(
+    monkeypatch, whole
+):
+    monkeypatch.setattr(PassingTests, "blamed", "creep")
+    monkeypatch.setattr(PassingTests, "held_out", True)
+    sets = [("prebend",), *([("prebend", "creep")] if whole else [])]
+    found = decide_with(monkeypatch, sets)
+    assert found.result.named == list(sets[-1])
+    assert found.accepted == "prebend", "what passed is written"
+    judged = {t.effects for t in found.tested}
+    assert judged == {("prebend",), ("prebend", "creep")}
+    assert found.tested[-1].effects == sets[-1], "the last one led to the verdict"
+    rows = [(r.effect, r.kind) for r in found.result.refused]
+    assert rows == ([("creep", "not written")] if whole else [])
+
+
+@pytest.mark.parametrize(
+    ("separation", "sets", "named"),
+    [
+        (30.0, [("prebend",), ("prebend", "creep")], ["prebend", "creep"]),
+        (30.0, [("prebend",)], ["prebend"]),
+        (9.0, [("prebend",), ("prebend", "creep")], ["prebend"]),
+        (30.0, [("prebend", "creep")], []),
+    ],
+)
+def test_a_further_effect_that_would_explain_more_is_judged_beside_what_is_believed(
+    monkeypatch, separation, sets, named
+):
+    further = FurtherEffect("creep", separation, 10.0)
+    found = decide_with(monkeypatch, sets, ["prebend"], further)
+    assert found.result.named == named
+    judged = {t.effects for t in found.tested}
+    asked = separation > further.least and ("prebend",) in sets
+    assert (("prebend", "creep") in judged) == asked
 
 
 def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap.decision.further_effect import further_effect_of
+from models.gap.decision.further_effect import further_effect_of, with_further_effect
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
 from models.gap.settings import DEFAULT_SETTINGS
@@ -50,3 +50,20 @@ def test_a_residual_above_the_floor_asks_for_more():
 def test_there_is_none_without_a_name_or_a_trial_beside_it():
     assert further_effect_of(search(), found()) is None
     assert further_effect_of(search(), found(named=(), hysteresis=12.0)) is None
+
+
+def test_the_result_with_the_further_effect_tells_its_separation_and_leaves_the_other_as_it_is():
+    result = found(hysteresis=12.0)
+    point = result.explored[frozenset(("creep", "hysteresis"))]
+    candidate = SimpleNamespace(
+        candidate=lambda effects, point, here: Candidate(
+            effects, point, here.cost - point.cost, 5.0, 5.0
+        )
+    )
+    more = with_further_effect(candidate, result, "hysteresis", point)
+    assert more.named == ["creep", "hysteresis"] and more.after is point
+    assert [c.effects for c in more.chosen] == [("creep",), ("hysteresis",)]
+    assert more.chosen[1].separation == pytest.approx(12.0)
+    assert result.named == ["creep"] and len(result.chosen) == 1
+    again = with_further_effect(candidate, more, "hysteresis", point)
+    assert len(again.chosen) == 2, "it was included in its turn"

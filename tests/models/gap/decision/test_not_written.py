@@ -1,5 +1,6 @@
 """Effects whose plant makes one signal worse are named, and the plant as given is written."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,6 +15,13 @@ HIDDEN_BIAS_A = 0.3
 RISE = RefusedEffect(
     effect="", kind="rise of a signal", name="current_1_a", value=1.5, limit=1.05, unit="1",
     reason="the held-out error of current_1_a would be 150.0% of that of the plant as given",
+)  # fmt: skip
+
+
+BLAMED = "current_bias"
+REFUSED = RefusedEffect(
+    effect=BLAMED, kind="held-out error", name="", value=1.2, limit=1.0, unit="1",
+    reason="it does not lower the error on what was left out beside dead time: 120.0% of the error",
 )  # fmt: skip
 
 
@@ -42,6 +50,26 @@ def test_of_two_effects_none_is_to_blame_for_a_rise_that_both_cause(with_a_rise)
     assert found.improved.parameters == found.plant.parameters
     text = gap_in_words(gap_document(found, trials))
     assert "are named, but their plant is not written: the held-out error of current_1_a" in text
+
+
+def test_of_two_effects_that_which_held_out_errors_refuse_is_named_and_the_other_written(
+    monkeypatch, plant, hidden, diagnosed
+):
+    trials = hidden(dead_time_1_s=HIDDEN_S, current_bias_1_a=HIDDEN_BIAS_A)
+    monkeypatch.setattr(
+        Acceptance, "_failing", lambda self, fit: [REFUSED] * (BLAMED in self.result.named)
+    )
+    found = diagnosed(plant, trials)
+    assert set(found.named) == {"dead_time", BLAMED}
+    assert found.improved.provenance.named == ("dead_time",)
+    assert BLAMED not in found.improved.effects
+    assert [(r.effect, r.kind) for r in found.refused] == [(BLAMED, "not written")]
+    document = gap_document(found, trials)
+    text = gap_in_words(document)
+    assert "Current bias is named, but its plant is not written: it does not lower" in text
+    assert "The plant that was written is the plant as given" not in text
+    decided = msgspec.structs.replace(document, effect_probabilities={})
+    assert "the improved plant lacks current bias" in next_step_in_words(decided)
 
 
 def test_the_effect_is_named_with_its_strength(withheld):
