@@ -33,7 +33,7 @@ from bench.gap.scores.result_predicates import (
     is_said_outside,
     is_strength_covered,
 )
-from models.gap.report.gap_words import DECIDED
+from models.gap.decision.posterior import DECIDED
 from models.gap.settings import DEFAULT_SETTINGS
 from models.rig.drawn_rig import rig_purpose
 

@@ -186,7 +186,8 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
     largest one counts. Where that does not help either, the tests may have taken out the right
     effect: the same begins with all effects, and a rest with one that was taken out counts where
     it fits the trials better than what the tests left. Where a further effect would explain more
-    beside what is believed, both together are judged last.
+    beside what is believed, both together are judged last; without a learned noise floor no
+    evidence would tell them from the rest.
     """
     found = _judged_both(acceptance, model)
     first = found[0].acceptance.copy()
@@ -202,8 +203,8 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
                 if set(result.named) <= left or result.after.cost < first.result.after.cost:
                     found += _unknown(found, [row])
     best = max(found, key=lambda j: j.order)
-    further = best.tested.further
-    if best.believed and further is not None and further.is_missing:
+    further = best.tested.further if acceptance.search.learned and best.believed else None
+    if further is not None and further.is_missing:
         more = best.acceptance.with_further(further.effect)
         found += _unknown(found, _judged_both(more, model))
         best = max(found, key=lambda j: j.order)
@@ -226,7 +227,7 @@ def _judged_both(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
     """
     passed, whole = _judged(acceptance.copy(), model), acceptance.copy()
     left = passed.tested.effects
-    if len(left) == len(whole.result.named):
+    if len(left) == len(whole.result.named) or not whole.search.learned:
         return [passed]
     whole.keeps_named = True
     judged = _judged(whole, model)

@@ -25,6 +25,8 @@ from models.gap.search.effect_search import EffectSearch
 
 LISTED_PROBABILITY: Final = 1e-3
 """Hypotheses below this are not listed."""
+DECIDED: Final = 0.9
+"""Probability from which on an effect counts as decided; below the rest of it, as excluded."""
 
 
 @dataclass(frozen=True)

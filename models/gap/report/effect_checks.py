@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from models.gap.decision.posterior import DECIDED
 from models.gap.report.gap_json import GapDocument
 
 EFFECT_CHECKS: Final[dict[str, str]] = {
@@ -68,15 +69,12 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
 """By effect of `models.shared.catalogue.EVERY_EFFECT`; where a sentence states what is seen, it is
 seen if the effect is there."""
 
-LEAST_PROBABILITY: Final = 0.1
-"""Probability from which on an effect that is not named is worth a look."""
-
 MOST_CHECKS: Final = 5
 """Effects that are told."""
 
 
 def effects_to_check(document: GapDocument) -> dict[str, str]:
-    """Check of each effect that is named, looks like a named one, or may be missing; likely first.
+    """Check of each effect that is named, looks like a named one, or is not excluded; likely first.
 
     Parameters
     ----------
@@ -86,6 +84,6 @@ def effects_to_check(document: GapDocument) -> dict[str, str]:
     known = document.effect_probabilities
     named = [e for row in document.named if row.kept for e in row.effect.split(" + ")]
     alike = [c.effect for row in document.named if row.kept for c in row.look_alikes]
-    likely = [e for e, p in sorted(known.items(), key=lambda r: -r[1]) if p > LEAST_PROBABILITY]
+    likely = [e for e, p in sorted(known.items(), key=lambda r: -r[1]) if p > 1 - DECIDED]
     order = [e for e in dict.fromkeys([*named, *likely, *alike]) if e in EFFECT_CHECKS]
     return {effect: EFFECT_CHECKS[effect] for effect in order[:MOST_CHECKS]}

@@ -6,13 +6,11 @@ from typing import Final
 
 from firmware_py.signals import without_unit
 from models.gap.decision.further_effect import FurtherEffect
+from models.gap.decision.posterior import DECIDED
 from models.gap.decision.rejected_effects import UNEXCITED
 from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.gap.report.trial_notes import notes_in_words
-
-DECIDED: Final = 0.9
-"""Probability from which on an effect counts as decided; below the rest of it, as excluded."""
 
 MOST_TOLD: Final = 3
 """Effects that are told where none is sure enough to be named."""

@@ -185,7 +185,7 @@ class PassingTests:
         return "as given"
 
 
-def decide_with(monkeypatch, believed, named=("prebend", "creep"), further=None):
+def decide_with(monkeypatch, believed, named=("prebend", "creep"), further=None, search=None):
     """Decision on effects, where some sets are believed, or have these answers.
 
     A further effect is found beside what it is not part of.
@@ -209,7 +209,7 @@ def decide_with(monkeypatch, believed, named=("prebend", "creep"), further=None)
     )  # fmt: skip
     monkeypatch.setattr(decision, "gap_verdict", lambda *of: "reduced" if of[5] else "no")
     monkeypatch.setattr(decision, "gap_left_fraction", lambda search, of: 0.6)
-    return decide(Search(), result)
+    return decide(search or Search(), result)
 
 
 @pytest.mark.parametrize(
@@ -291,6 +291,13 @@ def test_a_further_effect_that_would_explain_more_is_judged_beside_what_is_belie
     judged = {t.effects for t in found.tested}
     asked = separation > further.least and ("prebend",) in sets
     assert (("prebend", "creep") in judged) == asked
+
+
+def test_without_a_learned_floor_no_further_effect_is_judged(monkeypatch):
+    monkeypatch.setattr(decision, "CATALOGUE_ONLY", BELIEVED)
+    further = FurtherEffect("creep", 30.0, 10.0)
+    found = decide_with(monkeypatch, [], ["prebend"], further, Search(learned=False))
+    assert [t.effects for t in found.tested] == [("prebend",)]
 
 
 def test_a_deviation_that_all_trials_share_is_never_nothing(monkeypatch):
