@@ -15,7 +15,7 @@ What fails is taken out, the rest is fitted again and tested again. Effects that
 held-out errors stay named where the noise floor is learned and no single one of them is to blame:
 the last one, or several of which each lowers the error. Whether they are missing is a question of
 evidence (`models.gap.decision.answers`), and the plant as given may have made up for them. The
-plant that is written is then the one as given.
+plant that is written is then the one as given. `keeps_named` lets those to blame stay named too.
 
 The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
 these trials. It is written as refitted where the held-out error falls by as much as would count as
