@@ -252,8 +252,9 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="*", help="directories of bench.gap --out")
     parser.add_argument("--write", action="store_true", help="use the new coefficients")
     args = parser.parse_args()
-    new = labelled(r for run in args.runs for r in bench_results(run).values())
-    tests = with_new(read_answer_tests(), new)
+    tests = read_answer_tests()
+    for run in args.runs:  # of a data set in several runs the last one counts
+        tests = with_new(tests, labelled(bench_results(run).values()))
     for rig in sorted({test.rig for test in tests}):
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for testing: nothing is set on it")

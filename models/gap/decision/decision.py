@@ -231,7 +231,7 @@ def _judged_both(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
         return [passed]
     whole.keeps_named = True
     judged = _judged(whole, model)
-    if whole.withheld is None:
+    if whole.withheld is None or judged.tested.effects == left:
         return [passed]
     names = " + ".join(e for e in judged.tested.effects if e not in left)
     whole.withheld = msgspec.structs.replace(whole.withheld, effect=names)

@@ -1,5 +1,6 @@
 """What is tried in place of an effect that was refused, and what is kept."""
 
+import sys
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -291,6 +292,21 @@ def test_a_further_effect_that_would_explain_more_is_judged_beside_what_is_belie
     judged = {t.effects for t in found.tested}
     asked = separation > further.least and ("prebend",) in sets
     assert (("prebend", "creep") in judged) == asked
+
+
+def test_effects_of_which_none_is_to_blame_are_judged_once(monkeypatch):
+    class Withheld(PassingTests):
+        def accepted(self):
+            self.withheld, self.result.named = refusal("prebend"), ["prebend"]
+            self.result.after = SimpleNamespace(cost=1.0)
+            return "as given"
+
+        def copy(self):
+            return Withheld(self.search, replace(self.result, named=list(self.result.named)))
+
+    monkeypatch.setattr(sys.modules[__name__], "PassingTests", Withheld)
+    found = decide_with(monkeypatch, [("prebend",)])
+    assert [t.effects for t in found.tested] == [("prebend",)]
 
 
 def test_without_a_learned_floor_no_further_effect_is_judged(monkeypatch):
