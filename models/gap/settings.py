@@ -186,9 +186,10 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """d′ below which two effects cannot be told apart
     (docs/sources.md, "Naming a missing effect")."""
     distant_bound_fractions: tuple[float, ...] = (0.1, 0.3)
-    """Fractions of its bounds at which an effect is also tried where the plant is not the link: a
-    lag of 0.05 s and 0.15 s on the flexible link, which needs 0.16 s
-    (docs/sources.md, "Real recordings")."""
+    """Fractions of its bounds at which an effect is also tried: a lag of the current of 0.02 s and
+    0.06 s, or one of 0.05 s and 0.15 s on the flexible link, which needs 0.16 s
+    (docs/sources.md, "Real recordings"). In the plant's own link the first one is enough to see
+    that no step from zero leads there."""
     ladder_bound_fractions: tuple[float, ...] = (0.3, 0.5, 0.65, 0.75, 0.8, 0.85, 0.9)
     """Fractions of its bound at which an effect with a dead zone is tried [assumed]."""
     ladder_refinements: int = 5

@@ -7,9 +7,9 @@ Each result of `bench.gap` tells what its diagnosis judged and with which eviden
 (`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
 `answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
 regressions of the truth on the evidence give the probabilities. Extreme evidence is rare and proves
-no more than usual one: all but d′ counts within bounds. Effects that often stand in for others are
-believed less. Printed is how the coefficients in use do on the tests, how new ones do on each rig
-when that rig is left out, and what is decided on whole data sets then
+no more than usual one: all but d′ and what is left counts within bounds. Effects that often stand
+in for others are believed less. Printed is how the coefficients in use do on the tests, how new
+ones do on each rig when that rig is left out, and what is decided on whole data sets then
 (`bench.gap.calibration.whole_decisions`). With --write the new ones replace those in use
 (`models/gap/decision/answers.json`). No rig for testing may be among them.
 """
@@ -33,6 +33,7 @@ from bench.gap.calibration.answer_tests import (
     labelled,
     read_answer_tests,
     weights,
+    with_left,
     with_new,
     write_answer_tests,
 )
@@ -64,8 +65,9 @@ rest; the one with the least loss on rigs left out is taken."""
 EVEN: Final = 0.5
 """Probability beyond which an answer counts as said in the table that is printed."""
 
-WITHOUT_BOUNDS: Final = ("named", "clearness")
-"""Evidence that counts in full: however large d′ is, a larger one is less likely noise."""
+WITHOUT_BOUNDS: Final = ("named", "beyond_one", "left", "clearness")
+"""Evidence that counts in full: however large d′ is, a larger one is less likely noise, and the
+more a stand-in leaves, the less it is what is missing."""
 
 
 @dataclass(frozen=True)
@@ -173,14 +175,14 @@ def fitted_regression(
         np.clip([getattr(t.evidence, name) for t in rows], *within.get(name, (-np.inf, np.inf)))
         for name in question.names
     ]
-    last = sorted({e for t in rows for e in t.effects[-1:]})
-    is_last = np.array([[effect in t.effects[-1:] for effect in last] for t in rows], dtype=float)
+    effects = sorted({e for t in rows for e in t.effects})
+    share = np.array([[(e in t.effects) / max(len(t.effects), 1) for e in effects] for t in rows])
     weight = np.array(weights(rows))
     scaler, fit = (
         StandardScaler(),
         LogisticRegression(C=regularisation.inverse_penalty, max_iter=2000),
     )
-    features = np.hstack([scaler.fit_transform(np.column_stack(columns)), is_last])
+    features = np.hstack([scaler.fit_transform(np.column_stack(columns)), share])
     fit.fit(features, [test.answer == question.answer for test in rows], weight / weight.mean())
     slope, of_effect = np.split(fit.coef_[0], [len(question.names)])
     slope = slope / scaler.scale_
@@ -188,7 +190,7 @@ def fitted_regression(
         intercept=round(float(fit.intercept_[0] - slope @ scaler.mean_), 4),
         coefficient={n: round(float(c), 4) for n, c in zip(question.names, slope, strict=True)},
         bounds=within,
-        of_effect={e: round(float(c), 4) for e, c in zip(last, of_effect, strict=True)},
+        of_effect={e: round(float(c), 4) for e, c in zip(effects, of_effect, strict=True)},
     )
 
 
@@ -252,9 +254,10 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="*", help="directories of bench.gap --out")
     parser.add_argument("--write", action="store_true", help="use the new coefficients")
     args = parser.parse_args()
-    tests = read_answer_tests()
+    table = read_answer_tests()
     for run in args.runs:  # of a data set in several runs the last one counts
-        tests = with_new(tests, labelled(bench_results(run).values()))
+        table = with_new(table, labelled(bench_results(run).values()))
+    tests = with_left(table)
     for rig in sorted({test.rig for test in tests}):
         if rig_purpose(rig) == "test":
             parser.error(f"{rig} is for testing: nothing is set on it")
@@ -273,7 +276,7 @@ def main() -> None:
         print(f"names given beyond {probability}: mean cost of a decision {cost:.3f}")
     print(f"whole decisions on rigs left out, names given beyond {least}")
     print(decisions_table(whole_decisions(*asked, least)))
-    write_answer_tests(tests)
+    write_answer_tests(table)
     if args.write:
         model = AnswerModel(sets=len(tests), least_probability=least, catalogue=names, outside=gap)
         PATH.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=1))

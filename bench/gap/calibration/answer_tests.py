@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from bench.gap.cases import Kind
 from models.gap.decision.answers import Answer
@@ -114,6 +115,22 @@ def with_new(known: Sequence[AnswerTest], new: Sequence[AnswerTest]) -> list[Ans
     """
     again = {(t.rig, t.data_set) for t in new}
     return [*(t for t in known if (t.rig, t.data_set) not in again), *new]
+
+
+def with_left(tests: Sequence[AnswerTest]) -> list[AnswerTest]:
+    """Tests with what was left beside the names, where it was not recorded the mean of the rest.
+
+    Parameters
+    ----------
+    tests : sequence of AnswerTest
+        Of the table.
+    """
+    known = [t.evidence.left for t in tests if t.effects and t.evidence.left is not None]
+    mean = sum(known) / max(len(known), 1)
+    return [
+        t if t.evidence.left is not None else replace(t, evidence=replace(t.evidence, left=mean))
+        for t in tests
+    ]
 
 
 def read_answer_tests() -> list[AnswerTest]:

@@ -3,8 +3,9 @@
 Two logistic regressions on the evidence of a tested search (`models.gap.decision.evidence`) give
 the probabilities: whether the named effects are what is missing, and if not, whether anything is.
 A name that does not fit says nothing about the latter: where nothing is missing, the plant's own
-error bears names that fit as badly. Currents and tip count apart there: what a changed link adds to
-the plant's own error is at the tip rather than in the currents. How far the nuisance moved says
+error bears names that fit as badly. What a further effect would explain beside it does. Currents
+and tip count apart there: what a changed link adds to the plant's own error is at the tip rather
+than in the currents. How far the nuisance moved says
 nothing about the former: a faint effect on an unchanged link moves it as little as no effect does.
 The coefficients are fitted to diagnoses of rigs for tuning, whose hidden effects are known
 (`python -m bench.gap.calibration.answer_model`); `answers.json` holds them.
@@ -26,10 +27,12 @@ PATH: Final = Path(__file__).with_name("answers.json")
 
 Answer = Literal["nothing", "catalogue", "outside"]
 
-OF_NAMES: Final = ("named", "gap", "clearness", "difference", "rise", "further", "rival")
+OF_NAMES: Final = (
+    "named", "beyond_one", "gap", "left", "clearness", "difference", "rise", "further", "rival",
+)  # fmt: skip
 """Evidence that tells the missing effects from what stands in for them."""
 
-OF_A_GAP: Final = ("clearness", "servo", "tip")
+OF_A_GAP: Final = ("clearness", "further", "servo", "tip")
 """Evidence that tells something outside of the catalogue from nothing."""
 
 
@@ -77,8 +80,8 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         Least and largest value that counts, by name of the evidence: extreme values are rare and
         prove no more than usual ones. Evidence that is missing here counts in full.
     of_effect : dict of str to float
-        Logarithm of the odds by the effect that was named last, the least sure one: some effects
-        stand in for others more often than others do. 0 for one that is missing here.
+        Logarithm of the odds by effect, of several their mean: some effects stand in for others
+        more often than others do. 0 for one that is missing here.
     """
 
     intercept: float
@@ -94,9 +97,10 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         evidence : Evidence
             Of a tested search.
         named : sequence of str
-            Effects that it leaves, in the order in which they were found.
+            Effects that it leaves.
         """
-        log_odds = self.intercept + sum(self.of_effect.get(effect, 0.0) for effect in named[-1:])
+        of_effects = sum(self.of_effect.get(effect, 0.0) for effect in named)
+        log_odds = self.intercept + of_effects / max(len(named), 1)
         for name, coefficient in self.coefficient.items():
             value = getattr(evidence, name)
             if name in self.bounds:

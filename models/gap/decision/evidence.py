@@ -47,10 +47,15 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rival : float
         Logarithm of the fraction of its part of the gap that another effect explains in place of a
         named one, the largest; 0 where nothing is named.
+    beyond_one : float
+        Number of effects that the tests leave beyond the first.
+    left : float, optional
+        Logarithm of the mean squared residual with the named effects, over the largest that counts
+        as noise; the same as `gap` where nothing is named. None in tests that were recorded before
+        it was measured (`bench.gap.calibration`).
     servo, tip : float, optional
         Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
-        the servos' currents and of the tip. None in tests of names that do not need it
-        (`bench.gap.calibration`).
+        the servos' currents and of the tip. None in tests of names that do not need it.
     """
 
     named: float
@@ -60,6 +65,8 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rise: float
     further: float
     rival: float
+    beyond_one: float = 0.0
+    left: float | None = None
     servo: float | None = None
     tip: float | None = None
 
@@ -110,12 +117,14 @@ def evidence_of(
     explained = search.null_distribution.explained
     return Evidence(
         named=float(bool(result.named)),
+        beyond_one=float(max(len(result.named) - 1, 0)),
         gap=_logarithm(search.mean_residual(result.before) / explained),
         clearness=_logarithm(clearness_of(result)),
         difference=max((c.standard_deviation for c in consistencies.values()), default=0.0),
         rise=_logarithm(max(ratios.values(), default=1.0)),
         further=_logarithm(further.separation / further.least) if further else 0.0,
         rival=_logarithm(rival_fraction(result)) if result.named else 0.0,
+        left=_logarithm(search.mean_residual(result.after) / explained),
         servo=_logarithm(signal_residual(search, result.before, "current_")),
         tip=_logarithm(signal_residual(search, result.before, "tip_")),
     )

@@ -3,7 +3,8 @@
 An effect with a dead zone shows nothing where it is absent, like a limit never met. Its derivatives
 vanish there, so strengths are tried one by one: fractions of the bound and, where the effect itself
 reads a first strength from the trials (`Effect.dead_zone_strength`), that one too. Then between the
-best and its neighbours. Of any other effect far strengths are tried from the plant as given.
+best and its neighbours. Of any other effect far strengths are tried from the present fit and from
+the plant as given.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def strengths_far_from_zero(
     """Points at strengths of an effect to which no step from zero leads.
 
     A plant that was identified without an effect may have made up for it: excessive damping looks
-    like a low-pass of the sensor. Then a far strength lowers the cost, although no step does. An
+    like a low-pass of the sensor. Then a far strength lowers the cost, although no step does. Nor
+    does one lead to a low-pass of a current with a saw-tooth, which is gone at any strength. An
     effect with a dead zone gets a ladder, and a short fit from its best rung: the nuisance around
     it may have made up for the effect.
 
@@ -93,9 +95,14 @@ def strengths_far_from_zero(
             best = min(rungs, key=lambda p: p.cost)
             found += [*rungs, estimator.fit(best, free, steps)]
         return found
+    fractions = estimator.settings.distant_bound_fractions
     if estimator.residuals.plant.load != "link":
-        return _distant_strengths(estimator, here, own)
-    return [p for start in others for p in _promising_strength(estimator, start, own, free, cost)]
+        return _distant_strengths(estimator, here, own, fractions)
+    found = _distant_strengths(estimator, here, own, fractions[:1])
+    cost = min([cost, *(point.cost for point in found)])
+    for start in others:
+        found += _promising_strength(estimator, start, own, free, cost)
+    return found
 
 
 def _promising_strength(
@@ -106,8 +113,8 @@ def _promising_strength(
     The nuisance fit may have made up for an effect as if the link had changed, and no step leads
     back: a dead time of 39 ms ended as 4 ms beside another link. The plant as given knows the link.
     """
-    rows = []
-    for point in _distant_strengths(estimator, given, own):
+    rows, fractions = [], estimator.settings.distant_bound_fractions
+    for point in _distant_strengths(estimator, given, own, fractions):
         _, fall = estimator.step(point, free)
         rows.append((point.cost - fall, point))
     promised, best = min(rows, key=lambda row: row[0], default=(cost, given))
@@ -116,12 +123,14 @@ def _promising_strength(
     return [estimator.fit(best, free, estimator.settings.candidate_fit_steps)]
 
 
-def _distant_strengths(estimator: GaussNewton, here: FitPoint, own: Array) -> list[FitPoint]:
+def _distant_strengths(
+    estimator: GaussNewton, here: FitPoint, own: Array, fractions: Sequence[float]
+) -> list[FitPoint]:
     """Points at some fractions of an effect's bounds."""
     at = int(np.flatnonzero(own)[0])
     strength = estimator.residuals.fit_parameters[at]
     result = []
-    for fraction in estimator.settings.distant_bound_fractions:
+    for fraction in fractions:
         for bound in {strength.low, strength.high} - {0.0}:
             values = here.values.copy()
             values[at] = fraction * bound

@@ -11,14 +11,14 @@ from models.gap.search.candidate import Candidate, SearchResult
 NOISE = Evidence(
     named=0.0, gap=-0.5, clearness=-1.0, difference=0.0,
     rise=0.0, further=0.0, rival=0.0,
-    servo=0.0, tip=0.0,
+    left=-0.5, servo=0.0, tip=0.0,
 )  # fmt: skip
 """Of trials without a gap."""
 
 EXPLAINED = Evidence(
     named=1.0, gap=1.0, clearness=2.0, difference=0.05,
     rise=0.0, further=-1.0, rival=-2.0,
-    servo=1.0, tip=1.0,
+    left=-1.0, servo=1.0, tip=1.0,
 )  # fmt: skip
 """Of an effect that stands out, with one strength, and leaves noise."""
 
@@ -98,6 +98,25 @@ def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):
     """In place of the named one, or beside it."""
     assert answers(EXPLAINED, rival=0.0).catalogue < answers(EXPLAINED).catalogue
     assert answers(EXPLAINED, further=1.5).catalogue < answers(EXPLAINED).catalogue
+
+
+def test_what_is_left_beside_the_names_speaks_against_them(answers):
+    assert answers(EXPLAINED, left=0.0).catalogue < answers(EXPLAINED).catalogue
+
+
+def test_several_effects_need_more_evidence_than_one(answers):
+    assert answers(EXPLAINED, beyond_one=1.0).catalogue < answers(EXPLAINED).catalogue
+
+
+def test_odds_of_several_effects_are_the_mean_of_theirs():
+    regression = msgspec.structs.replace(
+        read_answer_model().catalogue, of_effect={"creep": -2.0, "stiction": 2.0}
+    )
+    one, other, both, unknown = (
+        regression.probability(EXPLAINED, names)
+        for names in (["creep"], ["stiction"], ["creep", "stiction"], ["cogging"])
+    )
+    assert one < both == unknown < other
 
 
 def test_the_effect_that_stands_out_least_counts():
