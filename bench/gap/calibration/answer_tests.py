@@ -120,6 +120,8 @@ def with_new(known: Sequence[AnswerTest], new: Sequence[AnswerTest]) -> list[Ans
 def with_left(tests: Sequence[AnswerTest]) -> list[AnswerTest]:
     """Tests with what was left beside the names, where it was not recorded the mean of the rest.
 
+    Where nothing was named all of the gap was left.
+
     Parameters
     ----------
     tests : sequence of AnswerTest
@@ -127,10 +129,13 @@ def with_left(tests: Sequence[AnswerTest]) -> list[AnswerTest]:
     """
     known = [t.evidence.left for t in tests if t.effects and t.evidence.left is not None]
     mean = sum(known) / max(len(known), 1)
-    return [
-        t if t.evidence.left is not None else replace(t, evidence=replace(t.evidence, left=mean))
-        for t in tests
-    ]
+    found = []
+    for test in tests:
+        own = test.evidence
+        if own.left is None:
+            own = replace(own, left=mean if test.effects else own.gap)
+        found.append(replace(test, evidence=own))
+    return found
 
 
 def read_answer_tests() -> list[AnswerTest]:

@@ -142,6 +142,9 @@ def test_what_was_left_counts_as_the_mean_where_it_was_not_recorded(results):
     mean = -(1.0 + 0.2 * len(rest)) / (1 + len(rest))
     assert filled[0].evidence.left == pytest.approx(mean)
     assert filled[1:] == with_values
+    (unnamed, *_) = (t for t in labelled(results) if not t.effects)
+    unnamed = replace(unnamed, evidence=replace(unnamed.evidence, left=None))
+    assert with_left([unnamed])[0].evidence.left == unnamed.evidence.gap
 
 
 def test_tests_of_one_data_set_weigh_as_much_as_one_of_another():
