@@ -7,7 +7,7 @@ Each result of `bench.gap` tells what its diagnosis judged and with which eviden
 (`models.gap.decision.evidence`), and what was hidden. The tests of the runs are added to those in
 `answer_tests.jsonl`; of a data set that is there already the new ones count. Two logistic
 regressions of the truth on the evidence give the probabilities. Extreme evidence is rare and proves
-no more than usual one: all but d′ and what is left counts within bounds. Effects that often stand
+no more than usual one: all but d′ and residuals counts within bounds. Effects that often stand
 in for others are believed less. Printed is how the coefficients in use do on the tests, how new
 ones do on each rig when that rig is left out, and what is decided on whole data sets then
 (`bench.gap.calibration.whole_decisions`). With --write the new ones replace those in use
@@ -65,9 +65,9 @@ rest; the one with the least loss on rigs left out is taken."""
 EVEN: Final = 0.5
 """Probability beyond which an answer counts as said in the table that is printed."""
 
-WITHOUT_BOUNDS: Final = ("named", "beyond_one", "left", "clearness")
-"""Evidence that counts in full: however large d′ is, a larger one is less likely noise, and the
-more a stand-in leaves, the less it is what is missing."""
+WITHOUT_BOUNDS: Final = ("named", "beyond_one", "left", "clearness", "servo", "tip")
+"""Evidence that counts in full: however large d′ or the residual of a signal is, a larger one is
+less likely noise, and the more a stand-in leaves, the less it is what is missing."""
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,10 @@ def test_a_residual_beyond_noise_is_not_nothing(answers, part):
     assert unexplained.outside > answers(NOISE).outside
 
 
+def test_a_residual_far_beyond_noise_is_not_nothing_though_no_effect_stands_out(answers):
+    assert answers(NOISE, tip=5.8).is_outside and answers(NOISE, servo=5.8).is_outside
+
+
 def test_names_are_given_beyond_a_least_probability():
     model = read_answer_model()
     assert 0.5 < model.least_probability < 0.9
