@@ -38,7 +38,6 @@ from bench.gap.calibration.answer_tests import (
     write_answer_tests,
 )
 from bench.gap.calibration.whole_decisions import (
-    LEAST_PROBABILITIES,
     decisions_table,
     mean_cost,
     whole_decisions,
@@ -270,15 +269,12 @@ def main() -> None:
     print(_told(tests, OF_A_GAP_ASKED, in_use.outside, said_of_gaps))
     outside = dict(zip(OF_A_GAP_ASKED.rows(tests), said_of_gaps, strict=True))
     asked = dict(zip(OF_NAMES_ASKED.rows(tests), said_of_names, strict=True)), outside
-    least = min(LEAST_PROBABILITIES, key=lambda p: mean_cost(whole_decisions(*asked, p)))
-    for probability in LEAST_PROBABILITIES:
-        cost = mean_cost(whole_decisions(*asked, probability))
-        print(f"names given beyond {probability}: mean cost of a decision {cost:.3f}")
-    print(f"whole decisions on rigs left out, names given beyond {least}")
-    print(decisions_table(whole_decisions(*asked, least)))
+    decisions = whole_decisions(*asked)
+    print(f"whole decisions on rigs left out: mean cost of a decision {mean_cost(decisions):.3f}")
+    print(decisions_table(decisions))
     write_answer_tests(table)
     if args.write:
-        model = AnswerModel(sets=len(tests), least_probability=least, catalogue=names, outside=gap)
+        model = AnswerModel(sets=len(tests), catalogue=names, outside=gap)
         PATH.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=1))
 
 

@@ -1,9 +1,8 @@
 """Decisions on whole data sets, from the probabilities of their tests.
 
 In one data set several sets of effects are judged, and the largest that is believed is named
-(`models.gap.decision.decision`). A name that is wrong costs more than one that is not given, and
-the likeliest of several is right less often than its probability says. Names therefore need more
-than one half: as much as costs least on rigs left out.
+(`models.gap.decision.decision`). A name that is wrong costs more than one that is not given
+(`models.gap.decision.answers.WRONG_NAME_COST`).
 """
 
 from __future__ import annotations
@@ -14,14 +13,12 @@ from typing import Final, Literal
 
 from bench.gap.calibration.answer_tests import KIND_WEIGHT, AnswerTest
 from bench.gap.cases import Kind
-from models.gap.decision.answers import Answers, set_order
-
-LEAST_PROBABILITIES: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8)
-"""Of names that are given; the one that costs least is taken."""
-
-WRONG_NAME_COST: Final = 2.0
-"""Cost of a wrong name, over that of any other mistake: somebody looks for an effect that is not
-there, and the plant that is written has it [assumed]."""
+from models.gap.decision.answers import (
+    LEAST_PROBABILITY,
+    WRONG_NAME_COST,
+    Answers,
+    set_order,
+)
 
 Outcome = Literal["right name", "wrong name", "nothing", "outside"]
 
@@ -34,7 +31,7 @@ Decisions = Sequence[tuple[AnswerTest, Outcome]]
 
 
 def whole_decisions(
-    names: Mapping[AnswerTest, float], outside: Mapping[AnswerTest, float], least: float
+    names: Mapping[AnswerTest, float], outside: Mapping[AnswerTest, float]
 ) -> Decisions:
     """Decision on each data set.
 
@@ -45,15 +42,13 @@ def whole_decisions(
     outside : mapping of AnswerTest to float
         Probability of something outside of the catalogue where these are wrong; of the tests that
         it was asked of.
-    least : float
-        Probability beyond which names are given.
     """
     tests: dict[tuple[str, int], list[AnswerTest]] = defaultdict(list)
     for test in names:
         tests[test.rig, test.data_set].append(test)
     found: list[tuple[AnswerTest, Outcome]] = []
     for own in tests.values():
-        believed = {test: bool(test.effects) and names[test] > least for test in own}
+        believed = {test: bool(test.effects) and names[test] > LEAST_PROBABILITY for test in own}
         best = max(own, key=lambda t: set_order(len(t.effects), believed[t], names[t]))
         if believed[best]:
             found.append((own[0], "right name" if best.answer == "catalogue" else "wrong name"))

@@ -36,6 +36,14 @@ OF_A_GAP: Final = ("clearness", "further", "servo", "tip")
 """Evidence that tells something outside of the catalogue from nothing."""
 
 
+WRONG_NAME_COST: Final = 2.0
+"""Cost of a wrong name, over that of any other mistake: somebody looks for an effect that is not
+there, and the plant that is written has it [assumed]."""
+
+LEAST_PROBABILITY: Final = WRONG_NAME_COST / (1.0 + WRONG_NAME_COST)
+"""Probability beyond which names are given: from there on they cost less than no name."""
+
+
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Probabilities of the answers; they add up to 1.
 
@@ -52,6 +60,11 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nothing: float
     catalogue: float
     outside: float
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether names with these answers are given."""
+        return self.catalogue > LEAST_PROBABILITY
 
     @property
     def is_outside(self) -> bool:
@@ -116,9 +129,6 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     ----------
     sets : int
         Tests that they were fitted to.
-    least_probability : float
-        Of names that are given: the one that costs least on rigs for tuning, a wrong name twice as
-        much as a missing one (`bench.gap.calibration.whole_decisions`).
     catalogue : Regression
         Of the answer "catalogue", on what tells names from stand-ins (`OF_NAMES`).
     outside : Regression
@@ -127,7 +137,6 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     sets: int
-    least_probability: float
     catalogue: Regression
     outside: Regression
 
@@ -143,16 +152,6 @@ class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         outside = (1 - catalogue) * self.outside.probability(evidence, named)
         return Answers(1 - catalogue - outside, catalogue, outside)
 
-    def believes(self, answers: Answers) -> bool:
-        """Whether names with these answers are given.
-
-        Parameters
-        ----------
-        answers : Answers
-            Of the evidence for the names.
-        """
-        return answers.catalogue > self.least_probability
-
 
 def set_order(effects: int, believed: bool, probability: float) -> tuple[int, float]:
     """Order of the sets of effects that one data set was tested for; the largest is decided on.
@@ -165,7 +164,7 @@ def set_order(effects: int, believed: bool, probability: float) -> tuple[int, fl
     effects : int
         Number in the set.
     believed : bool
-        Whether they are named (`AnswerModel.believes`).
+        Whether they are named (`Answers.is_believed`).
     probability : float
         That they are what is missing.
     """

@@ -252,7 +252,7 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
     if search.nuisance_bias(result.after):
         answers = answers.without_nothing()
     tested = JudgedNames(tuple(result.named), evidence, answers, further)
-    believed = bool(result.named) and model.believes(answers)
+    believed = bool(result.named) and answers.is_believed
     return JudgedAcceptance(acceptance, accepted, consistencies, tested, believed)
 
 

@@ -47,7 +47,7 @@ def gap_verdict(
     further : FurtherEffect, optional
         What would explain most beside them.
     believed : bool
-        Whether they are named (`models.gap.decision.answers.AnswerModel.believes`).
+        Whether they are named (`models.gap.decision.answers.Answers.is_believed`).
     """
     biased = bool(search.nuisance_bias(result.after))
     if not search.learned:

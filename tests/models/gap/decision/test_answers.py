@@ -3,7 +3,13 @@
 import msgspec
 import pytest
 
-from models.gap.decision.answers import OF_A_GAP, OF_NAMES, Answers, read_answer_model
+from models.gap.decision.answers import (
+    OF_A_GAP,
+    OF_NAMES,
+    WRONG_NAME_COST,
+    Answers,
+    read_answer_model,
+)
 from models.gap.decision.evidence import Evidence, clearness_of
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import Candidate, SearchResult
@@ -44,9 +50,8 @@ def test_probabilities_add_up_to_one(answers, evidence):
 
 
 def test_noise_is_nothing_and_a_clear_effect_of_one_strength_is_believed(answers):
-    believes = read_answer_model().believes
-    assert answers(NOISE).nothing > 0.5 and not believes(answers(NOISE))
-    assert believes(answers(EXPLAINED))
+    assert answers(NOISE).nothing > 0.5 and not answers(NOISE).is_believed
+    assert answers(EXPLAINED).is_believed
 
 
 def test_an_effect_is_believed_the_more_the_clearer_it_stands_out(answers):
@@ -90,12 +95,11 @@ def test_a_residual_far_beyond_noise_is_not_nothing_though_no_effect_stands_out(
     assert answers(NOISE, tip=5.8).is_outside and answers(NOISE, servo=5.8).is_outside
 
 
-def test_names_are_given_beyond_a_least_probability():
-    model = read_answer_model()
-    assert 0.5 < model.least_probability < 0.9
-    just = model.least_probability
-    assert not model.believes(Answers(0.0, just, 1 - just))
-    assert model.believes(Answers(0.0, just + 0.01, 0.99 - just))
+@pytest.mark.parametrize("probability", [0.3, 0.6, 0.66, 0.67, 0.9])
+def test_names_are_given_where_they_cost_less_than_no_name(probability):
+    named, unnamed = WRONG_NAME_COST * (1 - probability), probability
+    answers = Answers(0.0, probability, 1 - probability)
+    assert answers.is_believed == (named < unnamed)
 
 
 def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):
