@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -108,16 +109,18 @@ def _moved(
 def _standard_errors(
     full: Plant, search: EffectSearch, point: FitPoint, free: Array
 ) -> dict[str, float]:
-    """Standard error of every such parameter."""
+    """Standard error of every such parameter.
+
+    An effect and a nuisance may move the same one: together they are known better than each.
+    """
     values, equation_error = point.values, read_equation_error()
-    errors = np.zeros(len(values))
-    covariance = search.estimator.covariance(point, free)
-    dispersion = np.sqrt(search.dispersion(point))
-    errors[np.flatnonzero(free)] = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * dispersion
-    uncertain: dict[str, float] = {}
+    fitted = np.flatnonzero(free)
+    covariance = search.estimator.covariance(point, free) * search.dispersion(point)
+    weights: dict[str, Array] = defaultdict(lambda: np.zeros(len(values)))
+    missed: dict[str, float] = defaultdict(float)
     for k, name, weight in _moved(full, search.fit_parameters, free):
-        effect = search.fit_parameters[k].effect
-        missed = equation_error.fraction(effect) * values[k] if effect else 0.0
-        parts = uncertain.get(name, 0.0), weight * errors[k], weight * missed
-        uncertain[name] = float(np.hypot(np.hypot(*parts[:2]), parts[2]))
-    return uncertain
+        weights[name][k] += weight
+        if effect := search.fit_parameters[k].effect:
+            missed[name] += float(equation_error.fraction(effect) * weight * values[k]) ** 2
+    chance = {n: max(float(w[fitted] @ covariance @ w[fitted]), 0.0) for n, w in weights.items()}
+    return {name: (variance + missed[name]) ** 0.5 for name, variance in chance.items()}

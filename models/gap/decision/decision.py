@@ -6,7 +6,8 @@ on held-out errors take out one of several effects, the whole set is judged as w
 believed, each effect is left out in turn; where one is and a further effect would explain more, so
 are both together. The largest set that is believed is kept. Several effects often explain a gap
 almost equally well: where a test refuses the first choice, or its strength is not the same
-everywhere, the search goes on from its first round without it. Where no alternative is believed,
+everywhere, or it is not believed and has look-alikes, the search goes on from its first round
+without it. Where no alternative is believed,
 the decision on the first choice stands.
 """
 
@@ -30,6 +31,7 @@ from models.gap.decision.answers import (
 from models.gap.decision.evidence import Evidence, consistencies_of_named, evidence_of
 from models.gap.decision.further_effect import FurtherEffect, further_effect_of
 from models.gap.decision.gap_verdict import GapVerdict, gap_left_fraction, gap_verdict
+from models.gap.decision.look_alikes import look_alikes_of
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.refused_effect import RefusalKind, RefusedEffect
@@ -150,7 +152,7 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
     decisions = [_decision(search, result, model)]
     excluded: set[str] = set()
     for _ in range(search.settings.most_alternatives):
-        if not search.learned or not _leaves_room(decisions[-1]):
+        if not search.learned or not _leaves_room(decisions[-1], excluded):
             break
         excluded |= set(decisions[-1].result.chosen[0].effects)
         decisions.append(_decision(search, search.search_without(result, excluded), model))
@@ -256,11 +258,17 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
     return JudgedAcceptance(acceptance, accepted, consistencies, tested, believed)
 
 
-def _leaves_room(decision: Decision) -> bool:
-    """Whether the tests speak against the first choice itself: another effect may fit better."""
+def _leaves_room(decision: Decision, excluded: set[str]) -> bool:
+    """Whether another first choice may be believed.
+
+    The tests speak against this one itself, or these trials do not tell it from one that was not
+    chosen yet.
+    """
     result = decision.result
     if result.named or not result.chosen:
         return False
+    if any(not set(alike.effects) & excluded for alike in look_alikes_of(result, 0)):
+        return True
     if any(not c.holds for c in decision.consistencies.values()):
         return True
     effects = set(result.chosen[0].effects)

@@ -1,9 +1,9 @@
 """Generalised least squares over the fit parameters, in units of the noise floor.
 
-The cost of values θ is ½ |W (r(θ) − m)|² + ½ Σ (θ_k / s_k)²: W whitens by the floor and by the
-patterns of the plant's own error, m is the known mean of that error, s_k is the standard deviation
-of the prior of a nuisance or of a trial's variation. Gauss-Newton steps stay within the bounds and
-are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
+The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor and by the patterns of
+the plant's own error, m is the known mean of that error, P is the prior of nuisance and of the
+variation between trials (`models.gap.residuals.prior`). Gauss-Newton steps stay within the bounds
+and are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
 they are updated by secants (Broyden 1965).
 """
 
@@ -21,6 +21,7 @@ from firmware_py.errors import InputError
 from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
+from models.gap.residuals.prior import prior_matrix, prior_precision
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 
@@ -83,8 +84,8 @@ class GaussNewton:
         self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
         self.basis, self.shrinkage = self._patterns()
         self.means = [residuals.as_counted(g, floor.mean(g, trials, self.settings)) for g in groups]
-        deviation = np.array([q.standard_deviation for q in residuals.fit_parameters])
-        self.precision = np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
+        self.precision = prior_precision(residuals.fit_parameters)  # of each alone
+        self.prior = prior_matrix(residuals.fit_parameters)
         self.low = np.array([q.low for q in residuals.fit_parameters])
         self.high = np.array([q.high for q in residuals.fit_parameters])
 
@@ -161,7 +162,7 @@ class GaussNewton:
     def at(self, values: Array) -> FitPoint:
         """Cost and residuals at some values."""
         rows = self.residuals.residuals(values)
-        cost = 0.5 * sum_of_squares(self.whitened(rows)) + 0.5 * float(self.precision @ values**2)
+        cost = 0.5 * (sum_of_squares(self.whitened(rows)) + float(values @ self.prior @ values))
         return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
     def linearise(self, point: FitPoint, wanted: Array | None = None) -> FitPoint:
@@ -192,10 +193,10 @@ class GaussNewton:
     ) -> None:
         residual = [w.ravel() for w in self.whitened(point.rows)]
         if normal is None:
-            normal = np.asarray(sum(s.T @ s for s in slopes) + np.diag(self.precision))
+            normal = np.asarray(sum(s.T @ s for s in slopes) + self.prior)
         gradient = sum(s.T @ r for s, r in zip(slopes, residual, strict=True))
         point.slopes, point.normal = slopes, normal
-        point.gradient = np.asarray(gradient - self.precision * point.values)
+        point.gradient = np.asarray(gradient - self.prior @ point.values)
 
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
         """Derivatives at the end of a step: those at its start, corrected along the step.

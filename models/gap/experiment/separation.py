@@ -22,6 +22,7 @@ from models.gap.estimation.normal_equation import NormalEquation
 from models.gap.experiment.motion_twin import MotionTwin
 from models.gap.experiment.rival import Rival, fitted_values_of
 from models.gap.residuals.fit_parameters import FitParameter, effect_fit_parameters
+from models.gap.residuals.prior import prior_precision
 from models.gap.residuals.residuals import Residuals, TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import Array, coefficient_count, cosine_transform, smoothed_power
 from models.gap.settings import GapSettings
@@ -119,8 +120,7 @@ class SeparationModel:
         self.fit_parameters = tuple(replace(q, trial=None) for q in planned)
         self._varies = np.array([q.kind == "trial" for q in planned])
         self._shared = np.flatnonzero(~self._varies)
-        deviation = np.array([q.standard_deviation for q in planned])
-        self._precision = np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
+        self._precision = prior_precision(planned)
         self.low = np.array([q.low for q in planned])
         self.high = np.array([q.high for q in planned])
         self._free = [

@@ -30,9 +30,13 @@ def refusal(effect, kind="held-out error"):
 
 @dataclass
 class Search:
-    """Search that chooses the first of `ORDER` that is not excluded."""
+    """Search that chooses the first of `ORDER` that is not excluded.
+
+    Those of `alike` explain as much as it does.
+    """
 
     learned: bool = True
+    alike: tuple = ()
     bias: bool = False
     tried: list = field(default_factory=list)
     settings = DEFAULT_SETTINGS
@@ -41,7 +45,8 @@ class Search:
         chosen = next(e for e in ORDER if e not in excluded)
         self.tried.append(chosen)
         candidate = Candidate((chosen,), POINT, 1.0, 1.0, 1.0)
-        return SearchResult(POINT, POINT, [chosen], chosen=[candidate])
+        row = [candidate, *(replace(candidate, effects=(e,)) for e in self.alike if e != chosen)]
+        return SearchResult(POINT, POINT, [chosen], rounds=[row], chosen=[candidate])
 
     def nuisance_bias(self, point):
         return {"eccentricity_m": 31.0} if self.bias else {}
@@ -65,9 +70,9 @@ class Outcome:
 
 @pytest.fixture
 def decided(monkeypatch):
-    """Function ({effect: Outcome}, learned) -> decision, search."""
+    """Function ({effect: Outcome}, learned, alike) -> decision, search."""
 
-    def run(outcomes, learned=True):
+    def run(outcomes, learned=True, alike=()):
         def tested(search, result, model):
             effect = result.named[0]
             outcome = outcomes.get(effect, Outcome())
@@ -81,7 +86,7 @@ def decided(monkeypatch):
             return Decision(result, None, failed, differs, judged, verdict, 0.0)
 
         monkeypatch.setattr(decision, "_decision", tested)
-        search = Search(learned)
+        search = Search(learned, alike)
         return decide(search, search.search()), search
 
     return run
@@ -104,6 +109,17 @@ def test_the_next_effect_is_named_in_place_of_one_that_a_test_refuses(decided, k
 def test_the_next_effect_is_named_in_place_of_one_that_differs_from_payload_to_payload(decided):
     found, _ = decided({"prebend": Outcome("stand-in", differs=True)})
     assert found.result.named == ["encoder_offset"]
+
+
+def test_what_the_trials_do_not_tell_from_a_first_choice_that_is_not_believed_is_tried(decided):
+    found, search = decided({"prebend": Outcome("improbable")}, alike=ORDER[:2])
+    assert found.result.named == ["encoder_offset"] and search.tried == ORDER[:2]
+
+
+def test_each_look_alike_is_tried_once(decided):
+    doubted = dict.fromkeys(ORDER, Outcome("improbable"))
+    found, search = decided(doubted, alike=ORDER[:2])
+    assert found.result.named == [] and search.tried == ORDER[:2]
 
 
 def test_weak_evidence_speaks_against_every_effect(decided):
@@ -194,7 +210,7 @@ def decide_with(monkeypatch, believed, named=("prebend", "creep"), further=None,
     chosen = [
         Candidate(("prebend",), POINT, 50.0, 1.0, 1.0), Candidate(("creep",), POINT, 8.0, 1.0, 1.0)
     ]  # fmt: skip
-    result = SearchResult(POINT, POINT, list(named), chosen=chosen)
+    result = SearchResult(POINT, POINT, list(named), rounds=[[c] for c in chosen], chosen=chosen)
     known = believed if isinstance(believed, dict) else dict.fromkeys(believed, BELIEVED)
     model = SimpleNamespace(answers=lambda evidence, named: known.get(evidence, DOUBTED))
     monkeypatch.setattr(decision, "Acceptance", PassingTests)
