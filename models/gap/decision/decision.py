@@ -158,7 +158,13 @@ def decide(search: EffectSearch, result: SearchResult) -> Decision:
         decisions.append(_decision(search, search.search_without(result, excluded), model))
     kept = decisions[-1] if decisions[-1].result.named else decisions[0]
     others = [d for d in decisions if d is not kept]
-    kept.result.refused = [row for d in decisions for row in (*d.result.refused, *d.withheld())]
+    named = set(kept.result.named)
+    kept.result.refused = [
+        row
+        for d in decisions
+        for row in (*d.result.refused, *d.withheld())
+        if d is kept or not set(row.effect.split(" + ")) <= named  # refused alone, named beside
+    ]
     return replace(kept, tested=(*(t for d in others for t in d.tested), *kept.tested))
 
 

@@ -60,9 +60,13 @@ class Search:
 
 @dataclass
 class Outcome:
-    """What the tests of one effect say: refusal, not written, strength that differs, belief."""
+    """What the tests of one effect say: refusal, not written, strength that differs, belief.
+
+    With it they leave the effects of `beside`.
+    """
 
     refused: str = ""
+    beside: tuple = ()
     failed: bool = False
     differs: bool = False
     catalogue: float = 0.9
@@ -79,6 +83,7 @@ def decided(monkeypatch):
             differs = {effect: StrengthConsistency(0.5, 0.0, 0.25, not outcome.differs)}
             if outcome.refused:
                 result.named, result.refused = [], [refusal(effect, outcome.refused)]
+            result.named += outcome.beside
             answers = Answers(0.0, outcome.catalogue, 1.0 - outcome.catalogue)
             judged = (JudgedNames((effect,), None, answers),)
             failed = refusal(effect) if outcome.failed else None
@@ -109,6 +114,12 @@ def test_the_next_effect_is_named_in_place_of_one_that_a_test_refuses(decided, k
 def test_the_next_effect_is_named_in_place_of_one_that_differs_from_payload_to_payload(decided):
     found, _ = decided({"prebend": Outcome("stand-in", differs=True)})
     assert found.result.named == ["encoder_offset"]
+
+
+def test_what_is_named_beside_another_effect_is_not_said_to_be_refused(decided):
+    doubted = {"prebend": Outcome("at a bound"), "encoder_offset": Outcome(beside=("prebend",))}
+    found, _ = decided(doubted)
+    assert found.result.named == ["encoder_offset", "prebend"] and found.result.refused == []
 
 
 def test_what_the_trials_do_not_tell_from_a_first_choice_that_is_not_believed_is_tried(decided):
