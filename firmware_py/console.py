@@ -203,10 +203,12 @@ class Progress:
         Name of the job.
     total : int
         Number of steps.
+    is_estimate : bool
+        Whether the total is estimated; shown as such until the last step.
     """
 
-    def __init__(self, label: str, total: int) -> None:
-        self.label, self.total, self.done = label, total, 0
+    def __init__(self, label: str, total: int, is_estimate: bool = False) -> None:
+        self.label, self.total, self.done, self.is_estimate = label, total, 0, is_estimate
         self._start_s, self._tty = time.monotonic(), sys.stderr.isatty()
         self._shown_s = 0.0
 
@@ -227,6 +229,7 @@ class Progress:
         if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):
             return
         self._shown_s = now_s
-        line = f"{self.label} {self.done}/{self.total} {now_s - self._start_s:5.1f} s {detail}"
+        of = f"{'~' if self.is_estimate and not last else ''}{self.total}"
+        line = f"{self.label} {self.done}/{of} {now_s - self._start_s:5.1f} s {detail}"
         end = "\n" if last or not self._tty else "\r"
         print(line.ljust(79) if self._tty else line.rstrip(), end=end, file=sys.stderr, flush=True)

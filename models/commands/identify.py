@@ -24,7 +24,7 @@ from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
 from models.plant.identification.torque_constant import torque_constant_doubts
 from models.plant.identified_gains import read_servo_gains
-from models.plant.parameter import bound_reached
+from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     check_weight(plant, trials)
     for trial in trials:
         check_duration(trial)
-    progress = Progress("identify", USUAL_STEPS)
+    progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 
     def report(text: str) -> None:
         progress.step(text, further=max(progress.total - progress.done - 1, LEAST_LEFT))
@@ -79,8 +79,9 @@ def run(args: argparse.Namespace) -> int:
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
     for q in found.fitted:
         reached = bound_reached(q)
-        bound = f"  at its {reached} bound" if reached else ""
-        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{bound}")
+        mark = f"  at its {reached} bound" if reached else ""
+        mark = mark or ("  weakly determined" if is_weakly_determined(q) else "")
+        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{mark}")
     what = (
         f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
     )
@@ -97,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
                 "error": q.error,
                 "unit": q.unit,
                 "bound": bound_reached(q),
+                "weakly_determined": is_weakly_determined(q),
             }
             for q in found.fitted
         },

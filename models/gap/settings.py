@@ -146,8 +146,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     nuisance_bias_limit_sd: float = 12.0
     """Least |z| of the nuisance that is too much to be chance. Measured on development cases of the
     benchmark: up to 4.4 where nothing had gone into the variation, 15 to 24 where a denied payload
-    offset, clock or dead time had; on drawn rigs up to 9.4 beside a rightly named payload."""
-    nuisance_bias_kinds: tuple[str, ...] = ("eccentricity_m", "frame_m", "sync_s")
+    offset had; on drawn rigs up to 9.4 beside a rightly named payload."""
+    nuisance_bias_kinds: tuple[str, ...] = ("eccentricity_m", "frame_m")
     """Kinds of trial variation that are judged: the set-up. Pressure and friction also take up what
     equations miss; measured: z was 4 with nothing hidden, 9 beside a rightly named softening."""
 

@@ -9,7 +9,10 @@ import msgspec
 
 from firmware_py.errors import InputError
 
-__all__ = ["Parameter", "Role", "bound_reached", "check_values"]
+__all__ = [
+    "Parameter", "Role", "bound_reached", "check_values", "is_weakly_determined",
+    "prior_deviation_of",
+]  # fmt: skip
 
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
 """Treatment of a parameter by `identify`.
@@ -71,6 +74,28 @@ def bound_reached(q: Parameter) -> Literal["lower", "upper"] | None:
     """
     margin = AT_BOUND * (q.high - q.low)
     return "lower" if q.value <= q.low + margin else "upper" if q.value >= q.high - margin else None
+
+
+def prior_deviation_of(q: Parameter) -> float:
+    """Standard deviation of a value before a fit, in the parameter's unit.
+
+    Parameters
+    ----------
+    q : Parameter
+        Of a plant.
+    """
+    return q.prior_deviation or (q.high - q.low) / 4
+
+
+def is_weakly_determined(q: Parameter) -> bool:
+    """Whether a fit told no more of a value than was known before: its error is not smaller.
+
+    Parameters
+    ----------
+    q : Parameter
+        Identified.
+    """
+    return q.error is not None and q.error >= prior_deviation_of(q)
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:

@@ -89,7 +89,7 @@ CATALOGUE: Final[dict[str, EffectRow]] = {
         "bend_torque", "1", "torque of one plane per other plane's", 0.2
     ),
     "encoder_offset": EffectRow(
-        "sensor", "rad", "constant error of the encoder, loop included", 0.02
+        "sensor", "rad", "constant error of the measured angle, which the servo controls", 0.02
     ),
     "encoder_ripple": EffectRow(
         "sensor", "rad", "amplitude of the encoder's periodic error", 0.004

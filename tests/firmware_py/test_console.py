@@ -156,3 +156,13 @@ def test_a_job_that_finds_its_total_as_it_goes_never_counts_beyond_it(capsys):
         progress.step("part", further)
         assert progress.total == progress.done + further
     assert capsys.readouterr().err.splitlines()[-1].startswith("gap 6/6 ")
+
+
+def test_a_total_that_is_estimated_says_so_until_it_is_known(capsys, monkeypatch):
+    monkeypatch.setattr(console.time, "monotonic", iter(range(0, 100, 10)).__next__)
+    progress = console.Progress("identify", 130, is_estimate=True)
+    progress.step("fit")
+    progress.total = progress.done + 1
+    progress.step("done")
+    counted = [line.split()[1] for line in capsys.readouterr().err.splitlines()]
+    assert counted == ["1/~130", "2/2"]

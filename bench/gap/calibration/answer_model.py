@@ -17,8 +17,8 @@ ones do on each rig when that rig is left out, and what is decided on whole data
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, get_args
 
@@ -203,12 +203,20 @@ def left_out(
     tests, question, regularisation
         See `fitted_regression`.
     """
-    rows = question.rows(tests)
-    models = {
-        rig: fitted_regression([t for t in rows if t.rig != rig], question, regularisation)
-        for rig in {test.rig for test in rows}
+    models = _without_each_rig(tests, question, regularisation)
+    return [
+        models[test.rig].probability(test.evidence, test.effects) for test in question.rows(tests)
+    ]
+
+
+def _without_each_rig(
+    tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
+) -> dict[str, Regression]:
+    """Regression without a rig, by its name."""
+    return {
+        rig: fitted_regression([t for t in tests if t.rig != rig], question, regularisation)
+        for rig in {test.rig for test in tests}
     }
-    return [models[test.rig].probability(test.evidence, test.effects) for test in rows]
 
 
 def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequence[float]) -> float:
@@ -229,20 +237,26 @@ def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequenc
     return float(-np.array(weights(rows)) @ np.log(right))
 
 
-def fitted(tests: Sequence[AnswerTest], question: Question) -> tuple[Regression, list[float]]:
-    """Regression with the least loss, and what it says of rigs that are left out.
+def fitted(
+    tests: Sequence[AnswerTest], question: Question
+) -> tuple[Regression, dict[AnswerTest, float]]:
+    """Regression with the least loss, and what it says of each test when its rig is left out.
+
+    It says so of data sets of every kind, where the evidence was measured.
 
     Parameters
     ----------
     tests, question
         See `fitted_regression`.
     """
-    said = {
-        regularisation: left_out(tests, question, regularisation)
-        for regularisation in REGULARISATIONS
-    }
-    best = min(said, key=lambda regularisation: loss(tests, question, said[regularisation]))
-    return fitted_regression(tests, question, best), said[best]
+    best = min(
+        REGULARISATIONS,
+        key=lambda r: loss(tests, question, left_out(tests, question, r)),
+    )
+    models = _without_each_rig(tests, question, best)
+    every = replace(question, kinds=get_args(Kind)).rows(tests)
+    said = {test: models[test.rig].probability(test.evidence, test.effects) for test in every}
+    return fitted_regression(tests, question, best), said
 
 
 def main() -> None:
@@ -267,9 +281,7 @@ def main() -> None:
     gap, said_of_gaps = fitted(tests, OF_A_GAP_ASKED)
     print(_told(tests, OF_NAMES_ASKED, in_use.catalogue, said_of_names))
     print(_told(tests, OF_A_GAP_ASKED, in_use.outside, said_of_gaps))
-    outside = dict(zip(OF_A_GAP_ASKED.rows(tests), said_of_gaps, strict=True))
-    asked = dict(zip(OF_NAMES_ASKED.rows(tests), said_of_names, strict=True)), outside
-    decisions = whole_decisions(*asked)
+    decisions = whole_decisions(said_of_names, said_of_gaps)
     print(f"whole decisions on rigs left out: mean cost of a decision {mean_cost(decisions):.3f}")
     print(decisions_table(decisions))
     write_answer_tests(table)
@@ -279,13 +291,14 @@ def main() -> None:
 
 
 def _told(
-    tests: Sequence[AnswerTest], question: Question, in_use: Regression, said: Sequence[float]
-) -> str:
+    tests: Sequence[AnswerTest], question: Question, in_use: Regression,
+    said: Mapping[AnswerTest, float],
+) -> str:  # fmt: skip
     """How the coefficients in use do on a question, and new ones on rigs that are left out."""
     rows = question.rows(tests)
     lines = [f"{question.answer}, {len(rows)} tests"]
     known = [in_use.probability(test.evidence, test.effects) for test in rows]
-    for title, own in (("in use", known), ("left out", said)):
+    for title, own in (("in use", known), ("left out", [said[test] for test in rows])):
         right = [
             test.kind
             for test, p in zip(rows, own, strict=True)

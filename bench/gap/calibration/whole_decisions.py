@@ -13,12 +13,7 @@ from typing import Final, Literal
 
 from bench.gap.calibration.answer_tests import KIND_WEIGHT, AnswerTest
 from bench.gap.cases import Kind
-from models.gap.decision.answers import (
-    LEAST_PROBABILITY,
-    WRONG_NAME_COST,
-    Answers,
-    set_order,
-)
+from models.gap.decision.answers import WRONG_NAME_COST, Answers, set_order
 
 Outcome = Literal["right name", "wrong name", "nothing", "outside"]
 
@@ -40,23 +35,27 @@ def whole_decisions(
     names : mapping of AnswerTest to float
         Probability of the effects of each test.
     outside : mapping of AnswerTest to float
-        Probability of something outside of the catalogue where these are wrong; of the tests that
-        it was asked of.
+        Probability of something outside of the catalogue where these are wrong; 0 for a test that
+        is missing here.
     """
     tests: dict[tuple[str, int], list[AnswerTest]] = defaultdict(list)
     for test in names:
         tests[test.rig, test.data_set].append(test)
     found: list[tuple[AnswerTest, Outcome]] = []
     for own in tests.values():
-        believed = {test: bool(test.effects) and names[test] > LEAST_PROBABILITY for test in own}
+        answers = {test: _answers(names[test], outside.get(test, 0.0)) for test in own}
+        believed = {test: bool(test.effects) and answers[test].is_believed for test in own}
         best = max(own, key=lambda t: set_order(len(t.effects), believed[t], names[t]))
         if believed[best]:
             found.append((own[0], "right name" if best.answer == "catalogue" else "wrong name"))
         else:
-            beyond = outside.get(best, 0.0)
-            said = Answers(nothing=1 - beyond, catalogue=0.0, outside=beyond).is_outside
-            found.append((own[0], "outside" if said else "nothing"))
+            found.append((own[0], "outside" if answers[best].is_outside else "nothing"))
     return found
+
+
+def _answers(names: float, outside: float) -> Answers:
+    """From the probability of the names, and that of something outside where they are wrong."""
+    return Answers((1 - names) * (1 - outside), names, (1 - names) * outside)
 
 
 def mean_cost(decisions: Decisions) -> float:

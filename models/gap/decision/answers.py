@@ -40,9 +40,6 @@ WRONG_NAME_COST: Final = 2.0
 """Cost of a wrong name, over that of any other mistake: somebody looks for an effect that is not
 there, and the plant that is written has it [assumed]."""
 
-LEAST_PROBABILITY: Final = WRONG_NAME_COST / (1.0 + WRONG_NAME_COST)
-"""Probability beyond which names are given: from there on they cost less than no name."""
-
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Probabilities of the answers; they add up to 1.
@@ -63,8 +60,13 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_believed(self) -> bool:
-        """Whether names with these answers are given."""
-        return self.catalogue > LEAST_PROBABILITY
+        """Whether names are given: they cost less in the mean than the likelier other answer.
+
+        The least expected cost decides, as in Bayesian decision theory. Names are given beyond
+        two thirds where it is known what else it would be, and beyond 60 % where something outside
+        is as likely as nothing.
+        """
+        return WRONG_NAME_COST * (1 - self.catalogue) < 1 - max(self.outside, self.nothing)
 
     @property
     def is_outside(self) -> bool:

@@ -1,6 +1,6 @@
 """Nuisance bias: a variation between trials that is the same in all of them.
 
-Eccentricity of the payload, clock and frame differ from trial to trial by little and by chance
+Eccentricity of the payload and frame differ from trial to trial by little and by chance
 (`GapSettings.eccentricity_variation_m` and others). An effect that is not in the catalogue can
 hide in them: an offset of the payload appears as the same eccentricity in every trial, hardly
 outside of each trial's prior and far outside of that of all. For each kind of variation, with θ_t
@@ -8,7 +8,8 @@ in standard deviations of its prior,
 
     z = Σ θ_t / √n
 
-is at most standard normal where trials vary by chance: the fit shrinks θ_t towards zero.
+is at most standard normal where trials vary by chance: the fit shrinks θ_t towards zero. The mean
+of the trials' clocks is held at zero in the fit (`models.gap.residuals.prior`).
 """
 
 from __future__ import annotations

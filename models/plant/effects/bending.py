@@ -186,7 +186,8 @@ class Creep(Effect):
     τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
     (docs/sources.md, "The link"), added to the elastic torque K φ. Polymers relax over decades of
-    time; one branch fits one period of motion and no other.
+    time; one branch fits one period of motion and no other. A branch much slower than the trials
+    acts as stiffness there, so K and g are known less well apart than together.
     """
 
     name = "creep"

@@ -134,7 +134,10 @@ class CurrentSaturation(Effect):
 
 
 class TorqueConstantDrift(Effect):
-    """Torque per ampere below the rated one, τ = (1 − d) k_t i: warm magnets lose flux."""
+    """Torque per ampere below the rated one, τ = (1 − d) k_t i: warm magnets lose flux.
+
+    d is constant over the trials: what has drifted since the plant was identified.
+    """
 
     name = "torque_constant_drift"
     per_joint = (

@@ -11,7 +11,10 @@ from models.plant.sensor_low_pass import SensorLowPass
 
 
 class EncoderOffset(Effect):
-    """Encoder offset: the servo measures and controls q + δ."""
+    """Encoder offset: the servo measures and controls q + δ.
+
+    Angles in trials and logs are the measured ones, q + δ; the link stands at q.
+    """
 
     name = "encoder_offset"
     of_each_joint = True
@@ -100,8 +103,8 @@ class MarkerFrameTilt(Effect):
 class MarkerScale(Effect):
     """Relative error of the motion capture's scale, (1 + s) r about the origin of its frame.
 
-    The Deformation Index compares lengths with those at rest, which have the same error, so it
-    does not change.
+    Markers and tip in the trials have the error. The Deformation Index compares lengths with those
+    at rest, which have the same error, so it does not change.
     """
 
     name = "marker_scale"

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from firmware_py.errors import InputError
 from models.plant.effects import PULLEY_M
 from models.plant.identification.cluster_errors import cluster_errors, grouped_rows
-from models.plant.parameter import AT_BOUND
+from models.plant.parameter import AT_BOUND, prior_deviation_of
 from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.compiled_model import Array, trial_parameters
 from models.plant.simulation.long_trials import shortened
@@ -192,7 +192,7 @@ class Objective:
         self.start = np.array([q.value for q in chosen])
         self.low = np.array([q.low for q in chosen])
         self.high = np.array([q.high for q in chosen])
-        self.prior_deviation = np.array([q.prior_deviation or (q.high - q.low) / 4 for q in chosen])
+        self.prior_deviation = np.array([prior_deviation_of(q) for q in chosen])
         self._centre = np.array([(prior or plant).parameters[n].value for n in self.free])
         self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
 

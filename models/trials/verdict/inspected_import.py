@@ -108,7 +108,8 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         series = [*series, *shift_clock(servo, clock.offset_s)]
         verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s)
     elif link:
-        check_common_clock(series, mapping.meta(0), verdict)
+        remedy = "give the angles as a second file with --servo"
+        check_common_clock(series, mapping.meta(0), verdict, remedy)
     series = without_sync(_without_base(series))
     verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
     start_s = max(s.time_s[0] for s in series)

@@ -134,7 +134,9 @@ def _longest_hold(angle: Array, goal: Array) -> tuple[float, int, int]:
     return float(high[k] - low[k]) if ends[k] > starts[k] else 0.0, int(starts[k]), int(ends[k])
 
 
-def check_common_clock(series: list[Series], meta: TrialMeta, verdict: ImportVerdict) -> None:
+def check_common_clock(
+    series: list[Series], meta: TrialMeta, verdict: ImportVerdict, remedy: str
+) -> None:
     """Add the clock, and a finding where the markers are late or early, to a verdict.
 
     Parameters
@@ -145,6 +147,8 @@ def check_common_clock(series: list[Series], meta: TrialMeta, verdict: ImportVer
         Joints, size and markers of the link.
     verdict : ImportVerdict
         Filled in.
+    remedy : str
+        What to do about a clock that is late or early.
     """
     angles = [s for s in series if "angle_1_rad" in s.columns]
     if not angles or not any("m01_x_m" in s.columns for s in series):
@@ -162,7 +166,6 @@ def check_common_clock(series: list[Series], meta: TrialMeta, verdict: ImportVer
         verdict.findings.append(
             ImportFinding(
                 level, "clock",
-                f"the markers are {abs(clock.offset_s):.3f} s {late} against the angles",
-                "give the angles as a second file with --servo",
+                f"the markers are {abs(clock.offset_s):.3f} s {late} against the angles", remedy,
             )
         )  # fmt: skip

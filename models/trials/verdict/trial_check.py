@@ -26,6 +26,11 @@ __all__ = ["check_trial", "check_trials"]
 COLLINEAR: Final = 0.98
 """Correlation of two angles from which their effects cannot be told apart."""
 
+CLOCK_REMEDY: Final = (
+    "import the recordings again, the angles as a second file with --servo; models gap names an "
+    "offset that stays (sync_offset)"
+)
+
 
 def check_trial(trial: Trial) -> ImportVerdict:
     """Verdict on one trial of the link.
@@ -52,7 +57,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
         verdict.pose = rest_pose(named, trial.meta, rest_rad)
         if verdict.pose is not None:
             verdict.findings += judge_pose(verdict.pose, mapping, "z")
-        check_common_clock(series, trial.meta, verdict)
+        check_common_clock(series, trial.meta, verdict, CLOCK_REMEDY)
     verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
     return verdict
 
@@ -82,7 +87,8 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
         found.append(
             ImportFinding(
                 "warning", "held out", "no trial is left to test on",
-                "record a second trial of each payload",
+                "record a second trial of each payload before a plant or a predictor is fitted to "
+                "these",
             )
         )  # fmt: skip
     two = [t for t in trials if t.meta.dof == 2]
@@ -90,7 +96,8 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
         found.append(
             ImportFinding(
                 "warning", "joints", "both joints move together in every trial",
-                "record a trial in which one joint leads the other",
+                "to train a predictor, record a trial in which one joint leads the other; identify "
+                "and gap need none",
             )
         )  # fmt: skip
     return found

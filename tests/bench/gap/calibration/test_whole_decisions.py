@@ -48,6 +48,12 @@ def test_something_outside_is_said_where_no_name_is_believed():
     assert told == [["wrong name", "nothing"], ["outside", "nothing"]]
 
 
+def test_a_name_is_given_sooner_where_nobody_knows_what_else_it_would_be():
+    test = answer_test("single", 1, "catalogue", "creep")
+    told = [whole_decisions({test: 0.62}, {test: outside})[0][1] for outside in (0.0, 0.5, 1.0)]
+    assert told == ["nothing", "right name", "outside"]
+
+
 def test_a_wrong_name_costs_twice_a_missing_one():
     test = answer_test("single", 1, "outside", "creep")
     costs = [mean_cost(whole_decisions({test: name}, {})) for name in (0.7, 0.6)]

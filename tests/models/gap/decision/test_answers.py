@@ -95,11 +95,19 @@ def test_a_residual_far_beyond_noise_is_not_nothing_though_no_effect_stands_out(
     assert answers(NOISE, tip=5.8).is_outside and answers(NOISE, servo=5.8).is_outside
 
 
-@pytest.mark.parametrize("probability", [0.3, 0.6, 0.66, 0.67, 0.9])
-def test_names_are_given_where_they_cost_less_than_no_name(probability):
-    named, unnamed = WRONG_NAME_COST * (1 - probability), probability
-    answers = Answers(0.0, probability, 1 - probability)
-    assert answers.is_believed == (named < unnamed)
+@pytest.mark.parametrize("probability", [0.3, 0.59, 0.61, 0.66, 0.67, 0.9])
+@pytest.mark.parametrize("outside", [0.0, 0.3, 0.5, 1.0])
+def test_what_is_said_has_the_least_expected_cost(probability, outside):
+    rest = 1 - probability
+    truth = {"nothing": rest * (1 - outside), "names": probability, "outside": rest * outside}
+    cost = {
+        said: sum(p * (WRONG_NAME_COST if said == "names" else 1.0) for true, p in truth.items()
+                  if true != said)
+        for said in truth
+    }  # fmt: skip
+    answers = Answers(truth["nothing"], truth["names"], truth["outside"])
+    without = "outside" if answers.is_outside else "nothing"
+    assert cost["names" if answers.is_believed else without] == min(cost.values())
 
 
 def test_what_another_effect_would_explain_too_speaks_against_a_name(answers):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.plant.identification.cluster_errors import Group, cluster_errors, motion_parts
-from models.plant.parameter import Parameter, bound_reached
+from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
 
 ROWS = 40
 FREE = np.full(3, np.inf)
@@ -83,3 +83,18 @@ def test_values_at_a_bound_are_told():
     assert bound_reached(q) is None
     assert bound_reached(msgspec.structs.replace(q, value=1e-9)) == "lower"
     assert bound_reached(msgspec.structs.replace(q, value=1 - 1e-9)) == "upper"
+
+
+@pytest.mark.parametrize(
+    ("prior", "error", "weak"),
+    [
+        (None, 0.3, True),
+        (None, 0.2, False),
+        (0.1, 0.2, True),
+        (0.1, 0.05, False),
+        (0.1, None, False),
+    ],
+)
+def test_a_value_whose_error_is_that_of_its_prior_is_weakly_determined(prior, error, weak):
+    q = Parameter(name="share", unit="1", value=0.5, low=0.0, high=1.0, prior_deviation=prior)
+    assert is_weakly_determined(msgspec.structs.replace(q, error=error)) == weak

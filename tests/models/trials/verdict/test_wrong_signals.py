@@ -6,12 +6,17 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.motion import Motion
+from models.rig.rig_parameters import read_parameters
+from models.rig.study_protocol import run_case
+from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from models.trials.verdict.trial_check import check_trial, check_trials
 
 STEP_S, REST = 0.017, 60
 KG_A = 2.0
 """Current per sine of the angle and kilogram."""
+SIGNALS = (("goal", "rad"), ("angle", "rad"), ("current", "a"))
 
 
 def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
@@ -114,8 +119,7 @@ def test_the_load_of_one_joint_is_compared_where_both_move_alike():
     for number, more in ((1, 1.001), (2, 0.999)):
         one = swung(1.0, number, dof=2)
         other = swung(1.0, number + 10, shown_kg=1.7).columns
-        names = (("goal", "rad"), ("angle", "rad"), ("current", "a"))
-        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in names}
+        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in SIGNALS}
         second["angle_2_rad"] = more * one.columns["angle_1_rad"]
         trials.append(changed(one, **second))
     assert not [f for f in check_trials(TrialSet(tuple(trials))) if f.cause == "payload"]
@@ -126,3 +130,17 @@ def test_a_recording_that_was_imported_twice_is_told():
     again = replace(once, name="again", meta=msgspec.structs.replace(once.meta, trial=2))
     found = check_trials(TrialSet((once, again)))
     assert [(f.level, f.cause) for f in found] == [("warning", "doubled")]
+
+
+def test_joints_that_move_together_matter_to_a_predictor_only():
+    one = swung(dof=2)
+    both = {f"{n}_2_{unit}": one.columns[f"{n}_1_{unit}"] for n, unit in SIGNALS}
+    trials = [changed(one, **both), changed(swung(dof=2, number=2), **both)]
+    (found,) = [f for f in check_trials(TrialSet(tuple(trials))) if f.cause == "joints"]
+    assert found.level == "warning" and "to train a predictor" in found.remedy
+
+
+def test_a_late_clock_of_trials_that_exist_is_mended_by_another_import_or_named():
+    late = run_case(read_parameters().hide({"sync_offset": 0.02}), TrialCase(Motion(), 1.0, 1, 0))
+    (found,) = [f for f in check_trial(late).findings if f.cause == "clock"]
+    assert "late" in found.text and "again" in found.remedy and "models gap" in found.remedy
