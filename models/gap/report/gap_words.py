@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from firmware_py.signals import without_unit
@@ -13,7 +14,7 @@ from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.gap.report.trial_notes import notes_in_words
 
 MOST_TOLD: Final = 3
-"""Effects that are told where none is sure enough to be named."""
+"""Effects, or sets of these, that are told where none is sure enough to be named."""
 
 TOLD_CHANGE: Final = 0.02
 """Change of a parameter of the link, as a fraction, from which it is told [assumed]."""
@@ -116,9 +117,16 @@ def floor_in_words(document: GapDocument) -> str:
 
 
 def refusals_in_words(document: GapDocument) -> list[str]:
-    """One sentence for each effect or value that was refused."""
-    result = []
+    """One sentence for each effect or value that was refused.
+
+    Where nothing is named and several sets of effects were judged one sentence has their
+    probabilities, in place of one for each effect that was left out of them.
+    """
+    judged = {} if any(row.kept for row in document.named) else _judged_sets(document)
+    result = [_judged_in_words(judged)] if len(judged) > 1 else []
     for row in document.refused:
+        if result and row.kind in ("stand-in", "improbable"):
+            continue
         if row.kind == "not written":
             effect = row.effect.replace("_", " ")
             named = "are named, but their" if " + " in effect else "is named, but its"
@@ -126,8 +134,27 @@ def refusals_in_words(document: GapDocument) -> list[str]:
         elif row.effect:
             result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
         else:
-            result.append(f"{row.reason}; plant.json keeps the value of the plant as given.")
+            result.append(
+                f"refitted, {row.reason}; plant.json keeps the value of the plant as given."
+            )
     return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
+
+
+def _judged_sets(document: GapDocument) -> dict[str, float]:
+    """Probability of each set of effects that was judged, the likeliest first."""
+    rows = sorted(document.tested, key=lambda row: -row.answers.catalogue)
+    found: dict[str, float] = {}
+    for row in rows:
+        if row.effects:
+            found.setdefault(" + ".join(sorted(row.effects)), row.answers.catalogue)
+    return found
+
+
+def _judged_in_words(judged: Mapping[str, float]) -> str:
+    """Sentence on sets of effects none of which is sure enough."""
+    likeliest = list(judged.items())[:MOST_TOLD]
+    listed = ", ".join(f"{name.replace('_', ' ')} {_percent(p)}" for name, p in likeliest)
+    return f"none of {len(judged)} answers is sure enough to be named; the likeliest: {listed}."
 
 
 def is_plant_as_given(document: GapDocument) -> bool:

@@ -6,13 +6,16 @@ import pytest
 
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
+from models.gap.decision.rejected_effects import STAND_IN_BESIDE_OTHERS
 from models.gap.report.gap_json import FittedValue
 from models.gap.report.gap_words import (
     is_plant_as_given,
     next_step_in_words,
     probabilities_in_words,
+    refusals_in_words,
     verdict_in_words,
 )
+from models.gap.search.refused_effect import RefusedEffect
 
 
 def document(verdict, *named, answers=None, further=None, refitted=(), **probabilities):
@@ -122,3 +125,39 @@ def test_an_effect_that_is_likelier_than_anything_outside_is_told_with_the_verdi
     answers = Answers(0.01, likely, 0.99 - likely)
     found = document("not in the catalogue", answers=answers, creep=likely, backlash=0.02)
     assert words in verdict_in_words(found)
+
+
+def refused(effect, kind, reason):
+    return RefusedEffect(
+        effect=effect, kind=kind, reason=reason, name="", value=0.0, limit=0.0, unit="1"
+    )
+
+
+def judged(probability, *effects):
+    return SimpleNamespace(effects=effects, answers=Answers(0.0, probability, 1 - probability))
+
+
+def test_where_several_sets_were_judged_in_vain_one_sentence_has_their_probabilities():
+    found = document("not in the catalogue")
+    found.tested = [
+        judged(0.02, "hysteresis"), judged(0.28, "creep"), judged(0.43, "creep", "current_bias"),
+        judged(0.61, "current_bias"), judged(0.63, "current_bias"),
+    ]  # fmt: skip
+    found.refused = [
+        refused("creep", "stand-in", STAND_IN_BESIDE_OTHERS),
+        refused("current_bias", "stand-in", "its probability is 63% only"),
+        refused("marker_scale", "inconsistent", "its strength would have to differ"),
+    ]
+    assert refusals_in_words(found) == [
+        "None of 4 answers is sure enough to be named; the likeliest: current bias 63%, "
+        "creep + current bias 43%, creep 28%.",
+        "Marker scale was refused: its strength would have to differ.",
+    ]
+    found.named = [SimpleNamespace(kept=True, effect="current_bias")]
+    assert refusals_in_words(found)[0].startswith("Creep was refused: beside the effects that are")
+
+
+def test_a_sentence_keeps_the_name_of_a_value_as_it_is_spelled():
+    found = document("closed", "creep")
+    found.refused = [refused("", "at a bound", "root_damping_1_nm_s_rad ended at its upper bound")]
+    assert refusals_in_words(found)[0].startswith("Refitted, root_damping_1_nm_s_rad ended")
