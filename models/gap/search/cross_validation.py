@@ -4,8 +4,10 @@ Whole payloads are left out in turn (where there is one, other conditions such a
 or repetitions), and the effects fitted without them. What an effect does not act on says nothing
 about it: a current limit that only the heaviest payload meets is tested on repetitions. Both models
 are linear around their fits, which costs no simulation. The nuisance keeps the values of all
-trials: extrapolating it to another payload is not tested here. The variation of a trial that was
-left out is fitted to it, within its prior.
+trials: extrapolating it to another payload is not tested here. What these values cost by their
+prior counts once: a turn of the mocap's frame far beyond its prior predicts what is left out as
+well as the tilt that it stands for. The variation of a trial that was left out is fitted to it,
+within its prior.
 """
 
 from __future__ import annotations
@@ -56,14 +58,24 @@ def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedMo
 def held_out_gain(
     estimator: GaussNewton, without: FittedModel, with_: FittedModel
 ) -> tuple[float, float]:
-    """Sum of `held_out_gains`, and what it must exceed; the parameters are the same.
+    """Sum of `held_out_gains` and `nuisance_prior_fall`, and what it must exceed.
+
+    The parameters are the same.
 
     An effect shows in some payloads more than in others, so that the variation of the gains from
     fold to fold tells nothing of its truth: the gain of one that shows on one payload alone would
     not exceed its standard error, whatever its size. What speaks against it are folds that lose.
     """
     gains = held_out_gains(estimator, without, with_)
-    return float(gains.sum()), float(np.linalg.norm(np.minimum(gains, 0.0)))
+    gain = float(gains.sum()) + nuisance_prior_fall(estimator, without, with_)
+    return gain, float(np.linalg.norm(np.minimum(gains, 0.0)))
+
+
+def nuisance_prior_fall(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> float:
+    """Fall of the cost of the common nuisance by its prior; the parameters are the same."""
+    common = [q.trial is None for q in estimator.residuals.fit_parameters]
+    before, after = (np.where(common, point.values, 0.0) for point, _ in (without, with_))
+    return 0.5 * float(before @ estimator.prior @ before - after @ estimator.prior @ after)
 
 
 def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:

@@ -1,8 +1,11 @@
 """Cross-validation of an effect: which gains on the trials left out speak for it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search import cross_validation
 
 
@@ -21,6 +24,27 @@ from models.gap.search import cross_validation
 )
 def test_an_effect_must_gain_more_than_it_loses(monkeypatch, gains, helps):
     monkeypatch.setattr(cross_validation, "held_out_gains", lambda *fits: np.array(gains))
+    monkeypatch.setattr(cross_validation, "nuisance_prior_fall", lambda *fits: 0.0)
     gain, least = cross_validation.held_out_gain(None, None, None)
     assert gain == pytest.approx(sum(gains))
+    assert (gain > least) == helps
+
+
+@pytest.mark.parametrize(("turn_sd", "helps"), [(0.5, False), (14.0, True)])
+def test_a_nuisance_far_beyond_its_prior_speaks_for_the_effect_that_brings_it_back(
+    monkeypatch, turn_sd, helps
+):
+    """It predicts what is left out as well as the effect does."""
+    gains = np.array([-1.1, 0.2, 0.9])
+    monkeypatch.setattr(cross_validation, "held_out_gains", lambda *fits: gains)
+    parameters = [SimpleNamespace(trial=trial) for trial in (None, None, 0)]
+    estimator = SimpleNamespace(
+        residuals=SimpleNamespace(fit_parameters=parameters), prior=np.diag([1.0, 0.0, 1.0])
+    )
+    without, with_ = (
+        (FitPoint(np.array(values), 0.0, []), np.ones(3, dtype=bool))
+        for values in ([turn_sd, 0.0, 3.0], [0.0, turn_sd, 0.0])
+    )
+    gain, least = cross_validation.held_out_gain(estimator, without, with_)
+    assert gain == pytest.approx(0.5 * turn_sd**2)
     assert (gain > least) == helps
