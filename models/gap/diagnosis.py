@@ -53,7 +53,8 @@ class Inclusion:
     separation, least : float
         Their d′, and the least that they need.
     held_out_gain, held_out_error : float
-        Fall of the cost on trials left out, in squared noise floors, and what it must exceed.
+        Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors,
+        and what it must exceed.
     look_alikes : tuple of LookAlike
         Effects that these trials cannot tell from them.
     """

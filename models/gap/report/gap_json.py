@@ -124,7 +124,8 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     separation, least : float
         Its d′, and the least that it needs.
     held_out_gain, held_out_error : float or None
-        Fall of the cost on trials left out, in squared noise floors, and what it must exceed.
+        Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors,
+        and what it must exceed.
     strength_standard_deviation : float
         Fraction by which its strength differs between payloads, signals and bands.
     strength_holds : bool

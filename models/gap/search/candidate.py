@@ -32,8 +32,8 @@ class Candidate:
     predicted : float
         Fall of the cost that derivatives predict.
     held_out_gain, held_out_error : float
-        Fall of the cost on trials left out, and what it must exceed; not a number before
-        cross-validation.
+        Fall of the cost on trials left out and of the nuisance's prior, and what it must exceed;
+        not a number before cross-validation.
     held : frozenset of int
         Fit parameters of its own that keep their first value because they ended at a bound.
     """

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from models.gap.diagnosis import diagnose
 from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.search import cross_validation
 
 
@@ -48,3 +50,20 @@ def test_a_nuisance_far_beyond_its_prior_speaks_for_the_effect_that_brings_it_ba
     gain, least = cross_validation.held_out_gain(estimator, without, with_)
     assert gain == pytest.approx(0.5 * turn_sd**2)
     assert (gain > least) == helps
+
+
+@pytest.mark.parametrize(
+    ("tilt_rad", "softer_nm_rad", "named"),
+    [
+        (0.001, 0.0, ()),  # a turn that a session may have
+        (0.004, 0.0, ("marker_frame_tilt",)),
+        (0.007, -30.0, ("marker_frame_tilt",)),
+    ],
+)
+def test_a_tilted_frame_is_no_turn_of_many_standard_deviations(
+    plant, hidden, tilt_rad, softer_nm_rad, named
+):
+    considered = ("marker_frame_tilt", "dead_time", "creep")
+    others = [e for e in candidate_effects(plant) if e not in considered]
+    trials = hidden(marker_frame_tilt_rad=tilt_rad, root_stiffness_1_nm_rad=softer_nm_rad)
+    assert diagnose(plant, trials, leave_out=others).named == named
