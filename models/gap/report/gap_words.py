@@ -195,10 +195,7 @@ def next_step_in_words(document: GapDocument) -> str:
     if document.verdict == "no floor":
         return "Repeat at least one trial: only repetitions tell noise from error."
     if document.verdict == "not in the catalogue":
-        return (
-            "Record another motion or payload, so that more is left out, or describe the effect in "
-            "one file (models/plant/effects)."
-        )
+        return _next_step_outside(document)
     if not any(row.kept for row in document.named):
         answers = document.answers
         if answers is None or answers.nothing >= DECIDED:
@@ -238,6 +235,20 @@ def next_step_in_words(document: GapDocument) -> str:
             "which it would not err less on what was left out."
         )
     return "Use the improved plant: train a bundle with it (python -m models train --plant)."
+
+
+def _next_step_outside(document: GapDocument) -> str:
+    """The same where something outside of the catalogue is likelier than nothing."""
+    record = "Record another motion or payload, so that more is left out"
+    answers = document.answers
+    if answers is None or answers.nothing <= 1 - DECIDED:
+        return f"{record}, or describe the effect in one file (models/plant/effects)."
+    if document.settings.same_link:
+        return f"{record}."
+    return (
+        f"{record}. If the link may have changed since, identify the plant again first: a changed "
+        "link adds to the plant's own error."
+    )
 
 
 def gap_in_words(document: GapDocument) -> str:

@@ -229,6 +229,11 @@ IN_WORDS: Final = {
 }  # fmt: skip
 
 
+NOTHING_LOCATED: Final = (
+    "With link and set-up refitted, no signal, stroke or payload stands out from the noise floor."
+)
+
+
 def location_sentence(
     regions: Sequence[GapRegion], settings: GapSettings = DEFAULT_SETTINGS
 ) -> str:
@@ -244,11 +249,11 @@ def location_sentence(
     Examples
     --------
     >>> location_sentence([])
-    'Simulation and measurement agree within the noise floor.'
+    'With link and set-up refitted, no signal, stroke or payload stands out from the noise floor.'
     """
     found = [c for c in regions if c.significant]
     if not found:
-        return "Simulation and measurement agree within the noise floor."
+        return NOTHING_LOCATED
     top = max(found, key=lambda c: c.floors if c.factor == "stroke" else 0.0)
     if top.factor != "stroke":
         top = found[0]

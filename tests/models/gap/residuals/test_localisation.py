@@ -64,5 +64,8 @@ def test_a_lag_on_the_return_is_said_so(trials):
     assert "growing with payload" in text
 
 
-def test_agreement_is_said_so():
-    assert location_sentence([]) == "Simulation and measurement agree within the noise floor."
+def test_nothing_located_is_no_agreement():
+    """An effect may be spread so thinly that it stands out nowhere: nothing more is claimed."""
+    said = location_sentence([])
+    assert "stands out from the noise floor" in said
+    assert "agree" not in said
