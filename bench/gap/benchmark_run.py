@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bench.gap.bench_kind import KIND, MODULE, bench_configuration
 from bench.gap.cases import BenchCase
-from bench.gap.rig_plants import patterns_of_protocol, plant_of_rig
+from bench.gap.rig_plants import patterns_of_protocol, plants_of_rigs
 from hil.campaign.campaign_cases import CaseMaker
 from hil.campaign.campaign_run import RunCounts, run_campaign_cases
 from hil.campaign.engines.engine import Engine
@@ -42,10 +42,11 @@ def run_benchmark(
     """
     wanted, store = list(cases), ResultStore(out)
     robots = sorted({(c.rig, c.joints, c.motion) for c in wanted})
-    plants = {
-        (rig, *protocol): plant or plant_of_rig(rig, out / "plants", *protocol)
-        for rig, *protocol in robots
-    }
+    plants = (
+        dict.fromkeys(robots, plant)
+        if plant is not None
+        else plants_of_rigs(robots, out / "plants")
+    )
     patterns = {
         protocol: patterns_of_protocol(out / "calibration", calibration_rigs, *protocol)
         for protocol in sorted({(c.joints, c.motion) for c in wanted})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Collection
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +26,9 @@ from models.rig.drawn_rig import rig_named
 from models.rig.trial_case import TrialCase
 from models.shared.worker_pool import worker_pool
 
+Robot = tuple[str, int, str]
+"""Rig, driven joints and motion: what a plant is identified on."""
+
 LINKS: Final = 3
 """Changed links of each rig on which patterns are measured, as `python -m models calibrate`."""
 
@@ -44,11 +49,36 @@ def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "stud
     motion : str
         Name of the motion, of `bench.gap.cases.MOTIONS`.
     """
-    name = rig if joints == 1 else f"{rig}_{joints}dof"
-    name += "" if motion == "study" else f"_{motion}"
     seed = zlib.crc32(f"identification of {rig}".encode())  # rigs share no noise
     cases = repeated(identification_cases(joints, motion), 2, seed)
-    return plant_on_rig(rig_named(rig), cases, directory / f"{name}.json")
+    return plant_on_rig(rig_named(rig), cases, plant_path(directory, rig, joints, motion))
+
+
+def plants_of_rigs(robots: Collection[Robot], directory: Path) -> dict[Robot, Path]:
+    """Plant file of each robot; those that are not there yet are identified, two at a time.
+
+    Parameters
+    ----------
+    robots : collection of tuple
+        Rig, driven joints and motion, see `plant_of_rig`.
+    directory : Path
+        Of the plant files.
+    """
+    missing = [own for own in robots if not plant_path(directory, *own).exists()]
+    if len(missing) > 1:
+        progress = Progress("bench.gap identifies plants", len(missing))
+        with worker_pool(2) as pool:
+            begun = [pool.submit(plant_of_rig, rig, directory, *own) for rig, *own in missing]
+            for done in as_completed(begun):
+                progress.step(done.result().stem)
+    return {(rig, *own): plant_of_rig(rig, directory, *own) for rig, *own in robots}
+
+
+def plant_path(directory: Path, rig: str, joints: int, motion: str) -> Path:
+    """Where the plant of a rig is written; the parameters are those of `plant_of_rig`."""
+    name = rig if joints == 1 else f"{rig}_{joints}dof"
+    name += "" if motion == "study" else f"_{motion}"
+    return directory / f"{name}.json"
 
 
 def identification_cases(joints: int, motion: str) -> tuple[TrialCase, ...]:

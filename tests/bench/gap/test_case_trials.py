@@ -9,7 +9,7 @@ from bench.gap import __main__ as command
 from bench.gap import benchmark_run, rig_plants
 from bench.gap.case_run import bench_trials
 from bench.gap.cases import MOTIONS, BenchCase, draw_cases, motion_named
-from bench.gap.rig_plants import plant_of_rig
+from bench.gap.rig_plants import plant_of_rig, plants_of_rigs
 from bench.gap.sealed_errors import SealedErrors
 from models.rig.drawn_rig import rig_named
 
@@ -50,6 +50,8 @@ def test_a_rig_has_a_plant_for_each_motion_and_number_of_joints(tmp_path):
     for name in names.values():
         (tmp_path / name).touch()
     assert {k: plant_of_rig("drawn_3", tmp_path, *k).name for k in names} == names
+    robots = [("drawn_3", *own) for own in names]
+    assert plants_of_rigs(robots, tmp_path) == {r: tmp_path / names[r[1:]] for r in robots}
 
 
 def test_patterns_are_measured_once_for_a_motion_and_go_with_its_cases(monkeypatch, tmp_path):
@@ -66,7 +68,9 @@ def test_patterns_are_measured_once_for_a_motion_and_go_with_its_cases(monkeypat
         assert path.exists()
     assert measured == [("slow_1dof", [0, 1, 2], 3)]
 
-    monkeypatch.setattr(benchmark_run, "plant_of_rig", lambda *_: tmp_path / "plant.json")
+    monkeypatch.setattr(
+        benchmark_run, "plants_of_rigs", lambda own, _: dict.fromkeys(own, tmp_path / "plant.json")
+    )
     monkeypatch.setattr(
         benchmark_run, "run_campaign_cases", lambda cases, *_: ran.extend(cases) or None
     )

@@ -36,7 +36,7 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
     [
         (document("no floor", "creep", creep=0.99), "Repeat at least one trial"),
         (document("not in the catalogue", creep=0.99), "Record another motion"),
-        (document("not in the catalogue", answers=Answers(0.02, 0.02, 0.96)), "describe the effect"),
+        (document("not in the catalogue", answers=Answers(0.0, 0.1, 0.9)), "describe the effect"),
         (document("not in the catalogue", answers=Answers(0.3, 0.0, 0.7)), "identify the plant"),
         (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: 'python -m"),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
