@@ -14,9 +14,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
-import io
 import json
-import os
 import signal
 import sys
 import threading
@@ -27,9 +25,11 @@ from typing import Any, Final, NamedTuple
 
 from firmware_py import __version__
 from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.files.standard_streams import LastingStream, lasting_streams
 
 DONE, NEGATIVE, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
-_INTERRUPTED: Final = 130
+_INTERRUPTED: Final = 128 + signal.SIGINT
+_TERMINATED: Final = 128 + signal.SIGTERM
 _VERSION: Final = f"dropstitch {__version__}"
 
 
@@ -68,16 +68,26 @@ def dispatch(
     Returns
     -------
     int
-        0 done, 1 ran and the verdict is negative, 2 bad input, 3 inconclusive.
+        0 done, 1 ran and the verdict is negative, 2 bad input, 3 inconclusive; 130 and 143 after
+        Ctrl-C and SIGTERM. A reader of stdout or stderr that goes away does not change it.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    chosen = next((c for c in commands if arguments and c.name == arguments[0]), None)
     parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("--version", action="version", version=_VERSION)
+    with lasting_streams():
+        return _exit_code(parser, commands, arguments)
+
+
+def _exit_code(
+    parser: argparse.ArgumentParser, commands: Sequence[Command], arguments: list[str]
+) -> int:
+    """Run the command; turn what it raises into an exit code and one sentence on stderr."""
+    chosen = next((c for c in commands if arguments and c.name == arguments[0]), None)
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a sign that a terminal lacks must not end a run
-            stream.reconfigure(errors="backslashreplace")
+
+    def say(sentence: object) -> None:
+        print(f"{parser.prog}: {sentence}", file=sys.stderr)
+
     try:
         with _interrupts_kept():
             module = _declared(subparsers, commands, chosen)
@@ -89,28 +99,53 @@ def dispatch(
         try:
             sys.stdout.flush()
         except OSError:
-            silence_stdout()
             return BAD_INPUT
         return exit_.code if isinstance(exit_.code, int) else BAD_INPUT
     except InputError as error:
-        print(f"{prog}: {error}", file=sys.stderr)
+        say(error)
         return BAD_INPUT
     except SafetyTrip as error:
-        print(f"{prog}: stopped: {error}", file=sys.stderr)
+        say(f"stopped: {error}")
         return NEGATIVE
+    except Terminated:
+        say("terminated")
+        return _TERMINATED
     except KeyboardInterrupt:
-        print(f"{prog}: interrupted", file=sys.stderr)
+        say("interrupted")
         return _INTERRUPTED
-    except BrokenPipeError:
-        silence_stdout()
-        return DONE
-    except OSError as error:  # a full disk, a directory that may not be written, a closed stream
-        print(f"{prog}: {_refused_by_system(error)}", file=sys.stderr)
+    except OSError as error:  # a full disk, a directory that may not be written, a closed pipe
+        say(_refused_by_system(error))
         return BAD_INPUT
     except MemoryError:
-        wrong = f"{arguments[0]}: needs more memory than there is; give less."
-        print(f"{prog}: {wrong}", file=sys.stderr)
+        say(f"{arguments[0]}: needs more memory than there is; give less.")
         return BAD_INPUT
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM during work that has other processes to end; handled as Ctrl-C is."""
+
+
+@contextlib.contextmanager
+def terminations_raised() -> Iterator[None]:
+    """Raise `Terminated` for the first SIGTERM during the block (main thread only).
+
+    For work that has other processes to end. Elsewhere SIGTERM keeps its default effect, which does
+    not wait for a library in C, and the control loop has a handler of its own.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+
+    def note(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # `timeout` sends it twice
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextlib.contextmanager
@@ -139,19 +174,15 @@ def _interrupts_kept() -> Iterator[None]:
 
 def _refused_by_system(error: OSError) -> InputError:
     """Sentence for what the operating system refused."""
-    if error.filename is None:
-        silence_stdout()
+    if isinstance(error, BrokenPipeError):
+        return InputError(
+            "pipe", "was closed by the process at its other end", "repeat the command"
+        )
     return InputError(
         "output" if error.filename is None else str(error.filename),
         error.strerror or str(error) or "cannot be used",
         "check the name, its permissions and the space on its disk",
     )
-
-
-def silence_stdout() -> None:
-    """Discard what standard output still holds: it would fail again at the exit of Python."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _declared(
@@ -209,7 +240,8 @@ class Progress:
 
     def __init__(self, label: str, total: int, is_estimate: bool = False) -> None:
         self.label, self.total, self.done, self.is_estimate = label, total, 0, is_estimate
-        self._start_s, self._tty = time.monotonic(), sys.stderr.isatty()
+        self._stderr = LastingStream(sys.stderr)
+        self._start_s, self._tty = time.monotonic(), self._stderr.isatty()
         self._shown_s = 0.0
 
     def step(self, detail: str = "", further: int | None = None) -> None:
@@ -232,4 +264,5 @@ class Progress:
         of = f"{'~' if self.is_estimate and not last else ''}{self.total}"
         line = f"{self.label} {self.done}/{of} {now_s - self._start_s:5.1f} s {detail}"
         end = "\n" if last or not self._tty else "\r"
-        print(line.ljust(79) if self._tty else line.rstrip(), end=end, file=sys.stderr, flush=True)
+        self._stderr.write((line.ljust(79) if self._tty else line.rstrip()) + end)
+        self._stderr.flush()

@@ -15,6 +15,7 @@ import msgspec
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_JSON_BYTES, check_json, convert, read_bytes
 from firmware_py.files.memory_limit import limited_memory
+from firmware_py.files.output_files import write_whole
 
 __all__ = ["Document", "read_document", "schema_of", "write_document"]
 
@@ -69,7 +70,7 @@ def read_document(path: Path, kind: type[T]) -> T:
 
 
 def write_document(path: Path, document: Document) -> None:
-    """Write a document as indented JSON; NaN and infinities become null.
+    """Write a document as a whole, as indented JSON; NaN and infinities become null.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def write_document(path: Path, document: Document) -> None:
     document : Document
         The document.
     """
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
+    write_whole(path, msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 
 
 def schema_of(kind: type[Document]) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
     if trial.meta.dof != parts.dof:
         raise InputError(
             trial.path, f"is of {trial.meta.dof}DOF, the FMU of {parts.dof}DOF",
-            "give a trial of {parts.dof}DOF",
+            f"give a trial of {parts.dof}DOF",
         )  # fmt: skip
     if parts.kind == "predictor":
         observed = set(names(model.inputs)) & {s.name for s in observer_signals(parts.dof)}

@@ -17,6 +17,7 @@ from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.display_units import CPU_TIME
+from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
 from firmware_py.motion_config import MotionConfig
@@ -30,6 +31,9 @@ EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 
 _MODEL = "H54-200-S500-R"
 
+LEAST_S, MOST_S = 0.1, 86400.0
+"""Durations that can be measured: some ticks to a day [assumed]."""
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -37,17 +41,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--bundle", type=Path, help="bundle whose estimator and predictor run (default: neither)"
     )
     parser.add_argument(
-        "--dof", type=int, choices=(1, 2), default=2, help="number of joints without a bundle"
+        "--dof", type=int, choices=(1, 2), help="number of joints (of the bundle; without it 2)"
     )
     parser.add_argument(
         "--runtime", choices=("onnx", "compiled"),
         help="what evaluates the predictor (default: compiled, where the bundle has it)",
     )  # fmt: skip
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration (20)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; the verdict is negative where the own cost exceeds its limit."""
+    if not LEAST_S <= args.seconds <= MOST_S:
+        raise InputError("--seconds", f"is {args.seconds:g} s", f"give {LEAST_S:g} to {MOST_S:g} s")
     dof, models = _models(args)
     config = RobotConfig(
         bundle="", bus=BusConfig(port="memory"), motion=MotionConfig(rest_s=0.0),
@@ -84,6 +90,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _models(args: argparse.Namespace) -> tuple[int, LoopModels]:
     if args.bundle is None:
-        return args.dof, NoModels()
+        return args.dof or 2, NoModels()
     bundle = ModelBundle.load(args.bundle, runtime=args.runtime)
-    return bundle.manifest.dof, bundle
+    dof = bundle.manifest.dof
+    if args.dof not in (None, dof):
+        raise InputError("--dof", f"is {args.dof}, {args.bundle} has {dof}", "leave --dof out")
+    return dof, bundle

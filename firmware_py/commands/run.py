@@ -28,7 +28,7 @@ import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
 from firmware_py.config import RobotConfig, check_config, read_config
-from firmware_py.console import DONE, emit, silence_stdout
+from firmware_py.console import DONE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
@@ -146,11 +146,9 @@ def _write_summary(path: Path, document: RunDocument) -> None:
 
 def _tell(args: argparse.Namespace, document: RunDocument, text: str) -> None:
     """Print the result; a terminal or a pipe that has gone must not change the exit code."""
-    try:
+    with contextlib.suppress(OSError):
         emit(args, msgspec.to_builtins(document), text)
         sys.stdout.flush()
-    except OSError:
-        silence_stdout()
 
 
 def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:

@@ -7,6 +7,7 @@ are in docs/files/readers.md.
 
 from __future__ import annotations
 
+import codecs
 import io
 import json
 import os
@@ -129,10 +130,11 @@ def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
     InputError
         As `read_bytes`, and if the file is not UTF-8.
     """
+    data = read_bytes(path, remedy, most)
     try:
-        return read_bytes(path, remedy, most).decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(path, f"is not UTF-8 text ({error})", "save it as UTF-8") from None
+        raise _no_utf_8(path, data, error) from None
 
 
 def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
@@ -180,18 +182,27 @@ def read_toml(
     Raises
     ------
     InputError
-        If the file cannot be read, is too large or too deeply nested, or is not TOML.
+        If the file cannot be read, is too large or too deeply nested, or is not TOML in UTF-8.
     """
     data = read_bytes(path, missing, MOST_TOML_BYTES)
     damaged = damaged or "correct the line it names"
     if max(map(_dots, _TOML_SEPARATOR.split(data))) > _MOST_KEY_DOTS:
         raise InputError(path, f"has a name of more than {_MOST_KEY_DOTS} parts", damaged)
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(data.decode("utf-8-sig"))  # Notepad of Windows writes a BOM
     except RecursionError:
         raise InputError(path, "is not TOML (it is too deeply nested)", damaged) from None
-    except ValueError as error:  # of the form, of the encoding, or a number of too many digits
+    except UnicodeDecodeError as error:
+        raise _no_utf_8(path, data, error) from None
+    except ValueError as error:  # of the form, or a number of too many digits
         raise InputError(path, f"is not TOML ({error})", damaged) from None
+
+
+def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> InputError:
+    """Sentence for text in another encoding."""
+    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    what = "is UTF-16 text" if is_utf_16 else f"is not UTF-8 text ({error})"
+    return InputError(path, what, "save it as UTF-8")
 
 
 def _dots(piece: bytes) -> int:

@@ -12,6 +12,7 @@ import msgspec
 
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
+from firmware_py.files.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, check_signature
 from firmware_py.inference.file_content import FileContent, content_of
 
@@ -249,7 +250,6 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
         if (directory / name).is_file()
     }
     manifest = msgspec.structs.replace(manifest, files=files)
-    scratch = directory / f".{MANIFEST}"
-    scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
-    (directory / SIGNATURE).unlink(missing_ok=True)
-    scratch.replace(directory / MANIFEST)
+    with replacing(directory / MANIFEST) as scratch:
+        scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
+        (directory / SIGNATURE).unlink(missing_ok=True)

@@ -28,6 +28,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.errors import InputError
+from firmware_py.files.standard_streams import lasting_streams
 from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import require_packages
 from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in
@@ -178,6 +179,11 @@ def main() -> int:
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends after the loop
     os.nice(_NICENESS)
+    with lasting_streams():  # a closed terminal must not end the log
+        return _record()
+
+
+def _record() -> int:
     task = msgspec.json.decode(sys.stdin.buffer.read(), type=RecorderTask)
     end = socket.socket(fileno=task.fd)
     try:

@@ -40,11 +40,13 @@ def run(args: argparse.Namespace) -> int:
     from fmu.fmu_models import read_parts
     from fmu.packaging.platforms import platform_names
     from fmu.ssp.ssp_builder import build_ssp
+    from models.plant.physical_limits import check_payload
 
     if args.out.suffix != ".ssp":
         raise InputError(
             f"--out {args.out}", "does not end in .ssp", "use a name like link_1dof.ssp"
         )
+    check_payload(args.payload)
     platforms = platform_names(args.platforms)
     dof = read_manifest(args.bundle).dof
     twin, observer = (

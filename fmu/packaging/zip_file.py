@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.errors import InputError
+from firmware_py.files.output_files import replacing
 
 __all__ = ["build_time_s", "date_and_time", "write_zip"]
 
@@ -63,13 +64,14 @@ def write_zip(content: Mapping[str, bytes], output: Path, epoch_s: int) -> None:
         Date of every entry; before 1980 it is 1980.
     """
     output.parent.mkdir(parents=True, exist_ok=True)
-    scratch = output.with_name(f".{output.name}")
     date = time.gmtime(max(epoch_s, _EARLIEST_ZIP_S))[:6]
-    with zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive:
+    with (
+        replacing(output) as scratch,
+        zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
         for name in sorted(content):
             entry = zipfile.ZipInfo(name, date)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix, on every machine
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(entry, content[name])
-    scratch.replace(output)

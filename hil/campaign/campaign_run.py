@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, overload
 
-from firmware_py.console import Progress
+from firmware_py.console import Progress, terminations_raised
 from firmware_py.errors import InputError
 from hil.campaign.campaign_cases import CampaignCase, CaseMaker
 from hil.campaign.case_task import CaseTask
@@ -149,7 +149,7 @@ def _run_missing(
     by_key = {case.key: case for case in left}
     ran: Counter[str] = Counter()
     progress = Progress("campaign", len(left))
-    with _one_thread():
+    with terminations_raised(), _one_thread():
         outcomes = engine.outcomes(LazyTasks(maker, left))
         with contextlib.closing(outcomes):  # type: ignore[type-var]
             for outcome in outcomes:

@@ -3,7 +3,8 @@
 Writes to OUT: timing.json and timing.xml (the verdict), *.hgrm (percentiles in HdrHistogram's
 format), timeline.json (for ui.perfetto.dev), ticks.mcap (the robot's own log), trial/sil.csv
 (the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed by the loop's
-own time, or stopped by the safety supervisor, 3 inconclusive: the host preempted the loop.
+own time, or stopped by the safety supervisor, 3 inconclusive: the host preempted the loop, or a
+signal ended the run early.
 
 With --rig the rig, not a twin, stands behind the servos on the virtual line: the robot's prediction
 is then compared with a link that no plant describes exactly.
@@ -26,7 +27,7 @@ from firmware_py.display_units import CPU_TIME, LENGTH, TIME
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.goals.outside.for_robot import outside_goals
-from firmware_py.goals.tip_plan import read_tip_plan
+from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import describes_link
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
@@ -35,7 +36,7 @@ from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
-from hil.sil.sil_options import sil_config
+from hil.sil.sil_options import LONGEST_S, sil_config
 from hil.timing.tick_budget import describe_budget
 from hil.timing.timing_document import PredictionError, TimingDocument
 from models.learning.axis_coverage import coverage_text
@@ -114,8 +115,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, judge, write."""
     plan = read_tip_plan(args.plan) if args.plan is not None else None
-    if args.runs < 1 or (args.runs > 1 and plan is None):
-        raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
+    _check(args, plan)
     link = complete_from_link(
         args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json"
     )
@@ -146,8 +146,6 @@ def run(args: argparse.Namespace) -> int:
     )
     with contextlib.ExitStack() as stack:
         if args.goals is not None:
-            if plan is not None:
-                raise InputError("--goals", "is given beside a plan", "leave one out")
             patience_s = PATIENCE_S if args.line == "virtual" else 0.0
             config = sil_config(options, options.line)
             goals = stack.enter_context(outside_goals(args.goals, args.map, config, patience_s))
@@ -155,6 +153,18 @@ def run(args: argparse.Namespace) -> int:
         timing = write_results(run_sil(options), options)
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
+
+
+def _check(args: argparse.Namespace, plan: TipPlan | None) -> None:
+    if args.runs < 1 or (args.runs > 1 and plan is None):
+        raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
+    if plan is not None and args.seconds is None and args.runs * plan.duration_s > LONGEST_S:
+        most = int(LONGEST_S / plan.duration_s)
+        raise InputError("--runs", f"is {args.runs}", f"give {most} at most")
+    if args.map is not None and args.goals is None:
+        raise InputError("--map", "is given without --goals", "leave it out")
+    if args.goals is not None and plan is not None:
+        raise InputError("--goals", "is given beside a plan", "leave one out")
 
 
 def _is_link(rig: str | None) -> bool:

@@ -94,7 +94,7 @@ def build_sil_loop(
     config, bus, clock, telemetry, counters
         See `firmware_py.robot.build_loop`.
     """
-    slots = round(options.seconds / config.period_s)
+    slots = options.slots
     options.bundle.assume_payload(config.payload_kg)
     goals: GoalSource | None = options.goals
     correction, plan = None, options.plan

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
@@ -24,6 +23,9 @@ from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
 
 LineKind = Literal["pty", "socket", "virtual"]
+
+LONGEST_S: Final = 86_400.0
+"""Longest run: every tick is kept in memory, some GB a day."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,11 @@ class SilOptions:
         return self.bundle.manifest.period_s
 
     @property
+    def slots(self) -> int:
+        """Slots of the motion."""
+        return round(self.seconds / self.period_s)
+
+    @property
     def ids(self) -> tuple[int, ...]:
         """Addresses of the servos, in joint order."""
         return tuple(range(1, self.dof + 1))
@@ -118,8 +125,10 @@ class SilOptions:
         InputError
             If duration or load cannot be, or the rig is combined with a twin or with real time.
         """
-        if not 0 < self.seconds < math.inf:
-            raise InputError("--seconds", f"is {self.seconds:g}", "give a positive duration")
+        if not self.period_s <= self.seconds <= LONGEST_S:
+            raise InputError(
+                "--seconds", f"is {self.seconds:g}", f"give {self.period_s:g} to {LONGEST_S:g}"
+            )
         if self.load < 0:
             raise InputError("--load", f"is {self.load}", "give a number of processes, 0 for none")
         if self.rig and (self.fmu or self.line != "virtual"):

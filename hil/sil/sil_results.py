@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
 from hil.sil.move_figures import move_figures
 from hil.sil.path_error import path_errors, tip_of_runs_m
@@ -65,7 +66,7 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
     stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
     verdict = judge_timing(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
-        result.outcome.releases, stopped, summary.faults,
+        result.outcome.releases, stopped, summary.faults, _interrupted(result, options),
     )  # fmt: skip
     jitter, plan = probe_jitter(result.loop_cpu), plan_times(result.plan)
     reference = result.reference or jitter
@@ -91,6 +92,16 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
         else (),
         moves=_moves(result, options.plan) if options.plan else (),
     )
+
+
+def _interrupted(result: SilResult, options: SilOptions) -> str:
+    """Signal that ended the run early, and the slots of the motion that were run by then."""
+    summary = result.summary
+    if summary.ended is not Ended.SIGNALLED:
+        return ""
+    in_motion = result.records["state"] < SafetyState.STOPPING
+    ran = max(int(result.records["tick"][in_motion].max(initial=-1)) + 1, 0)
+    return f"{summary.reason} ended the run after {ran} of {options.slots} slots"
 
 
 def _moves(result: SilResult, plan: TipPlan) -> tuple[MoveFigures, ...]:

@@ -5,8 +5,9 @@ preempted by the host from `PREEMPTED_NS` of certain host time on.
 
 ==================== ==== =======================================================================
 fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
-inconclusive         3    else, more than 1 % of the ticks were preempted by the host, or it spoiled
-                          every tick for which the supervisor stopped the robot
+inconclusive         3    else, a signal ended the run early, or more than 1 % of the ticks were
+                          preempted by the host, or it spoiled every tick for which the supervisor
+                          stopped the robot
 pass                 0    else; misses that are the host's are listed
 ==================== ==== =======================================================================
 """
@@ -79,6 +80,8 @@ class TimingVerdict(Document, frozen=True, kw_only=True):
         Result, and one sentence that explains it.
     stopped : str
         Reason for which the safety supervisor stopped the robot; empty where it did not.
+    interrupted : str
+        Signal that ended the run early, and after how many slots; empty where none did.
     budget : TimingTargets
         Limits and targets.
     slots, ticks : int
@@ -106,6 +109,7 @@ class TimingVerdict(Document, frozen=True, kw_only=True):
     verdict: Verdict
     reason: str
     stopped: str
+    interrupted: str = ""
     budget: TimingTargets
     slots: int
     ticks: int
@@ -132,6 +136,7 @@ def judge_timing(
     releases: Releases | None = None,
     stopped: str = "",
     faults: Collection[Fault] = (),
+    interrupted: str = "",
 ) -> TimingVerdict:
     """Judge the timing of a run.
 
@@ -149,6 +154,8 @@ def judge_timing(
         Why the safety supervisor stopped the robot; empty where it did not.
     faults : collection of Fault
         Kinds of fault that it saw.
+    interrupted : str
+        Signal that ended the run early, and after how many slots; empty where none did.
     """
     targets = TimingTargets(period_ns=round(period_s * 1e9))
     certain_ns, possible_ns = host_time_ns(
@@ -160,15 +167,13 @@ def judge_timing(
     own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
     host = _host_time(certain_ns)
     excused = bool(faults) and not own and stopped_by_host(records, possible_ns, faults)
-    verdict, reason = _decide(len(records), stopped, own, slots, host, excused=excused)
+    verdict, reason = _decide(
+        len(records), stopped, own, slots, host, excused=excused, interrupted=interrupted
+    )
     return TimingVerdict(
         schema=TimingVerdict.VERSION,
-        verdict=verdict,
-        reason=reason,
-        stopped=stopped,
-        budget=targets,
-        slots=slots,
-        ticks=len(records),
+        verdict=verdict, reason=reason, stopped=stopped, interrupted=interrupted,
+        budget=targets, slots=slots, ticks=len(records),
         stages={name: Percentiles.of(records[f"{name}_ns"]) for name in STAGES},
         tick=Percentiles.of(records["busy_ns"]),
         own_cost=_own_cost(records["busy_ns"] - records["bus_wait_ns"], targets),
@@ -182,7 +187,7 @@ def judge_timing(
         missed=tuple(misses),
         miss_rate_upper_bound_95=miss_rate_bound(lost, slots),
         own_miss_rate_upper_bound_95=miss_rate_bound(own, slots),
-    )
+    )  # fmt: skip
 
 
 def _host_time(certain_ns: Nanoseconds) -> HostTime:
@@ -201,7 +206,14 @@ def _own_cost(cost_ns: Nanoseconds, targets: TimingTargets) -> OwnCost:
 
 
 def _decide(
-    ticks: int, stopped: str, own: int, slots: int, host: HostTime, *, excused: bool
+    ticks: int,
+    stopped: str,
+    own: int,
+    slots: int,
+    host: HostTime,
+    *,
+    excused: bool,
+    interrupted: str,
 ) -> tuple[Verdict, str]:
     """Verdict and its reason, see the module's table."""
     if excused:
@@ -212,6 +224,8 @@ def _decide(
         return Verdict.FAIL, f"the safety supervisor stopped the robot: {stopped}"
     if own:
         return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
+    if interrupted:
+        return Verdict.INCONCLUSIVE, f"{interrupted}: run it to its end"
     if host.preempted_fraction > PREEMPTED_FRACTION:
         return Verdict.INCONCLUSIVE, (
             f"the host preempted {host.preempted_ticks} of {ticks} ticks: run it on a calmer one"
@@ -235,13 +249,18 @@ def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) 
     questions: Sequence[tuple[str, Verdict, str]] = (
         ("the robot is not stopped", stopped if timing.stopped else Verdict.PASS, timing.stopped),
         (
+            "no signal ends the run early",
+            Verdict.INCONCLUSIVE if timing.interrupted else Verdict.PASS,
+            timing.interrupted,
+        ),
+        (
             "the loop misses no deadline by its own time",
             Verdict.FAIL if timing.own_misses else Verdict.PASS,
             "\n".join(map(str, own)),
         ),
         (
             "the host leaves the loop alone",
-            Verdict.INCONCLUSIVE if inconclusive else Verdict.PASS,
+            Verdict.INCONCLUSIVE if inconclusive and not timing.interrupted else Verdict.PASS,
             f"{timing.host.preempted_ticks} ticks preempted",
         ),
     )

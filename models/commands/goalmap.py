@@ -14,6 +14,7 @@ from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.safety.limits import Limits
+from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
 
 EXAMPLE = (
@@ -34,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Map, write, report."""
+    check_output_file(args.out, [args.plant])
     manifest = read_bundle_files(args.bundle).manifest
     if not 0.01 <= args.reach <= 2.0:
         raise InputError("--reach", f"is {args.reach:g}", "choose 0.01 to 2")
@@ -45,13 +47,8 @@ def run(args: argparse.Namespace) -> int:
     payloads = tuple(args.payloads or PAYLOADS_KG)
     check_request(PlanRequest(plant, manifest.dof, manifest.period_s, Limits(), payloads))
     found = map_rest(plant, manifest.dof, manifest.period_s, payloads, args.reach)
-    try:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        write_document(args.out, found)
-    except OSError as error:
-        raise InputError(
-            args.out, f"cannot be written ({error.strerror})", "name another"
-        ) from error
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    write_document(args.out, found)
     reached = [sum(v is not None for v in own.goals_rad[0]) for own in found.payloads]
     lines = [f"{args.out}: {len(found.places_m)} places along each axis, {found.dof}DOF"]
     lines += [

@@ -15,6 +15,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.console import DONE, Progress, emit
+from firmware_py.errors import InputError
 from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file
 from models.gap.estimation.noise_floor_fit import with_noise_floor
@@ -32,6 +33,9 @@ EXAMPLE = (
     "python -m models identify build/trials --plant models/plant/nominal.toml "
     "--out build/plant.json"
 )
+
+PLANT_SUFFIXES: Final = (".json", ".toml")
+"""Ends of the name of a plant's file: it is read as what its name says."""
 
 USUAL_STEPS: Final = 130
 """Runs of all trials that an identification takes; progress counts them [measured: 50 to 160]."""
@@ -54,10 +58,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, draw and print."""
-    check_output_file(args.out)
+    _check_out(args)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
     trials = read_trial_directories([args.trials], plant.signals)
+    check_output_file(args.out, [t.path.with_suffix(".toml") for t in trials])
     check_weight(plant, trials)
     for trial in trials:
         check_duration(trial)
@@ -110,3 +115,17 @@ def run(args: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
+
+
+def _check_out(args: argparse.Namespace) -> None:
+    """Refuse a name that no plant may have, and one that would replace a file that is read.
+
+    The plant itself may be replaced: the fit starts from it.
+    """
+    if args.out.suffix.lower() not in PLANT_SUFFIXES:
+        raise InputError(
+            f"--out {args.out}", "is no JSON or TOML file", "let its name end with .json or .toml"
+        )
+    gains = [args.gains] if args.gains is not None else []
+    check_output_file(args.out, gains)
+    check_output_file(args.out.with_suffix(".svg"), [args.plant, *gains])

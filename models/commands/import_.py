@@ -3,7 +3,8 @@
 Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows what
 was found. An import that cannot be right is refused with its likely cause, a doubtful one warned
 of. Several files, or a folder, are imported with one map; conditions then come from their names or
-from a table ([takes] in the map, docs/trials.md).
+from a table ([takes] in the map, docs/trials.md). An import replaces only trials of the same
+recordings: neither a file that is read nor any other trial.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -25,6 +28,8 @@ from firmware_py.errors import InputError
 from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
+from models.commands.output_paths import check_output_directory
+from models.trials.earlier_import import check_earlier_import, check_same_samples, recording_hash
 from models.trials.importers import KINDS
 from models.trials.importers.mapping import RecordingMap, read_mapping
 from models.trials.importers.robot_log import with_log_conditions
@@ -74,12 +79,15 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     InputError
-        If a file cannot be used, the import of a single take is refused, or an option belongs to
-        one take only.
+        If a file cannot be used, the import of a single take is refused, an option belongs to one
+        take only, or a trial would replace a file that is read.
     """
-    takes = find_takes(args.file, args.kind, read_mapping(args.map))
+    mapping = read_mapping(args.map)
+    takes = find_takes(args.file, args.kind, mapping)
+    single = args.name or takes[0].file.stem
+    _check_replaced(args, takes, mapping, [t.file.stem for t in takes] if takes[1:] else [single])
     if len(takes) == 1:
-        result = _import(args, takes[0], args.name or takes[0].file.stem)
+        result = _import(args, takes[0], single)
         emit(args, result, _described(result))
         return DONE
     for option in ("servo", "name", "offset"):
@@ -101,6 +109,30 @@ def run(args: argparse.Namespace) -> int:
     imported = f"{len(takes) - refused} of {len(takes)} takes imported"
     emit(args, {"takes": results}, "\n".join([*texts, imported]))
     return BAD_INPUT if refused else DONE
+
+
+def _check_replaced(
+    args: argparse.Namespace, takes: list[Take], mapping: RecordingMap, names: list[str]
+) -> None:
+    """Refuse, before any work, a place where a trial would replace a file that is read."""
+    beside = [mapping.link, mapping.plant, mapping.takes.table] if args.map else []
+    inputs = [
+        *(take.file for take in takes), *(take.servo for take in takes), args.servo, args.map,
+        *(args.map.parent / name for name in beside if name),
+    ]  # fmt: skip
+    read = {key: path for path in inputs if (key := _file_key(path)) is not None}
+    written = [f"{name}{suffix}" for name in names for suffix in (".csv", ".toml", ".html")]
+    replaced = [file for file in written if _file_key(args.out / file) in read]
+    check_output_directory(args.out, replaced, read.values())
+
+
+def _file_key(path: Path | None) -> tuple[int, int] | None:
+    """Device and number of a file that is there, whatever link or spelling leads to it."""
+    try:
+        found = os.stat(path or "")
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
@@ -127,9 +159,11 @@ def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
 def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dict[str, Any]:
     """Facts about the trial and the page that are written to `out`."""
     mapping, servo = take.mapping, args.servo or take.servo
+    recording_sha256 = recording_hash(take.file)
+    earlier = check_earlier_import(args.out, name, recording_sha256)
     cut_off = []
     for path in (take.file, servo):
-        if path is not None and path.suffix == ".mcap":
+        if path is not None and path.suffix.lower() == ".mcap":
             mapping, complete = _with_log(mapping, path)
             cut_off += [] if complete else [str(path)]
     if args.kind == "table":
@@ -138,7 +172,8 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     verdict = ImportVerdict(name)
     try:
         trial = inspect_import(Source(take.file, args.kind, servo, offset_s), mapping, verdict)
-        path = write_trial(trial, out)
+        meta = msgspec.structs.replace(trial.meta, recording_sha256=recording_sha256)
+        path = write_trial(replace(trial, meta=meta), out)
         trial = read_trial(path, mapping.signals)
     except InputError as error:
         if verdict.pose is None and verdict.trial is None:
@@ -150,6 +185,8 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         raise InputError(
             take.file if written else error.where, error.what, f"{error.remedy} (see {page})"
         ) from None
+    if earlier is not None:
+        check_same_samples(earlier, path)
     write_verdict(verdict, out)
     result: dict[str, Any] = verdict.as_json() | {
         "trial": str(args.out / path.name),

@@ -17,15 +17,22 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import ANGLE
 from firmware_py.errors import InputError
+from firmware_py.files.output_files import write_whole
 from firmware_py.signals import PERIOD_S
+from models.commands.output_paths import check_output_file
+from models.plant.physical_limits import check_payload
 from models.plant.plant import read_plant
 
 EXAMPLE = "python -m models linearise build/plant.json --dof 1 --payload 1 --out build/linear.json"
+
+
+MOST_ANGLE_DEG: Final = 90.0
+"""Beyond a right angle the arm leans back over its mount [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,12 +50,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Linearise, write, report."""
+    check_output_file(args.out, [args.plant])
     plant = read_plant(args.plant)
     angles_deg = args.angle_deg or [0.0] * args.dof
     if len(angles_deg) != args.dof:
         raise InputError("--angle-deg", f"has {len(angles_deg)} values", f"give {args.dof}")
-    if not 0.0 <= args.payload <= 3.0:
-        raise InputError("--payload", f"is {args.payload:g} kg", "give 0 to 3 kg")
+    if not all(abs(angle) <= MOST_ANGLE_DEG for angle in angles_deg):
+        raise InputError("--angle-deg", f"is {angles_deg}", f"give {MOST_ANGLE_DEG:g}° at most")
+    check_payload(args.payload)
     if not 1e-3 <= args.period <= 1.0:
         raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")
     if plant.load != "link":
@@ -77,13 +86,8 @@ def run(args: argparse.Namespace) -> int:
             for j, own in enumerate(margins, start=1) for m in own
         ],
     }  # fmt: skip
-    try:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(
-            args.out, f"cannot be written ({error.strerror})", "name another"
-        ) from error
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(args.out, json.dumps(document, indent=1).encode() + b"\n")
     lines = [f"{args.out}: {len(system.A)} states, {args.payload:g} kg, {args.dof}DOF", "modes:"]
     lines += [f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}" for m in found]
     lines += [

@@ -9,22 +9,35 @@ from pathlib import Path
 from firmware_py.errors import InputError
 
 
-def check_output_directory(path: Path) -> None:
-    """Refuse a directory that cannot be written.
+def check_output_directory(
+    path: Path, names: Iterable[str] = (), inputs: Iterable[Path] = ()
+) -> None:
+    """Refuse a directory that cannot be written, or in which a file that is read would be replaced.
 
     Parameters
     ----------
     path : Path
         Directory; made later if need be.
+    names : iterable of str
+        Files that the command writes there.
+    inputs : iterable of Path
+        Files that the command reads.
 
     Raises
     ------
     InputError
-        If it is a file, or lies under one or in a directory that may not be written.
+        If it is a file, lies under one or in a directory that may not be written, or would get a
+        file that is one of the inputs.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
     _check_place(path)
+    known = tuple(inputs)
+    for written in (path / name for name in names):
+        if any(is_same_file(written, own) for own in known):
+            raise InputError(
+                f"--out {path}", f"would replace {written}, which is read", "name another directory"
+            )
 
 
 def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
@@ -45,9 +58,20 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
     """
     if path.is_dir():
         raise InputError(f"--out {path}", "is a directory", "name a file")
-    if path.resolve() in {p.resolve() for p in inputs}:
+    if any(is_same_file(path, own) for own in inputs):
         raise InputError(f"--out {path}", "is a file that is read", "name another file")
     _check_place(path.parent)
+
+
+def is_same_file(a: Path, b: Path) -> bool:
+    """Whether two paths lead to one file or directory, also where a link or the case differs.
+
+    Parameters
+    ----------
+    a, b : Path
+        Of a file that is there, or not yet.
+    """
+    return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
 
 
 def _check_place(path: Path) -> None:

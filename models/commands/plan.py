@@ -26,6 +26,7 @@ from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
+from models.commands.output_paths import check_output_file
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
 from models.plant.plant import Plant, read_plant
@@ -83,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             args.out, "is the name of the picture", "end the name of the plan in .json"
         )
+    check_output_file(args.out, _inputs(args))
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     if args.improve is not None:
@@ -113,6 +115,14 @@ def run(args: argparse.Namespace) -> int:
     picture = _write(plan, args.out)
     emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
     return DONE
+
+
+def _inputs(args: argparse.Namespace) -> list[Path]:
+    """Files that are read; a plan may take the place of the one that it improves."""
+    read = [args.plant, args.limits, args.improve]
+    if args.improve is None and args.path.lower().endswith(".csv"):
+        read.append(Path(args.path))
+    return [path for path in read if path is not None]
 
 
 def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
@@ -155,13 +165,10 @@ def _write(plan: TipPlan, out: Path) -> Path:
     """Write a plan and its picture; return the path of the picture."""
     from models.plan.plan_picture import draw_plan
 
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_document(out, plan)
-        picture = out.with_suffix(".svg")
-        draw_plan(plan, picture)
-    except OSError as error:
-        raise InputError(out, f"cannot be written ({error.strerror})", "name another") from error
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_document(out, plan)
+    picture = out.with_suffix(".svg")
+    draw_plan(plan, picture)
     return picture
 
 

@@ -76,10 +76,8 @@ def sign_bundle(directory: Path, key: Ed25519PrivateKey) -> str:
     public = key_text(key.public_key().public_bytes_raw())
     signature = base64.b64encode(key.sign(signed_message(manifest))).decode()
     path = directory / SIGNATURE
-    scratch = path.with_name(f".{SIGNATURE}")
     document = BundleSignature(schema=BundleSignature.VERSION, key=public, signature=signature)
-    write_document(scratch, document)
-    scratch.replace(path)
+    write_document(path, document)
     check_signature(manifest, path, (public,))
     return public
 

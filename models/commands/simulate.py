@@ -110,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
         rig=args.rig,
         structure=parameters.structure,
     )
+    given = (Path(args.motion), Path(args.rig))
+    check_output_directory(args.out, [f"{case.name}.toml" for case in cases], given)
     refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))

@@ -25,7 +25,9 @@ import numpy as np
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
+from models.commands.output_paths import check_output_directory
 from models.plant.provenance import Provenance
+from models.study.bundle_directory import check_bundle_directory
 from models.trials.trial import Trial, TrialSet
 from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_files import STEP_TOLERANCE
@@ -50,7 +52,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("trials", type=Path, metavar="DIR", help="trials to train and test on")
     add("--dof", type=int, choices=(1, 2), required=True, help="driven joints")
     add("--plant", type=Path, required=True, metavar="PLANT", help="identified plant")
-    add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
+    add(
+        "--out", type=Path, required=True, metavar="BUNDLE",
+        help="directory of the bundle; the files of an old bundle there are replaced, others kept",
+    )  # fmt: skip
     add(
         "--unseen", type=Path, nargs="+", default=[], metavar="DIR",
         help="trials of motions that neither training nor identification used",
@@ -89,6 +94,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             "--candidate", "changes nothing with --study-only", "leave out one of them"
         )
+    check_output_directory(args.out)
+    check_bundle_directory(args.out)
     everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
     training, held_out = of_dof(everything, args.dof, args.trials).split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]

@@ -24,6 +24,7 @@ from models.plan.path_shapes import DesiredPath
 from models.plan.plan_timeline import Timeline, timeline
 from models.plan.reach import check_reach
 from models.plan.twin_sensitivity import TipTwin
+from models.plant.physical_limits import MOST_PAYLOAD_KG
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -287,8 +288,10 @@ def check_request(request: PlanRequest) -> None:
         )
     if not payloads or payloads != sorted(set(payloads)) or not 0 <= payloads[0] <= payloads[-1]:
         raise InputError("--payloads", f"are {payloads}", "give rising masses in kg")
-    if payloads[-1] > 3.0:
-        raise InputError("--payloads", f"reach {payloads[-1]:g} kg", "give 3 kg at most")
+    if payloads[-1] > MOST_PAYLOAD_KG:
+        raise InputError(
+            "--payloads", f"reach {payloads[-1]:g} kg", f"give {MOST_PAYLOAD_KG:g} kg at most"
+        )
 
 
 def _own_error_m(plant: Plant, dof: int) -> float | None:

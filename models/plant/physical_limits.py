@@ -1,8 +1,9 @@
-"""Sums of plant parameters that cannot be negative: masses, friction, stiffness, limits.
+"""Physical limits: the range of payloads, and sums of parameters that cannot be negative.
 
 Every parameter has bounds of its own (`models.plant.parameter`). Two of them can still add up to
 something that no body has: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares such
-sums once, for all plants; a sum whose parameters a plant does not have is ignored.
+sums of masses, friction, stiffness and limits once, for all plants; a sum whose parameters a plant
+does not have is ignored.
 """
 
 from __future__ import annotations
@@ -12,7 +13,19 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Final
 
-__all__ = ["LIMITS", "ImpossibleSum", "PhysicalLimit", "impossible_sums"]
+from firmware_py.errors import InputError
+
+__all__ = [
+    "LIMITS",
+    "MOST_PAYLOAD_KG",
+    "ImpossibleSum",
+    "PhysicalLimit",
+    "check_payload",
+    "impossible_sums",
+]
+
+MOST_PAYLOAD_KG: Final = 3.0
+"""Half as much again as the study's largest payload [assumed]."""
 
 JOINTS: Final = ("1", "2")
 
@@ -134,3 +147,22 @@ def impossible_sums(
                 what = limit.what.replace("{j}", joint)
                 found.append(ImpossibleSum(what, limit.unit, value, tuple(weights)))
     return found
+
+
+def check_payload(payload_kg: float, option: str = "--payload") -> None:
+    """Refuse a payload that no plant of the link is made for.
+
+    Parameters
+    ----------
+    payload_kg : float
+        Mass at the tip.
+    option : str
+        Where the user gave it.
+
+    Raises
+    ------
+    InputError
+        If it is negative, too large or not a number.
+    """
+    if not 0.0 <= payload_kg <= MOST_PAYLOAD_KG:
+        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {MOST_PAYLOAD_KG:g} kg")

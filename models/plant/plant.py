@@ -258,7 +258,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     (0.9, 'kg', (0.5, 2.0))
     """
     path = Path(path)
-    if path.suffix == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
+    if path.suffix.lower() == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
         return _plant_of_link(read_link(path), path)
     document = read_plant_document(path)
     for what, kind, known in (

@@ -20,6 +20,8 @@ People write TOML; `identify` and `gap` write JSON of the same form::
 from __future__ import annotations
 
 import json
+import math
+from collections import Counter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,6 +31,7 @@ import tomli_w
 from firmware_py.documents import Document
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_json, read_toml
+from firmware_py.files.output_files import write_whole
 from firmware_py.link.link_description import (
     STUDY_LINK,
     LinkDescription,
@@ -134,24 +137,51 @@ def read_plant_document(path: Path) -> PlantDocument:
     Parameters
     ----------
     path : Path
-        `.json`, anything else is TOML.
+        `.json` in whatever case, anything else is TOML.
 
     Raises
     ------
     InputError
-        If the file is missing, is no plant document, or is one of another version.
+        If the file is missing, is no plant document, or is one of another version; if an effect
+        stands twice in it, or bounds or a deviation cannot be.
     """
     remedy = "name a plant, e.g. models/plant/nominal.toml"
-    raw = read_json(path, remedy) if path.suffix == ".json" else read_toml(path, remedy)
+    raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
     document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     if document.schema != PlantDocument.VERSION:
         raise InputError(
             path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
         )
+    _check_effects_single(path, document.effects)
+    for name, given in document.parameters.items():
+        if isinstance(given, ParameterEntry):
+            _check_entry(path, name, given)
     if document.link is not None:
         check_link(document.link, path)
     return msgspec.structs.replace(document, provenance=read_provenance(path, table))
+
+
+def _check_effects_single(path: Path, effects: list[EffectEntry]) -> None:
+    """Refuse an effect that stands twice: it would act twice."""
+    for name, count in Counter(effect.name for effect in effects).items():
+        if count > 1:
+            raise InputError(path, f"effect {name} stands twice", "remove one")
+
+
+def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
+    """Refuse bounds and a deviation that cannot be; the value is checked against the part's own."""
+    low, high = entry.bounds or (0.0, 0.0)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        what = f"bounds of parameter {name} are {low:g} and {high:g}, not finite numbers"
+        raise InputError(path, what, "correct them")
+    if low > high:
+        what = f"bounds of parameter {name} are [{low:g}, {high:g}], the larger one first"
+        raise InputError(path, what, "swap them")
+    spread = entry.prior_deviation
+    if spread is not None and not 0.0 <= spread < math.inf:
+        what = f"prior_deviation of parameter {name} is {spread:g}"
+        raise InputError(path, what, "give a number above 0, or leave it out")
 
 
 def link_of_plant(path: Path) -> LinkDescription:
@@ -167,28 +197,28 @@ def link_of_plant(path: Path) -> LinkDescription:
     InputError
         See `read_plant_document`.
     """
-    if path.suffix == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
+    if path.suffix.lower() == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
         return read_link(path)
     return read_plant_document(path).link or STUDY_LINK
 
 
 def write_plant_document(document: PlantDocument, path: Path) -> None:
-    """Write a plant file; JSON or TOML by the suffix.
+    """Write a plant file as a whole; JSON or TOML by the suffix.
 
     Parameters
     ----------
     document : PlantDocument
         To write.
     path : Path
-        `.toml`, anything else is JSON; its directory is made if need be.
+        As `read_plant_document` reads it; its directory is made if need be.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (
-        tomli_w.dumps(_without_none(plain_plant(document)))
-        if path.suffix == ".toml"
-        else plant_json(document) + "\n"
+        plant_json(document) + "\n"
+        if path.suffix.lower() == ".json"
+        else tomli_w.dumps(_without_none(plain_plant(document)))
     )
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text.encode())
 
 
 def plant_json(document: PlantDocument) -> str:

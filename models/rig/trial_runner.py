@@ -43,7 +43,7 @@ def run_trial_cases(
     Raises
     ------
     InputError
-        If the link folds in a trial.
+        If the link folds in a trial, or a worker process is killed.
     """
     paths = {}
     if workers == 1 or len(cases) == 1:

@@ -6,44 +6,79 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.process import BaseProcess
 from typing import Final
+
+from firmware_py.console import terminations_raised
+from firmware_py.errors import InputError
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Each worker computes on one thread: the workers take all cores already."""
 
 
 @contextlib.contextmanager
-def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+def worker_pool(processes: int, option: str = "--workers") -> Iterator[ProcessPoolExecutor]:
     """Pool of spawned processes.
 
-    Where the body is left by an exception, Ctrl-C included, the workers are terminated: what they
-    had begun is lost, so files are written under another name first.
+    Where the body is left by an exception, Ctrl-C and SIGTERM included, the workers are terminated:
+    what they had begun is lost, so files are written under another name first. They end also where
+    this process is killed.
 
     Parameters
     ----------
     processes : int
         Number of workers.
+    option : str
+        Option of the command that sets this number.
 
     Yields
     ------
     ProcessPoolExecutor
         To submit work to.
+
+    Raises
+    ------
+    InputError
+        If a worker is killed.
     """
     os.environ.update(dict.fromkeys(THREADS, "1"))  # set before the processes load numpy
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
-        processes,
-        multiprocessing.get_context("spawn"),
-        signal.signal,
-        (signal.SIGINT, signal.SIG_IGN),  # this process handles Ctrl-C
+        processes, multiprocessing.get_context("spawn"), initializer=_begin_worker
     )
-    try:
-        yield pool
-    except BaseException:
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
+    with terminations_raised():
+        try:
+            yield pool
+            pool.shutdown()
+        except BaseException as error:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            if isinstance(error, BrokenProcessPool):
+                raise InputError(
+                    f"{option} {processes}",
+                    "one of the processes was killed, as happens where the memory runs out",
+                    f"free memory, or give fewer {option.strip('-')}",
+                ) from None
+            raise
+
+
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command handles Ctrl-C
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """End this process at once when the process that started it is gone, also by SIGKILL."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)  # no clean-up: the main thread may be in the middle of anything

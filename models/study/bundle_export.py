@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import shutil
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,17 +10,18 @@ import msgspec
 import numpy as np
 import onnx
 
-from firmware_py.errors import DropstitchError, InputError
+from firmware_py.errors import DropstitchError
 from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
-from firmware_py.inference.manifest import MANIFEST, Manifest, Quantity, write_manifest
+from firmware_py.inference.manifest import Manifest, Quantity, write_manifest
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
 from models.learning.lagged import LAG_TICKS
 from models.learning.onnx_power import to_onnx
 from models.learning.predictors import Array, GuardedPredictor, Polynomial
 from models.plant.plant import Plant
+from models.study.bundle_directory import replaced_bundle
 from models.study.model_card import model_card
 from models.study.study import Study
 from models.study.study_document import StudyDocument, write_study
@@ -57,7 +57,8 @@ def write_bundle(
     Parameters
     ----------
     directory : Path
-        Directory of the bundle; an old bundle there is replaced, anything else refused.
+        Directory of the bundle. The files of an old bundle there are replaced, others beside them
+        are kept; a directory of anything else is refused.
     study : Study
         Study of one dof.
     plant : Plant
@@ -78,23 +79,8 @@ def write_bundle(
     ParityError
         If the graph and scikit-learn differ by more than 1e-9 m in the training hull.
     """
-    if directory.exists() and not (directory / MANIFEST).is_file() and _occupied(directory):
-        raise InputError(directory, "exists and is not a bundle", "choose another --out")
-    scratch = directory.with_name(f".{directory.name}.partial")
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir(parents=True)
-    try:
-        parity = _fill(scratch, study, plant, tip)
-        if directory.exists():
-            shutil.rmtree(directory)
-        scratch.rename(directory)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-    return parity
-
-
-def _occupied(path: Path) -> bool:
-    return not path.is_dir() or any(path.iterdir())
+    with replaced_bundle(directory) as fresh:
+        return _fill(fresh, study, plant, tip)
 
 
 def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) -> dict[str, float]:

@@ -17,6 +17,7 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from firmware_py.documents import Document, read_document
+from firmware_py.files.output_files import write_whole
 from models.trials.trial_origin import TrialOrigin
 
 __all__ = ["StudyDocument", "read_study", "write_study"]
@@ -312,4 +313,4 @@ def write_study(path: Path, document: StudyDocument) -> None:
     document : StudyDocument
         Its content.
     """
-    path.write_bytes(msgspec.json.encode(document) + b"\n")
+    write_whole(path, msgspec.json.encode(document) + b"\n")

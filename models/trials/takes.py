@@ -26,7 +26,7 @@ _SUFFIXES: Final = {
 _KINDS: Final = {
     field.name: field.type
     for field in msgspec.structs.fields(TrialMeta)
-    if field.name != "conditions"
+    if field.name not in ("conditions", "recording_sha256")
 }
 _NAME: Final = "{name}"
 """Part of the name of a servo file that stands for the name of the take."""
@@ -72,7 +72,8 @@ def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[
     Raises
     ------
     InputError
-        If a folder holds no take, a name does not fit the pattern, or the table lacks a take.
+        If a folder holds no take, a name does not fit the pattern, the table lacks a take, or two
+        takes would become trials of one name.
     """
     rules = mapping.takes
     table_path = Path(mapping.path).parent / rules.table
@@ -88,7 +89,21 @@ def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[
         servo = row.get("servo") or rules.servo.replace(_NAME, file.stem)
         offset_s = _offset_s(table_path, row["offset_s"]) if row.get("offset_s") else None
         takes.append(Take(file, own, file.parent / servo if servo else None, offset_s))
+    _refuse_one_name([take.file for take in takes])
     return takes
+
+
+def _refuse_one_name(files: Sequence[Path]) -> None:
+    """Refuse two files of one name: their trials would be one file, also where case is ignored."""
+    known: dict[str, Path] = {}
+    for file in files:
+        other = known.setdefault(file.stem.casefold(), file)
+        if other is file:
+            continue
+        if other.resolve() == file.resolve():
+            raise InputError(file, "is given twice", "name each recording once")
+        what = f"would become a trial of the same name as {other}"
+        raise InputError(file, what, "rename one of them, or import it alone with --name")
 
 
 def _files(

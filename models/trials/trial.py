@@ -57,6 +57,8 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
     numbers that replace the plant's parameters of the same name in this trial. `gravity_m_s2` is
     None where the link stands upright, `markers` where there are four rows of four.
+    `recording_sha256` is the hash of the recording that the trial was imported from; empty for any
+    other trial.
     """
 
     schema: int = SCHEMA
@@ -77,6 +79,7 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     notes: str = ""
     conditions: dict[str, float] = {}
     markers: MarkerLayout | None = None
+    recording_sha256: str = ""
 
     @property
     def layout(self) -> MarkerLayout:
@@ -91,8 +94,9 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def document(self) -> dict[str, object]:
         """Content of the TOML file, without the conditions that do not apply."""
         entries: dict[str, object] = msgspec.to_builtins(self)
-        if not self.conditions:
-            del entries["conditions"]
+        for key in ("conditions", "recording_sha256"):
+            if not entries[key]:
+                del entries[key]
         entries = {k: v for k, v in entries.items() if v is not None}
         if not self.link_length_m:
             entries = {k: v for k, v in entries.items() if k not in LINK_CONDITIONS}
@@ -191,8 +195,9 @@ class Trial:
         return slice(self.meta.rest_samples, None)
 
     def sha256(self) -> str:
-        """Hash of the samples and conditions, for provenance."""
-        digest = hashlib.sha256(msgspec.json.encode(self.meta.document()))
+        """Hash of the samples and conditions, whatever they were imported from, for provenance."""
+        meta = msgspec.structs.replace(self.meta, recording_sha256="")
+        digest = hashlib.sha256(msgspec.json.encode(meta.document()))
         for name, column in self.columns.items():
             digest.update(name.encode())
             digest.update(np.where(np.isnan(column), np.nan, column).tobytes())  # one kind of NaN

@@ -35,6 +35,7 @@ from models.trials.trial_columns import (
     columns_of,
     read_sample_columns,
 )
+from models.trials.trial_listing import sample_files
 
 __all__ = [
     "check_meta",
@@ -73,7 +74,7 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     Raises
     ------
     InputError
-        If the directory is missing or holds no trial, or a trial cannot be used.
+        If the directory is missing or holds no trial, or a trial cannot be used or lacks a file.
 
     Examples
     --------
@@ -93,7 +94,7 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     directory = Path(directory)
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "name a directory of trials")
-    paths = sorted(directory.glob("*.csv"))
+    paths = sample_files(directory)
     if not paths:
         raise InputError(
             directory, "holds no trial", "write some with 'python -m models simulate --out DIR'"
@@ -107,7 +108,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     Parameters
     ----------
     path : Path or str
-        The CSV file; the TOML file of the same name must lie beside it.
+        The CSV file; `NAME.toml` must lie beside it.
     signals : mapping of str to SignalRole, optional
         As for `read_trials`.
 

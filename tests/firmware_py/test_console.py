@@ -1,6 +1,8 @@
 """Conventions that hold for every command line: version, help, exit codes."""
 
+import contextlib
 import io
+import os
 import re
 import signal
 import tomllib
@@ -53,7 +55,12 @@ def test_the_version_has_one_source_and_an_entry_in_the_changelog():
         (InputError("file", "is missing", "copy it"), 2, "tool: file: is missing; copy it.\n"),
         (SafetyTrip("joint 1 jumped"), 1, "tool: stopped: joint 1 jumped\n"),
         (KeyboardInterrupt(), 130, "tool: interrupted\n"),
-        (BrokenPipeError(), 0, ""),
+        (console.Terminated(), 143, "tool: terminated\n"),
+        (
+            BrokenPipeError(),
+            2,
+            "tool: pipe: was closed by the process at its other end; repeat the command.\n",
+        ),
     ],
 )
 def test_errors_become_exit_codes_and_one_sentence(error, code, message, capsys, monkeypatch):
@@ -133,6 +140,80 @@ def test_a_full_standard_output_is_one_sentence(dispatched, capsys, monkeypatch)
         monkeypatch.undo()
     said = capsys.readouterr().err
     assert said.startswith("tool: output: No space left on device; ") and said.count("\n") == 1
+
+
+@pytest.fixture
+def desert(monkeypatch):
+    """Call that gives the standard streams pipes without a reader, stderr one without a buffer."""
+    with contextlib.ExitStack() as stack:
+
+        def desert():
+            for name, buffering in (("stdout", -1), ("stderr", 1)):
+                reader, writer = os.pipe()
+                os.close(reader)
+                stream = stack.enter_context(open(writer, "w", buffering=buffering))
+                monkeypatch.setattr(f"sys.{name}", stream)
+
+        yield desert
+        monkeypatch.undo()
+
+
+def a_job_with_progress(verdict, done):
+    """A command that shows its progress, does its work, and prints its result."""
+
+    def run(_):
+        progress = console.Progress("job", 2)
+        progress.step("begun")
+        print("warning", file=console.sys.stderr)
+        done.append("file")
+        progress.step("written")
+        print("result", flush=True)
+        return verdict
+
+    return run
+
+
+@pytest.mark.parametrize("verdict", [console.DONE, console.NEGATIVE, console.INCONCLUSIVE])
+def test_a_reader_that_goes_away_changes_neither_the_work_nor_its_exit_code(
+    dispatched, desert, verdict
+):
+    done = []
+    desert()
+    assert dispatched(a_job_with_progress(verdict, done)) == verdict
+    assert done == ["file"]
+
+
+def test_a_refusal_that_nobody_reads_keeps_its_exit_code(dispatched, desert):
+    def refused(_):
+        raise InputError("file", "is missing", "copy it")
+
+    desert()
+    assert dispatched(refused) == 2
+
+
+def test_a_command_works_without_standard_streams(dispatched, monkeypatch):
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(f"sys.{name}", None)
+    done = []
+    assert dispatched(a_job_with_progress(console.NEGATIVE, done)) == 1
+    console.Progress("job", 1).step("of a program without streams")
+    assert done == ["file"]
+
+
+def test_sigterm_is_raised_once_in_the_block_and_has_its_old_effect_afterwards():
+    of_the_tests = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with pytest.raises(console.Terminated), console.terminations_raised():
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            finally:
+                signal.raise_signal(signal.SIGTERM)  # as `timeout` does: the clean-up goes on
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # whoever handles it keeps to that
+        with console.terminations_raised():
+            signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, of_the_tests)
 
 
 def test_a_sign_that_a_terminal_lacks_is_escaped(dispatched, monkeypatch):

@@ -4,13 +4,16 @@ import csv
 import json
 import shutil
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from firmware_py.errors import InputError
 from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.signals import tip_names
 from fmu.__main__ import main
+from fmu.stimulus import inputs_from_trial
 from models.shared.kinematics import base_corners_m
 from models.trials.trial import Trial, TrialMeta
 from models.trials.trial_files import write_trial
@@ -116,6 +119,12 @@ def test_a_trial_that_does_not_fit_is_refused(tmp_path, bundle_1dof, twin, capsy
     assert "run.toml: is missing" in capsys.readouterr().err
 
 
+def test_a_trial_of_two_joints_is_no_input_of_one(tmp_path):
+    trial = SimpleNamespace(path=tmp_path / "run.csv", meta=SimpleNamespace(dof=2))
+    with pytest.raises(InputError, match="of 2DOF, the FMU of 1DOF; give a trial of 1DOF"):
+        inputs_from_trial(SimpleNamespace(dof=1), None, trial)
+
+
 def test_a_parameter_is_set_before_the_start(twin, tmp_path, capsys):
     options = ["simulate", str(twin), "--out", str(tmp_path), "--set"]
     assert main([*options, "parameters.link_mass_kg=1e6"]) == 2
@@ -168,6 +177,7 @@ def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
         "--out: is missing": ["build", bundle],
         "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "any.zip")],
         "manifest.json: is missing": ["build", str(tmp_path), "--out", out],
+        "--payload: is nan kg": ["ssp", bundle, "--payload", "nan", "--out", f"{out}.ssp"],
         "toml: is missing": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
         "cannot run on the robot (FMI 3.0)": ["build", bundle, "--unit", "observer", "--fmi", "2"],
     }

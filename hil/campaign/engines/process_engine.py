@@ -21,6 +21,7 @@ from typing import Final
 from hil.campaign.case_task import CaseTask, TaskOutcome
 from hil.campaign.case_worker import MOST_LOG, run_task
 from hil.campaign.engines.engine import ATTEMPTS, killed_outcome
+from models.shared.worker_pool import end_with_parent
 
 _SPAWN: Final = multiprocessing.get_context("spawn")
 _END_S: Final = 5.0
@@ -38,6 +39,7 @@ def serve_tasks(pipe: Connection, log: str) -> None:
         File for what the process writes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal ends the campaign
+    end_with_parent()  # a closed pipe ends only a worker that waits for a task
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for stream in (1, 2):
         os.dup2(descriptor, stream)

@@ -154,6 +154,8 @@ class SilKind(CaseKind[SilConfig]):
         options = _options(config, context.scratch)
         result = run_sil(options)
         document = timing_document(result, options)
+        if document.interrupted:  # a part of a run is no result
+            raise InputError("run", document.interrupted, "run the campaign again")
         context.parts_s["run"] = result.wall_s
         stale = sum(n for status, n in document.run.bus_faults.items() if status not in FRESH)
         paths = [msgspec.to_builtins(error) for error in document.path_errors]

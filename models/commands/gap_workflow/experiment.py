@@ -2,26 +2,26 @@
 
 MOTION is a file for 'dropstitch run --motion' and 'python -m models simulate --motion'; MOTION.html
 beside it shows goals and separation. With --repeat the motion is run on a rig with hidden effects,
-and its trial is diagnosed together with those at hand.
+and its trial is diagnosed together with those at hand; both lie in MOTION/trials and MOTION/gap.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from firmware_py.config import read_config
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
-from firmware_py.motion import Motion
 from firmware_py.safety.limits import Limits
+from models.commands.gap_workflow.repetition import check_repetition, repeat_diagnosis
 from models.commands.output_paths import check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import RigParameters, read_rig
+from models.rig.rig_parameters import read_rig
 from models.shared.catalogue import parse_strengths
 from models.trials.trial import TrialSet
 from models.trials.trial_directories import read_trial_directories
@@ -30,6 +30,8 @@ EXAMPLE = (
     "python -m models experiment --gap build/gap/gap.json --limits robot.toml --seconds 10 "
     "--out build/motion.toml"
 )
+
+LARGEST_SEED: Final = 2**32 - 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -59,17 +61,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Design, write, and repeat the diagnosis where that is wanted."""
-    if args.hide and not args.repeat:
-        raise InputError("--hide", "is given without --repeat", "add --repeat, or leave it out")
-    if args.out.suffix != ".toml":
-        raise InputError(f"--out {args.out}", "is no TOML file", "let its name end with .toml")
-    check_output_file(args.out, [args.limits, args.gap])
+    _check_options(args)
     document = read_gap_document(args.gap)
     inputs = _inputs(document, args)
+    check_output_file(args.out, [Path(inputs.plant)])
+    if args.repeat:
+        check_repetition(args.out, args.gap, inputs)
     plant = read_plant(Path(inputs.plant))
     if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
     trials = _trials(inputs, plant)
+    check_output_file(args.out, [t.path.with_suffix(".toml") for t in trials])
     limits = _limits(args.limits, trials.trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
@@ -106,12 +108,24 @@ def run(args: argparse.Namespace) -> int:
     }
     text = f"{experiment_in_words(found, args.out)}\n{page}"
     if rig is not None:
-        after, repeated = _repeated(args, plant, inputs, found.recommended, rig, progress)
+        after, repeated = repeat_diagnosis(args, plant, inputs, found.recommended, rig, progress)
         result["after"] = after
         text = f"{text}\n{repeated}"
     progress.step("done", 0)
     emit(args, result, text)
     return DONE
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """Refuse options that contradict each other, are out of range or would lose a file."""
+    if args.hide and not args.repeat:
+        raise InputError("--hide", "is given without --repeat", "add --repeat, or leave it out")
+    if not 0 <= args.seed <= LARGEST_SEED:
+        raise InputError(f"--seed {args.seed}", "is out of range", f"choose 0 to {LARGEST_SEED}")
+    if args.out.suffix.lower() != ".toml":
+        raise InputError(f"--out {args.out}", "is no TOML file", "let its name end with .toml")
+    read = [args.limits, args.gap, *([Path(args.rig)] if args.repeat else [])]
+    check_output_file(args.out, read)
 
 
 def _limits(path: Path, dof: int) -> Limits:
@@ -148,51 +162,3 @@ def _trials(inputs: DiagnosisInputs, plant: Plant) -> TrialSet:
         where = ", ".join(inputs.trials)
         raise InputError(where, "are not the trials of this diagnosis", "give them with --trials")
     return trials
-
-
-def _repeated(
-    args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs,
-    recommended: tuple[Motion, float], rig: RigParameters, progress: Progress,
-) -> tuple[dict[str, Any], str]:  # fmt: skip
-    """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
-    from models.gap.calibration.calibration_files import patterns_beside
-    from models.gap.experiment.rival import credible_set, rivals_of
-    from models.gap.report.diagnosis_files import write_diagnosis
-    from models.rig.study_protocol import run_case
-    from models.rig.trial_case import TrialCase
-    from models.trials.trial_files import write_trial
-
-    directory = args.out.with_suffix("")
-    motion, payload_kg = recommended
-    case = TrialCase(motion, payload_kg, trial=1, seed=args.seed)
-    trial = run_case(rig, case)
-    own = directory / "trials"
-    own.mkdir(parents=True, exist_ok=True)
-    for old in (*own.glob("*.csv"), *own.glob("*.toml")):
-        old.unlink()
-    write_trial(trial, own)
-    progress.step("motion run on the rig", 2)
-    inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
-    every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
-    every = every.where(lambda t: t.meta.dof == trial.meta.dof)
-    inputs = msgspec.structs.replace(inputs, trials_sha256=every.content_sha256())
-    patterns = patterns_beside(Path(inputs.plant))
-    given = read_gap_document(args.gap)
-    _, document, page = write_diagnosis(
-        plant, every, inputs, directory / "gap", progress.step, patterns=patterns,
-        settings=given.settings,
-    )  # fmt: skip
-    before = credible_set(rivals_of(given.hypotheses))
-    after = credible_set(rivals_of(document.hypotheses))
-    result = {
-        "set_before": {r.label: round(r.probability, 4) for r in before},
-        "set_after": {r.label: round(r.probability, 4) for r in after},
-        "named": [n.effect for n in document.named if n.kept],
-        "verdict": document.verdict,
-    }
-    lists = (", ".join(f"{r.label} {r.probability:.2f}" for r in own) for own in (before, after))
-    first, second = lists
-    return result, (
-        f"hypotheses that hold 0.95 before: {first}\nafter the motion: {second}\n"
-        f"named now: {', '.join(result['named']) or 'nothing'}; verdict {document.verdict}\n{page}"
-    )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -17,6 +18,9 @@ from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
 EXAMPLE = "python -m models gap build/gap_trials --plant build/plant.json --out build/gap"
+
+DIAGNOSIS_FILES: Final = ("gap.json", "plant.json", "report.html")
+"""Files that `models.gap.report.diagnosis_files` writes to a directory."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, write and print."""
-    check_output_directory(args.out)
+    check_output_directory(args.out, DIAGNOSIS_FILES, [args.plant])
     plant = read_plant(args.plant)
     trials = read_trial_directories(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.

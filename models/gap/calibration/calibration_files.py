@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +9,12 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy, read_patte
 
 FINGERPRINT: Final = "fingerprint.txt"
 """Of the trials and the plant that the files were measured for."""
+
+OWN_FILES: Final = (
+    FINGERPRINT, "own_error_*.npz", "patterns.npz", "patterns.part.npz", "patterns.svg",
+    "plants/drawn_*.json",
+)  # fmt: skip
+"""Files that a calibration writes, halves that were left included."""
 
 
 def calibration_directory(plant: Path) -> Path:
@@ -59,6 +64,8 @@ def patterns_beside(plant: Path) -> tuple[ModelDiscrepancy, ...]:
 def begin_work(fingerprint: str, directory: Path) -> None:
     """Keep what was measured for the same trials and plant, remove what was for others.
 
+    Files that no calibration writes stay.
+
     Parameters
     ----------
     fingerprint : str
@@ -68,6 +75,8 @@ def begin_work(fingerprint: str, directory: Path) -> None:
     """
     path = directory / FINGERPRINT
     if path.exists() and path.read_text() != fingerprint:
-        shutil.rmtree(directory)
+        for pattern in OWN_FILES:
+            for old in directory.glob(pattern):
+                old.unlink()
     directory.mkdir(parents=True, exist_ok=True)
     path.write_text(fingerprint)

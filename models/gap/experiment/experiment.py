@@ -10,6 +10,7 @@ import msgspec
 import tomli_w
 
 from firmware_py.errors import InputError
+from firmware_py.files.output_files import write_whole
 from firmware_py.motion import Motion
 from firmware_py.motion_document import MotionDocument
 from firmware_py.safety.limits import Limits
@@ -316,4 +317,4 @@ def write_motion(document: MotionDocument, path: Path) -> None:
     """
     entries = {k: v for k, v in msgspec.to_builtins(document).items() if v is not None}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(tomli_w.dumps(entries), encoding="utf-8")
+    write_whole(path, tomli_w.dumps(entries).encode())

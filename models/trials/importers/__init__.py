@@ -64,5 +64,7 @@ def read_series(path: Path, kind: str | None, mapping: RecordingMap) -> list[Ser
     """
     if not path.exists():
         raise InputError(path, "is missing", "name an existing file")
-    kind = kind or ("rosbag" if path.is_dir() else _KIND_OF_SUFFIX.get(path.suffix, "table"))
+    kind = kind or (
+        "rosbag" if path.is_dir() else _KIND_OF_SUFFIX.get(path.suffix.lower(), "table")
+    )
     return READERS[kind](path, mapping)

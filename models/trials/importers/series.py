@@ -48,7 +48,7 @@ class Series:
     Raises
     ------
     InputError
-        If there are fewer than three samples, or the times do not increase.
+        If there are fewer than three samples, the times do not increase, or a value is infinite.
     """
 
     time_s: Array
@@ -69,6 +69,15 @@ class Series:
                 f"({self.time_s[back[0]]:.6g} s, then {self.time_s[back[0] + 1]:.6g} s)",
                 "sort the samples and drop doubled ones",
             )
+        for name, values in self.columns.items():
+            infinite = np.flatnonzero(np.isinf(values))
+            if len(infinite):
+                raise InputError(
+                    self.path,
+                    f"sample {infinite[0] + 1}: {name} is {values[infinite[0]]}, "
+                    "not a finite number",
+                    "correct it or leave it out",
+                )
 
     def position_m(self, name: str) -> Array:
         """Position of a marker or the tip, shape (n, 3)."""

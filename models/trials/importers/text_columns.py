@@ -41,7 +41,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
     ------
     InputError
         If the file cannot be read, a name stands twice, a row has another number of cells, or a
-        wanted cell is not a number.
+        wanted cell is not a number, or infinite.
     """
     lines = read_lines(path, "name an existing table")
     first = next(lines, "")
@@ -67,7 +67,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
             if number * len(chosen) > MOST_CELLS:
                 raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
             for k in chosen:
-                columns[k].append(_number(path, number - 1, header[k], row[k]))
+                columns[k].append(_number(path, number, header[k], row[k]))
     except csv.Error as error:
         raise InputError(path, f"is not CSV text ({error})", "export it again") from None
     return header, [np.frombuffer(column, np.float64) for column in columns]
@@ -141,11 +141,16 @@ def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
     )
 
 
-def _number(path: Path, sample: int, column: str, cell: str) -> float:
+def _number(path: Path, row: int, column: str, cell: str) -> float:
+    """Number in a cell; the row counts from 1, the header's."""
     try:
-        return float(cell) if cell else math.nan
+        number = float(cell) if cell else math.nan
     except ValueError:
-        raise no_number(path, sample, column, cell) from None
+        raise no_number(path, row - 1, column, cell) from None
+    if math.isinf(number):
+        what = f"row {row}, column {column!r}: {cell[:80]!r} is not a finite number"
+        raise InputError(path, what, "correct the cell or leave it empty")
+    return number
 
 
 def _split(path: Path, line: str, delimiter: str) -> list[str]:

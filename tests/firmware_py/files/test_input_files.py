@@ -57,6 +57,24 @@ def test_every_reader_refuses_what_is_no_such_file_in_one_sentence(tmp_path, nam
             sentence(READERS[name], path)
 
 
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith(".toml")])
+def test_toml_of_a_windows_editor_is_read_or_told_its_encoding(tmp_path, name):
+    """A byte order mark changes nothing; UTF-16 and ANSI are told as what they are."""
+    path = tmp_path / name
+    path.write_text("schema == 1", encoding="utf-8-sig")  # the same complaint as without the mark
+    assert "at line 1, column 9" in sentence(READERS[name], path)
+    path.write_text("schema = 1", encoding="utf-16")
+    assert sentence(READERS[name], path).endswith("is UTF-16 text; save it as UTF-8.")
+    path.write_text("# 30°", encoding="latin-1")
+    assert sentence(READERS[name], path).endswith("; save it as UTF-8.")
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[trial]\nmotion = "é"\n', encoding="utf-8-sig")
+    assert read_toml(path) == {"trial": {"motion": "é"}}
+
+
 def test_a_file_above_the_limit_is_not_read(tmp_path):
     path = tmp_path / "sparse"
     path.touch()

@@ -260,15 +260,15 @@ def test_the_study_of_a_bundle_has_bounds_too(bundle, changes):
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "said"),
     [
-        {"value": float("nan")},
-        {"bounds": [-float("inf"), float("inf")]},
-        {"bounds": [5.0, 1.0]},
-        {"prior_deviation": -1.0},
+        ({"value": float("nan")}, "{name} is not a finite number"),
+        ({"bounds": [-float("inf"), float("inf")]}, "{name} are -inf and inf, not finite numbers"),
+        ({"bounds": [5.0, 1.0]}, r"{name} are \[5, 1\], the larger one first; swap them"),
+        ({"prior_deviation": -1.0}, "{name} is -1"),
     ],
 )
-def test_the_plant_of_a_bundle_holds_finite_numbers(bundle, changes):
+def test_the_plant_of_a_bundle_holds_numbers_that_can_be(bundle, changes, said):
     path = bundle / "plant.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     name, entry = next(
@@ -276,5 +276,5 @@ def test_the_plant_of_a_bundle_holds_finite_numbers(bundle, changes):
     )
     document["parameters"][name] = entry | changes
     path.write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(InputError, match=f"{name} is not a finite number"):
+    with pytest.raises(InputError, match=said.format(name=name)):
         read_plant(path)

@@ -6,7 +6,10 @@ import contextlib
 import json
 import os
 import random
+import select
 import signal
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -74,6 +77,34 @@ def test_a_second_run_begins_what_has_no_result_and_nothing_else(by_processes):
     assert counts.ran == {"done": 1, "refused": 1, "failed": 1}
     after = {c.key: campaign.store.path(c.key).stat().st_mtime_ns for c in campaign.cases[8:]}
     assert after == before
+
+
+CAMPAIGN = """
+import sys
+from pathlib import Path
+from hil.campaign.campaign_cases import CaseMaker
+from hil.campaign.campaign_run import run_campaign_cases
+from hil.campaign.engines.process_engine import ProcessEngine
+from hil.campaign.result_store import ResultStore
+from tests.hil.campaign.toy_kind import KIND
+out = Path(sys.argv[1])
+maker = CaseMaker(KIND, "tests.hil.campaign.toy_kind", out / "shared")
+cases = maker.cases([{"value": 1.0, "act": "never end"}], "toys.toml")
+run_campaign_cases(cases, maker, ResultStore(out), ProcessEngine(1, out / "logs"))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_a_campaign_that_is_ended(tmp_path, number):
+    os.mkfifo(tmp_path / "pipe")
+    campaign = subprocess.Popen(
+        [sys.executable, "-c", CAMPAIGN, str(tmp_path)],
+        env=os.environ | {"TOY_PIPE": str(tmp_path / "pipe")}, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    with open(tmp_path / "pipe", "rb") as pipe:  # waits until the worker has opened it
+        campaign.send_signal(number)
+        campaign.wait(timeout=60)
+        assert select.select([pipe], [], [], 60)[0] and pipe.read() == b"", "the worker still runs"
 
 
 class KillingEngine:

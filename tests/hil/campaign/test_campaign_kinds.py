@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import msgspec
 import pytest
 
 from firmware_py.errors import InputError
+from firmware_py.log.telemetry import NoTelemetry
 from hil.campaign.case_task import canonical_json
 from hil.campaign.code_version import ROOT
 from hil.campaign.kinds.case_kind import KINDS, CaseContext, load_kind
@@ -47,6 +49,20 @@ def test_a_run_in_software_does_not_depend_on_the_runs_before_it(tmp_path, toy_b
     assert figures["prediction_error"]["max_m"] > 0
     assert json.loads(between)["faults_injected"]["lost"] > 0
     assert not list(tmp_path.glob("*.mcap"))
+
+
+class StopRequest(NoTelemetry):
+    """Sends this process SIGTERM after the first tick."""
+
+    def put(self, record):
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_part_of_a_run_in_software_is_no_result(tmp_path, toy_bundle, monkeypatch):
+    monkeypatch.setattr("hil.sil.virtual_run.NoTelemetry", StopRequest)
+    kind = load_kind("sil")
+    with pytest.raises(InputError, match="SIGTERM ended the run after 0 of 59 slots"):
+        result_of(kind, tmp_path, bundle=str(toy_bundle), seconds=1.0)
 
 
 def test_kinds_and_worker_are_light_to_import():

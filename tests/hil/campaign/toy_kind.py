@@ -1,6 +1,7 @@
 """Kind of cases that cost nothing, and can refuse, fail, or kill their worker."""
 
 import os
+import signal
 import time
 from typing import ClassVar
 
@@ -41,6 +42,9 @@ class ToyKind(CaseKind):
             time.sleep(0.5)  # a nanny of dask does not start anew what dies while it starts
             os.write(2, b"last words\n")
             os._exit(7)
+        if config.act == "never end":  # the pipe of the tests closes with the worker
+            os.open(os.environ["TOY_PIPE"], os.O_WRONLY)
+            signal.pause()
         context.parts_s["thinking"] = 0.25
         return {"square": config.value**2, "off_m": float("nan"), "deep": {"list": [1, 2]}}
 

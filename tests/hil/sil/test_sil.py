@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import time
 import tomllib
 from dataclasses import replace
@@ -242,6 +243,28 @@ def test_a_run_in_real_time_fails_where_the_loop_computes_longer_than_its_period
     assert miss.slots >= 2 and timing.own_misses >= miss.slots
 
 
+class Interrupter(RigidPredictor):
+    """Sends this process SIGTERM in a tick of the motion, as `timeout` does."""
+
+    ticks = 0
+
+    def predict(self, angle_rad, current_a, di, *_) -> Prediction:
+        self.ticks += 1
+        if self.ticks == 120:
+            signal.raise_signal(signal.SIGTERM)
+        return super().predict(angle_rad, current_a, di)
+
+
+def test_a_run_that_a_signal_ended_early_is_inconclusive_and_counts_its_slots(options):
+    chosen = options(seconds=9.0)
+    cut = replace(chosen, bundle=replace(chosen.bundle, predictor=Interrupter()))
+    result = run_sil(cut)
+    timing, last = write_results(result, cut), result.records["tick"][118]
+    assert (timing.run.ended, timing.verdict.exit_code) == ("signalled", 3)
+    assert 0 < last < 119, "some ticks led to the first goal"
+    assert timing.reason.startswith(f"SIGTERM ended the run after {last + 1} of 529 slots")
+
+
 def test_prediction_error_takes_fresh_ticks_only():
     records = np.zeros(4, tick_dtype(1))
     records["deadline_ns"], records["busy_ns"] = np.arange(4) * 100, 50
@@ -280,6 +303,7 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
     [
         ({"seconds": 0.0}, "--seconds"),
         ({"seconds": math.inf}, "--seconds"),
+        ({"seconds": 1e12}, r"--seconds: is 1e\+12; give 0.017 to 86400"),
         ({"baud": 12345}, "--baud"),
         ({"baud": 9600}, "ms of transmission"),
         ({"load": -1}, "--load"),

@@ -9,6 +9,7 @@ from firmware_py.errors import InputError
 from firmware_py.goals.outside.for_robot import outside_goals
 from firmware_py.goals.outside.goal_channel import connect
 from firmware_py.log.recording import read_recording
+from hil.__main__ import main
 from hil.sil import run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from hil.sil.sil_options import sil_config
@@ -54,6 +55,13 @@ def test_the_run_is_that_of_the_program(options, tmp_path):  # noqa: F811
     assert read_trial(tmp_path / "trial" / "sil.csv").meta.motion == "outside"
     log = read_recording(tmp_path / LOG_NAME)
     assert json.loads(log.metadata["motion"])["motion"] == "outside"
+
+
+def test_a_map_without_goals_is_refused_as_on_the_robot(tmp_path, capsys):
+    words = f"sil --bundle {tmp_path} --out {tmp_path}/out --line virtual --map P.json"
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert said == "python -m hil: --map: is given without --goals; leave it out.\n"
 
 
 def test_a_map_for_another_robot_is_refused(options, tmp_path):  # noqa: F811

@@ -245,6 +245,17 @@ def test_a_robot_that_was_stopped_has_not_passed():
     assert "no fresh data" in timing.reason
 
 
+def test_a_run_that_a_signal_ended_early_has_not_passed():
+    records = run_of()
+    why = "SIGINT ended the run after 900 of 2000 slots"
+    timing = judge(records, interrupted=why)
+    assert (timing.verdict, timing.verdict.exit_code) == ("inconclusive", 3)
+    assert timing.reason == f"{why}: run it to its end"
+    assert timing.interrupted == why
+    slow_down(records, 500, 40 * MS)
+    assert judge(records, interrupted=why).verdict == "fail", "what was missed was missed"
+
+
 @pytest.mark.parametrize(("stalled", "verdict"), [(False, "fail"), (True, "inconclusive")])
 def test_a_stop_proves_nothing_where_the_host_took_the_slots(stalled, verdict):
     records = run_of()
@@ -294,14 +305,21 @@ def test_a_stop_for_want_of_data_proves_nothing_where_the_host_held_up_every_rep
 
 
 @pytest.mark.parametrize(
-    ("slow_ns", "preempted", "stopped"), [(0, 0, ""), (40 * MS, 0, ""), (0, 50, ""), (0, 0, "why")]
+    ("slow_ns", "preempted", "why"),
+    [
+        (0, 0, {}),
+        (40 * MS, 0, {}),
+        (0, 50, {}),
+        (0, 0, {"stopped": "why"}),
+        (0, 0, {"interrupted": "why"}),
+    ],
 )
-def test_junit_says_the_same(slow_ns, preempted, stopped):
+def test_junit_says_the_same(slow_ns, preempted, why):
     records = run_of()
     records["preempted_ns"][100 : 100 + preempted] = 2 * MS
     if slow_ns:
         slow_down(records, 500, slow_ns)
-    timing = judge(records, stopped=stopped)
+    timing = judge(records, **why)
     suite = ET.fromstring(timing_verdict.timing_junit(timing, {"line": "socket"}))
     assert len(suite.findall("testcase")) == int(suite.get("tests"))
     assert len(suite.findall("testcase/failure")) == (timing.verdict == "fail")

@@ -37,3 +37,16 @@ def test_what_cannot_be_written_is_refused(known, check, place, said):
 def test_what_is_read_is_not_overwritten(known):
     with pytest.raises(InputError, match="is a file that is read"):
         check_output_file(known / "new" / ".." / "file.toml", [known / "file.toml"])
+
+
+def test_a_directory_that_would_get_a_file_that_is_read_is_refused(known):
+    check_output_directory(known, ["other.toml"], [known / "file.toml"])
+    for place in (known, known / "new" / ".."):
+        with pytest.raises(InputError, match="toml, which is read"):
+            check_output_directory(place, ["other.toml", "file.toml"], [known / "file.toml"])
+
+
+def test_a_file_of_two_names_is_one_file(known):
+    (known / "second.toml").hardlink_to(known / "file.toml")
+    with pytest.raises(InputError, match="is a file that is read"):
+        check_output_file(known / "second.toml", [known / "file.toml"])

@@ -26,3 +26,13 @@ def test_unfit_options_are_refused(bare_bundle, tmp_path, capsys, path, options,
     assert main([str(word) for word in words]) == 2
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [["plan", "line"], ["goalmap"]])
+def test_the_plant_that_is_read_is_not_overwritten(bare_bundle, tmp_path, capsys, words):
+    plant = tmp_path / "plant.json"
+    plant.write_bytes(NOMINAL.read_bytes())
+    words = [*words, "--plant", plant, "--bundle", bare_bundle, "--out", plant]
+    assert main([str(word) for word in words]) == 2
+    assert "is a file that is read" in capsys.readouterr().err
+    assert plant.read_bytes() == NOMINAL.read_bytes()

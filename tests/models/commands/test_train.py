@@ -1,5 +1,6 @@
 """Training command: selection of trials, refusals, bundle and summary."""
 
+import shutil
 from dataclasses import replace
 
 import msgspec
@@ -77,3 +78,26 @@ def test_a_trial_whose_angle_mirrors_its_goal_is_refused(toy_trials, tmp_path, c
                  "--plant", "models/plant/nominal.toml"]  # fmt: skip
     assert main(arguments) == 2
     assert "correct the sign of angle_1_rad" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("full", "exists and is not a bundle"),
+        ("full/notes.txt", "is a file"),
+        ("full/notes.txt/bundle", "lies under the file"),
+    ],
+)
+def test_a_place_for_no_bundle_is_refused_before_the_trials_are_read(
+    toy_bundle, tmp_path, capsys, out, said
+):
+    shutil.copytree(toy_bundle, tmp_path / "old")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("kept")
+    code = main(["train", str(tmp_path / "none"), "--dof", "1", "--out", str(tmp_path / out),
+                 "--plant", str(tmp_path / "old" / "plant.json")])  # fmt: skip
+    assert code == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert said in told
+    assert (tmp_path / "full" / "notes.txt").read_text() == "kept"

@@ -17,6 +17,17 @@ def test_missing_trials_are_refused(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_given_plant_is_not_replaced_by_the_improved_one(plant, tmp_path, capsys):
+    given = tmp_path / "out" / "plant.json"
+    plant.write(given)
+    before = given.read_bytes()
+    code = main(["gap", str(tmp_path / "none"), "--plant", str(given),
+                 "--out", str(tmp_path / "new" / ".." / "out")])  # fmt: skip
+    assert code == 2
+    assert "which is read; name another directory" in capsys.readouterr().err
+    assert given.read_bytes() == before
+
+
 def test_an_unknown_effect_cannot_be_left_out(plant, trials_of):
     with pytest.raises(InputError, match="choose from"):
         diagnose(plant, trials_of(plant, 2, (0.0,), 1), leave_out=["friction"])

@@ -104,6 +104,11 @@ def put(*keys_and_value):
         (put("parameters", "link_mass_kg", "unit", "g"), "is given in 'g'; convert it to 'kg'"),
         (put("parameters", "link_mass_kg", "value", "heavy"), "Expected `float`"),
         (put("colour", "blue"), "unknown field `colour`"),
+        (put("effects", 2 * [{"name": "backlash"}]), "effect backlash stands twice; remove one"),
+        (put("parameters", "link_mass_kg", "bounds", [3, 0.3]), "link_mass_kg are [3, 0.3], the l"),
+        (put("parameters", "link_mass_kg", "bounds", [0, float("inf")]), "0 and inf, not finite"),
+        (put("parameters", "link_mass_kg", "prior_deviation", -0.1), "link_mass_kg is -0.1; give"),
+        (put("parameters", "link_mass_kg", "value", float("nan")), "link_mass_kg is not a finite"),
     ],
 )
 def test_what_is_wrong_with_a_document_is_said(tmp_path, change, message):

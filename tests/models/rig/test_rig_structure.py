@@ -255,3 +255,12 @@ def test_help_and_page_list_the_structures(capsys):
     for name, named in NAMED.items():
         assert f"{name}: " in shown
         assert f"| `{name}` | {named.purpose} | " in page
+
+
+def test_the_file_of_the_rig_is_not_replaced_by_a_trial(tmp_path, capsys):
+    name = "dof1_payload0.5_trial1_sinusoid_5deg_period0.3s.toml"
+    rig = write(tmp_path / name, RIG_TOML.read_text())
+    assert simulate(tmp_path, "--rig", str(rig)) == BAD_INPUT
+    assert "which is read; name another directory" in capsys.readouterr().err
+    assert rig.read_text() == RIG_TOML.read_text()
+    assert [p.name for p in tmp_path.iterdir()] == [name]

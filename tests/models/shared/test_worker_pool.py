@@ -3,9 +3,13 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
+from firmware_py.console import Terminated
+from firmware_py.errors import InputError
 from models.shared.worker_pool import worker_pool
 
 
@@ -27,3 +31,46 @@ def test_workers_end_with_the_command(error):
         # The exit code may be missing here: the pool's own thread may have asked for it first.
         with pytest.raises(ProcessLookupError):
             os.kill(worker.pid, 0)
+
+
+def test_sigterm_ends_the_workers_as_an_interrupt_does():
+    of_the_tests = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with pytest.raises(Terminated), worker_pool(1) as pool:
+            assert pool.submit(abs, -1).result() == 1
+            job = pool.submit(signal.pause)
+            workers = multiprocessing.active_children()
+            signal.raise_signal(signal.SIGTERM)
+            job.result()
+    finally:
+        signal.signal(signal.SIGTERM, of_the_tests)
+    for worker in workers:
+        worker.join()
+        with pytest.raises(ProcessLookupError):
+            os.kill(worker.pid, 0)
+
+
+def test_a_worker_that_is_killed_is_one_sentence_that_names_memory_and_the_option():
+    with pytest.raises(InputError) as error, worker_pool(1, "--processes") as pool:
+        pool.submit(os._exit, 9).result()
+    assert str(error.value) == (
+        "--processes 1: one of the processes was killed, as happens where the memory runs out; "
+        "free memory, or give fewer processes."
+    )
+
+
+def test_workers_end_with_a_command_that_is_killed():
+    script = (
+        "import signal\n"
+        "from models.shared.worker_pool import worker_pool\n"
+        "with worker_pool(1) as pool:\n"
+        "    pool.submit(abs, -1).result()\n"
+        "    job = pool.submit(signal.pause)\n"
+        "    print('busy', flush=True)\n"
+        "    job.result()\n"
+    )
+    command = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert command.stdout.readline() == "busy\n"
+    command.kill()
+    # The pipe closes when the last process that holds it, a worker, has ended.
+    assert command.communicate(timeout=60) == ("", None)

@@ -82,6 +82,20 @@ def test_only_the_name_stands_for_something_in_the_name_of_a_servo_file(folder):
     assert take.servo.name == "load1_take2_{x:>999999999}.csv"
 
 
+@pytest.mark.parametrize("other", ["run.tsv", "RUN.csv", "deeper/run.csv"])
+def test_two_takes_of_one_name_are_refused(tmp_path, other):
+    (tmp_path / "deeper").mkdir()
+    files = [tmp_path / "run.csv", tmp_path / other]
+    with pytest.raises(InputError, match=r"a trial of the same name as .*run\.csv; rename"):
+        find_takes(files, "table", RecordingMap())
+
+
+def test_a_take_that_is_given_twice_is_refused(tmp_path):
+    (tmp_path / "run.csv").write_text("x")
+    with pytest.raises(InputError, match="is given twice; name each recording once"):
+        find_takes([tmp_path, tmp_path / "run.csv"], "table", RecordingMap())
+
+
 def test_a_folder_without_takes_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no take"):
         find_takes([tmp_path], "c3d", RecordingMap())

@@ -62,11 +62,15 @@ def test_a_plant_without_a_calibration_has_no_patterns_of_its_own(plant_file):
 def test_what_was_measured_for_other_trials_is_not_used(tmp_path):
     marked = tmp_path / "calibration" / "own_error_0.npz"
     begin_work(work(tmp_path).fingerprint(), marked.parent)
-    marked.touch()
+    foreign = [marked.parent / name for name in ("trials/run.csv", "plants/mine.json", "notes.md")]
+    for path in (marked, marked.parent / "plants" / "drawn_0.json", *foreign):
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
     begin_work(work(tmp_path).fingerprint(), marked.parent)
     assert marked.exists()
     begin_work(work(tmp_path, amplitude_rad=0.21).fingerprint(), marked.parent)
-    assert not marked.exists()
+    left = {p for p in marked.parent.rglob("*") if p.is_file()}
+    assert left == {marked.parent / "fingerprint.txt", *foreign}
 
 
 def test_everything_that_changes_the_files_changes_the_fingerprint(tmp_path):

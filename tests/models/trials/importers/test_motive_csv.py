@@ -93,7 +93,7 @@ def test_a_tip_unseen_for_long_is_refused_and_for_short_is_bridged(
     assert run(file, "--as", "motive", "--servo", log, "--map", map_)[0] == 0
     check(read_trial(tmp_path / "trials" / "take.csv"), session.servo_true_s[0], session.dof, 4e-3)
     markers_m[300:348, 12:] = np.nan  # 200 ms
-    write_motive(file, session.mocap_s, markers_m)
+    file = write_motive(tmp_path / "gone.csv", session.mocap_s, markers_m)
     assert "tip is unseen for 0.2" in refused(file, "--as", "motive", "--servo", log, "--map", map_)
 
 

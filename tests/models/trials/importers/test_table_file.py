@@ -147,6 +147,20 @@ def test_a_wrong_map_gets_one_sentence(session, servo_csv, write_map, refused, c
     assert what in sentence
 
 
+@pytest.mark.parametrize("form", ["csv", "records"])
+def test_an_infinite_cell_is_told_as_that(session, log, write_map, refused, tmp_path, form):
+    columns, mapping = log
+    columns["i1"][6] = np.inf
+    if form == "csv":
+        file, what = tmp_path / "log.csv", "row 8, column 'i1': 'inf' is not a finite number"
+        write_text(file, columns, ",")
+    else:
+        file, what = tmp_path / "log.json", "sample 7: current_1_a is inf, not a finite number"
+        write_json(file, columns, form)
+    map_ = write_map(session.dof, columns=mapping, step_s=0.02)
+    assert f"{file}: {what}; " in refused(file, "--as", "table", "--map", map_)
+
+
 def test_wrong_conditions_and_files_get_one_sentence(
     session, servo_csv, write_map, refused, tmp_path
 ):

@@ -1,0 +1,108 @@
+"""Earlier import: the trial that an import would replace, and the recording that it came from.
+
+A trial that was imported holds the hash of its recording (`TrialMeta.recording_sha256`). The same
+recording may be imported again, with another map for example; a trial of another recording, or a
+file that is no trial, is never replaced.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import hashlib
+import os
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import open_bounded, read_toml
+
+_MOST_FILES: Final = 1000
+"""Files of a folder that are hashed; the reader of bags takes fewer."""
+_PART_BYTES: Final = 1 << 20
+_REMEDY: Final = "give another --out, or move it away"
+
+
+def recording_hash(path: Path) -> str:
+    """SHA-256 of a recording; of a folder (a ROS 2 bag), that of its files in order of name.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+
+    Raises
+    ------
+    InputError
+        If it is missing, cannot be read, or holds a file that is too large.
+    """
+    is_bag = path.is_dir()
+    files = sorted(islice(path.iterdir(), _MOST_FILES)) if is_bag else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        if is_bag:
+            digest.update(b"\0" + file.name.encode("utf-8", "surrogateescape") + b"\0")
+        with open_bounded(file, "name an existing file") as stream:
+            while part := stream.read(_PART_BYTES):
+                digest.update(part)
+    return digest.hexdigest()
+
+
+def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> Path | None:
+    """Refuse to replace a trial of another recording, or files that are no trial.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the trials.
+    name : str
+        Of the trial to write.
+    recording_sha256 : str
+        Hash of its recording.
+
+    Returns
+    -------
+    Path or None
+        CSV file of a trial that does not say what it was imported from, as of earlier versions:
+        see `check_same_samples`.
+
+    Raises
+    ------
+    InputError
+        If there is such a file.
+    """
+    samples, conditions = directory / f"{name}.csv", directory / f"{name}.toml"
+    there = [path for path in (samples, conditions) if os.path.lexists(path)]
+    if not there:
+        return None
+    try:
+        document = read_toml(conditions)
+    except InputError:
+        document = {}
+    known = document.get("recording_sha256")
+    if known == recording_sha256:
+        return None
+    if known is not None:
+        raise InputError(there[0], "is a trial of another recording", _REMEDY)
+    if len(there) < 2 or "rest_samples" not in document:
+        raise InputError(there[0], "would be replaced, and is no trial", _REMEDY)
+    return samples
+
+
+def check_same_samples(earlier: Path, written: Path) -> None:
+    """Refuse to replace a trial that does not say its recording, unless its samples are the same.
+
+    Parameters
+    ----------
+    earlier, written : Path
+        CSV files.
+
+    Raises
+    ------
+    InputError
+        If they differ.
+    """
+    if not filecmp.cmp(earlier, written, shallow=False):
+        raise InputError(
+            earlier, "is a trial with other samples, which names no recording", _REMEDY
+        )
