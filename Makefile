@@ -556,6 +556,7 @@ experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),enco
 experiment-demo: build/plant.json
 	$(call run,python -m models simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 	$(call judge,python -m models gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
+	rm -rf build/experiment/motion  # of an earlier run, whose trial is not known as one's own
 	$(call run,python -m models experiment --gap build/experiment/gap/gap.json --limits robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
