@@ -19,6 +19,7 @@ import tomli_w
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
+from firmware_py.files.output_files import replacing, write_whole
 from firmware_py.signals import tick_signals
 from models.trials.trial import (
     LINK_CONDITIONS,
@@ -246,14 +247,13 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     path = directory / f"{trial.name}.csv"
     names = list(trial.columns)
     samples = trial.stack(*names)
-    fresh = path.with_suffix(".part")  # a run that is stopped leaves no half of a trial
-    with fresh.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        for row in samples:
-            writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
-    path.with_suffix(".toml").write_text(tomli_w.dumps(trial.meta.document()), encoding="utf-8")
-    fresh.replace(path)
+    with replacing(path) as fresh:  # a run that is stopped leaves no half of a trial
+        with fresh.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(names)
+            for row in samples:
+                writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
+        write_whole(path.with_suffix(".toml"), tomli_w.dumps(trial.meta.document()).encode())
     return path
 
 

@@ -143,18 +143,18 @@ def test_a_full_standard_output_is_one_sentence(dispatched, capsys, monkeypatch)
 
 
 @pytest.fixture
-def desert(monkeypatch):
+def without_readers(monkeypatch):
     """Call that gives the standard streams pipes without a reader, stderr one without a buffer."""
     with contextlib.ExitStack() as stack:
 
-        def desert():
+        def without_readers():
             for name, buffering in (("stdout", -1), ("stderr", 1)):
                 reader, writer = os.pipe()
                 os.close(reader)
                 stream = stack.enter_context(open(writer, "w", buffering=buffering))
                 monkeypatch.setattr(f"sys.{name}", stream)
 
-        yield desert
+        yield without_readers
         monkeypatch.undo()
 
 
@@ -175,19 +175,19 @@ def a_job_with_progress(verdict, done):
 
 @pytest.mark.parametrize("verdict", [console.DONE, console.NEGATIVE, console.INCONCLUSIVE])
 def test_a_reader_that_goes_away_changes_neither_the_work_nor_its_exit_code(
-    dispatched, desert, verdict
+    dispatched, without_readers, verdict
 ):
     done = []
-    desert()
+    without_readers()
     assert dispatched(a_job_with_progress(verdict, done)) == verdict
     assert done == ["file"]
 
 
-def test_a_refusal_that_nobody_reads_keeps_its_exit_code(dispatched, desert):
+def test_a_refusal_that_nobody_reads_keeps_its_exit_code(dispatched, without_readers):
     def refused(_):
         raise InputError("file", "is missing", "copy it")
 
-    desert()
+    without_readers()
     assert dispatched(refused) == 2
 
 

@@ -39,7 +39,5 @@ def plant_on_rig(
         trials = TrialSet(tuple(run_case(rig, case) for case in cases))
         found = identify(read_plant() if start is None else start, trials).plant
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = path.with_suffix(".part.json")
-        with_noise_floor(found, trials.trials).write(fresh)
-        fresh.replace(path)
+        with_noise_floor(found, trials.trials).write(path)
     return path

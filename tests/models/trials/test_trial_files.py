@@ -1,5 +1,8 @@
+import errno
+import os
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -262,3 +265,20 @@ def test_a_run_without_motion_capture_has_no_tip_but_a_tip_with_holes_is_refused
     assert np.isnan(back.tip_m).all() and np.isnan(back.markers_m).all()
     trial.columns["tip_x_m"][7:] = 0.1
     assert "row 2, column tip_x_m" in refusal(write_trial(trial, tmp_path))
+
+
+def test_a_full_disk_leaves_the_earlier_trial(make_trial, swing_rad, tmp_path, monkeypatch):
+    trial = make_trial(swing_rad)
+    write_trial(trial, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def refused(path, *_, **__):
+        path.open("w").close()  # the old content is gone
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for method in ("write_bytes", "write_text"):
+        monkeypatch.setattr(Path, method, refused)
+    other = replace(trial, meta=msgspec.structs.replace(trial.meta, trial=7))
+    with pytest.raises(OSError, match="No space left"):
+        write_trial(other, tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
