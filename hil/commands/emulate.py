@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.console import DONE, emit
+from firmware_py.console import DONE, Terminated, emit, terminations_raised
 from firmware_py.errors import InputError
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
@@ -64,7 +64,10 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.flush()
 
         try:
-            serve_forever(specification, args.line, args.path, announce)
+            with terminations_raised():
+                serve_forever(specification, args.line, args.path, announce)
+        except Terminated:
+            raise
         except KeyboardInterrupt:
             print(file=sys.stderr)
     return DONE

@@ -28,6 +28,7 @@ from models.plant.identified_gains import read_servo_gains
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
+from models.trials.trial_listing import conditions_beside
 
 EXAMPLE = (
     "python -m models identify build/trials --plant models/plant/nominal.toml "
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
     trials = read_trial_directories([args.trials], plant.signals)
-    check_output_file(args.out, [t.path.with_suffix(".toml") for t in trials])
+    check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     check_weight(plant, trials)
     for trial in trials:
         check_duration(trial)

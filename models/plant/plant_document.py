@@ -170,7 +170,7 @@ def _check_effects_single(path: Path, effects: list[EffectEntry]) -> None:
 
 
 def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
-    """Refuse bounds and a deviation that cannot be; the value is checked against the part's own."""
+    """Refuse bounds and deviations that cannot be; the value is checked against the part's own."""
     low, high = entry.bounds or (0.0, 0.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         what = f"bounds of parameter {name} are {low:g} and {high:g}, not finite numbers"
@@ -178,10 +178,11 @@ def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
     if low > high:
         what = f"bounds of parameter {name} are [{low:g}, {high:g}], the larger one first"
         raise InputError(path, what, "swap them")
-    spread = entry.prior_deviation
-    if spread is not None and not 0.0 <= spread < math.inf:
-        what = f"prior_deviation of parameter {name} is {spread:g}"
-        raise InputError(path, what, "give a number above 0, or leave it out")
+    spreads = {"prior_deviation": entry.prior_deviation, "error": entry.error}
+    for key, spread in spreads.items():
+        if spread is not None and not 0.0 <= spread < math.inf:
+            what = f"{key} of parameter {name} is {spread:g}"
+            raise InputError(path, what, "give a number above 0, or leave it out")
 
 
 def link_of_plant(path: Path) -> LinkDescription:

@@ -36,7 +36,7 @@ from models.trials.trial_columns import (
     columns_of,
     read_sample_columns,
 )
-from models.trials.trial_listing import sample_files
+from models.trials.trial_listing import conditions_beside, sample_files
 
 __all__ = [
     "check_meta",
@@ -136,7 +136,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "is missing", "name an existing trial")
-    meta = _read_meta(path.with_suffix(".toml"), signals)
+    meta = _read_meta(conditions_beside(path), signals)
     columns = read_sample_columns(
         path,
         columns_of(meta.dof, signals, meta.layout.count),
@@ -326,7 +326,7 @@ def _check_rows(trial: Trial) -> None:
         )  # fmt: skip
     if not 0 <= trial.meta.rest_samples < len(trial):
         raise InputError(
-            where.with_suffix(".toml"),
+            conditions_beside(where),
             f"rest_samples is {trial.meta.rest_samples}, the trial has {len(trial)} rows",
             "set rest_samples to the number of leading rows at rest",
         )

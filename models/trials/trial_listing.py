@@ -47,6 +47,26 @@ def sample_files(directory: Path) -> list[Path]:
     return list(paths.values())
 
 
+def conditions_beside(samples: Path) -> Path:
+    """File of the conditions of a trial; its suffix may be in capitals.
+
+    Parameters
+    ----------
+    samples : Path
+        CSV file of the trial.
+
+    Returns
+    -------
+    Path
+        Whether it is there or not.
+    """
+    usual = samples.with_suffix(".toml")
+    if usual.exists():
+        return usual
+    others = sorted(p for p in samples.parent.glob("*") if p.suffix.lower() == ".toml")
+    return next((p for p in others if p.stem == samples.stem), usual)
+
+
 def _holds_conditions(path: Path) -> bool:
     """Whether a TOML file is that of a trial; in a map, `trial` is a table."""
     try:

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     cases = protocol_of(trials)
     directory, patterns = calibration_directory(args.plant), patterns_file(args.plant)
     work = PatternWork(cases, cases, args.links, directory, make, plant)
-    begin_work(work.fingerprint(), directory)
+    begin_work(work.fingerprint(), plant.sha256(), directory)
     files = [work.file(k) for k in range(args.rigs)]
     progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
     with worker_pool(args.processes, "--processes") as pool:

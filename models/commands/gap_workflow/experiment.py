@@ -25,6 +25,7 @@ from models.rig.rig_parameters import read_rig
 from models.shared.catalogue import parse_strengths
 from models.trials.trial import TrialSet
 from models.trials.trial_directories import read_trial_directories
+from models.trials.trial_listing import conditions_beside
 
 EXAMPLE = (
     "python -m models experiment --gap build/gap/gap.json --limits robot.toml --seconds 10 "
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
     trials = _trials(inputs, plant)
-    check_output_file(args.out, [t.path.with_suffix(".toml") for t in trials])
+    check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     limits = _limits(args.limits, trials.trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
@@ -87,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("experiment", 0)
     found = design_experiment(
         rivals_of(document.hypotheses), plant, trials, limits, args.seconds, args.payloads,
-        args.seed, progress.step, document.settings, patterns_beside(Path(inputs.plant)),
+        args.seed, progress.step, document.settings,
+        patterns_beside(Path(inputs.plant), plant.sha256()),
     )  # fmt: skip
     write_motion(found.design.document, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))

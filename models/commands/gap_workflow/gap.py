@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 f"--dof {args.dof}", "is the number of joints of no trial", "leave it out"
             )
-    patterns = patterns_beside(args.plant)
+    patterns = patterns_beside(args.plant, plant.sha256())
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),

@@ -157,7 +157,7 @@ def repeat_diagnosis(
     every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
     every = every.where(lambda t: t.meta.dof == trial.meta.dof)
     inputs = msgspec.structs.replace(inputs, trials_sha256=every.content_sha256())
-    patterns = patterns_beside(Path(inputs.plant))
+    patterns = patterns_beside(Path(inputs.plant), plant.sha256())
     given = read_gap_document(args.gap)
     _, document, page = write_diagnosis(
         plant, every, inputs, directory / "gap", progress.step, patterns=patterns,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from firmware_py.errors import InputError
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, read_patterns
 
 FINGERPRINT: Final = "fingerprint.txt"
-"""Of the trials and the plant that the files were measured for."""
+"""Hash of the work that the files were measured in; below it, that of the plant."""
 
 OWN_FILES: Final = (
     FINGERPRINT, "own_error_*.npz", "patterns.npz", "patterns.part.npz", "patterns.svg",
@@ -44,24 +45,35 @@ def patterns_file(plant: Path) -> Path:
     return calibration_directory(plant) / "patterns.npz"
 
 
-def patterns_beside(plant: Path) -> tuple[ModelDiscrepancy, ...]:
+def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
     """Patterns that were measured for a plant; none where nobody did.
 
     Parameters
     ----------
     plant : Path
         Of the plant file.
+    sha256 : str
+        Of the plant, see `models.plant.plant.Plant.sha256`.
 
     Raises
     ------
     InputError
-        If their file is damaged.
+        If they were measured for another plant, or their file is damaged.
     """
-    path = patterns_file(plant)
-    return read_patterns(path) if path.exists() else ()
+    path, directory = patterns_file(plant), calibration_directory(plant)
+    if not path.exists():
+        return ()
+    fingerprint = directory / FINGERPRINT
+    lines = fingerprint.read_text().splitlines() if fingerprint.exists() else []
+    if lines[1:] not in ([], [sha256]):
+        raise InputError(
+            directory, f"was measured for another plant than {plant.name} is now",
+            "run python -m models calibrate again, or remove it",
+        )  # fmt: skip
+    return read_patterns(path)
 
 
-def begin_work(fingerprint: str, directory: Path) -> None:
+def begin_work(fingerprint: str, plant_sha256: str, directory: Path) -> None:
     """Keep what was measured for the same trials and plant, remove what was for others.
 
     Files that no calibration writes stay.
@@ -70,13 +82,16 @@ def begin_work(fingerprint: str, directory: Path) -> None:
     ----------
     fingerprint : str
         Of the work, see `models.gap.calibration.pattern_measurement.PatternWork.fingerprint`.
+    plant_sha256 : str
+        Of the plant.
     directory : Path
         Of the calibration.
     """
     path = directory / FINGERPRINT
-    if path.exists() and path.read_text() != fingerprint:
+    lines = [fingerprint, plant_sha256]
+    if path.exists() and path.read_text().splitlines() != lines:
         for pattern in OWN_FILES:
             for old in directory.glob(pattern):
                 old.unlink()
     directory.mkdir(parents=True, exist_ok=True)
-    path.write_text(fingerprint)
+    path.write_text("".join(f"{line}\n" for line in lines))

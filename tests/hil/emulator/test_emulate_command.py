@@ -13,22 +13,38 @@ from hil.__main__ import main
 from models.plant.plant import NOMINAL
 
 
-@pytest.fixture(scope="module")
-def emulator():
-    """Name of a port behind which two PH54 stand."""
+def started(*options):
+    """A process that emulates, and the name of its port."""
     process = subprocess.Popen(
         [
-            sys.executable, "-m", "hil", "emulate", "--model", "PH54-200-S500-R", "--line", "pty",
-            "--plant", str(NOMINAL), "--ids", "1", "2", "--baud", "1000000",
+            sys.executable, "-m", "hil", "emulate", "--model", "PH54-200-S500-R",
+            "--plant", str(NOMINAL), "--baud", "1000000", *map(str, options),
         ],
-        stdout=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         # A shell that runs the tests in the background passes on that SIGINT is ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    yield process.stdout.readline().strip()
+    return process, process.stdout.readline().strip()
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    """Name of a port behind which two PH54 stand."""
+    process, port = started("--line", "pty", "--ids", "1", "2")
+    yield port
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=30) == 0
-    process.stdout.close()
+    process.communicate(timeout=30)
+    assert process.returncode == 0
+
+
+def test_a_termination_leaves_no_socket(tmp_path):
+    path = tmp_path / "bus"
+    process, port = started("--line", "socket", "--path", path)
+    assert port == f"unix:{path}" and path.exists()
+    process.terminate()
+    said = process.communicate(timeout=30)[1]
+    assert process.returncode == 143 and said.endswith("terminated\n")
+    assert not path.exists()
 
 
 def test_the_sdk_moves_the_plant_and_sees_it_move(emulator, patient):

@@ -108,6 +108,10 @@ def put(*keys_and_value):
         (put("parameters", "link_mass_kg", "bounds", [3, 0.3]), "link_mass_kg are [3, 0.3], the l"),
         (put("parameters", "link_mass_kg", "bounds", [0, float("inf")]), "0 and inf, not finite"),
         (put("parameters", "link_mass_kg", "prior_deviation", -0.1), "link_mass_kg is -0.1; give"),
+        (
+            put("parameters", "link_mass_kg", "error", float("nan")),
+            "error of parameter link_mass_kg",
+        ),
         (put("parameters", "link_mass_kg", "value", float("nan")), "link_mass_kg is not a finite"),
     ],
 )

@@ -22,6 +22,13 @@ def test_a_suffix_in_capitals_is_a_trial_too(directory, suffix):
     assert after.sha256() == before.sha256()
 
 
+@pytest.mark.parametrize("suffix", [".TOML", ".Toml"])
+def test_conditions_with_a_suffix_in_capitals_are_those_of_the_trial(directory, suffix):
+    before = read_trials(directory)
+    (directory / "first.toml").rename(directory / f"first{suffix}")
+    assert read_trials(directory).sha256() == before.sha256()
+
+
 @pytest.mark.parametrize("left", [("second",), ()])
 def test_conditions_without_samples_are_refused(directory, left):
     for name in {"first", "second"} - set(left):

@@ -15,13 +15,14 @@ from models.gap.calibration.calibration_files import (
 )
 from models.gap.calibration.pattern_measurement import PatternWork
 from models.gap.estimation.curve_transfer import motion_of
+from models.gap.estimation.model_discrepancy import write_patterns
 from models.plant.plant import read_plant
 from models.rig.trial_case import TrialCase
 from models.trials.trial_files import write_trial
 
 
-def refusal(capsys, *options):
-    code = main(["calibrate", *map(str, options)])
+def refusal(capsys, *options, command="calibrate"):
+    code = main([command, *map(str, options)])
     words = capsys.readouterr().err
     assert code == 2 and words.count("\n") == 1
     return words
@@ -56,19 +57,19 @@ def test_trials_of_a_link_of_another_size_need_its_description(
 
 
 def test_a_plant_without_a_calibration_has_no_patterns_of_its_own(plant_file):
-    assert patterns_beside(plant_file) == ()
+    assert patterns_beside(plant_file, read_plant(plant_file).sha256()) == ()
 
 
 def test_what_was_measured_for_other_trials_is_not_used(tmp_path):
     marked = tmp_path / "calibration" / "own_error_0.npz"
-    begin_work(work(tmp_path).fingerprint(), marked.parent)
+    begin_work(work(tmp_path).fingerprint(), "a plant", marked.parent)
     foreign = [marked.parent / name for name in ("trials/run.csv", "plants/mine.json", "notes.md")]
     for path in (marked, marked.parent / "plants" / "drawn_0.json", *foreign):
         path.parent.mkdir(exist_ok=True)
         path.touch()
-    begin_work(work(tmp_path).fingerprint(), marked.parent)
+    begin_work(work(tmp_path).fingerprint(), "a plant", marked.parent)
     assert marked.exists()
-    begin_work(work(tmp_path, amplitude_rad=0.21).fingerprint(), marked.parent)
+    begin_work(work(tmp_path, amplitude_rad=0.21).fingerprint(), "a plant", marked.parent)
     left = {p for p in marked.parent.rglob("*") if p.is_file()}
     assert left == {marked.parent / "fingerprint.txt", *foreign}
 
@@ -95,7 +96,7 @@ def test_patterns_are_measured_once_and_kept_beside_the_plant(tmp_path, capsys):
     command = ["calibrate", str(trials), "--plant", str(plant), "--rigs", "2", "--links", "1"]
     assert main([*command, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    (patterns,) = patterns_beside(plant)
+    (patterns,) = patterns_beside(plant, read_plant(plant).sha256())
     assert list(result["motions"]) == [motion_of(patterns.key)]
     assert "sinusoid 0.2618rad 2s" in patterns.key
     assert np.isfinite(patterns.table).all() and patterns.table.any()
@@ -106,3 +107,19 @@ def test_patterns_are_measured_once_and_kept_beside_the_plant(tmp_path, capsys):
     assert main(command) == 0
     assert [f.stat().st_mtime_ns for f in files] == times
     assert patterns_file(plant).exists()
+
+
+def test_patterns_of_another_plant_are_refused(plant_file, tmp_path, capsys, make_trial):
+    plant = read_plant(plant_file)
+    directory = calibration_directory(plant_file)
+    begin_work("of the trials", "of a plant that was here before", directory)
+    write_patterns((), patterns_file(plant_file))
+    (tmp_path / "trials").mkdir()
+    write_trial(make_trial(np.zeros((80, 1))), tmp_path / "trials")
+    said = refusal(
+        capsys, tmp_path / "trials", "--plant", plant_file, "--out", tmp_path / "gap", command="gap"
+    )
+    assert directory.name in said and "calibrate again" in said
+    begin_work("of the trials", plant.sha256(), directory)
+    write_patterns((), patterns_file(plant_file))
+    assert patterns_beside(plant_file, plant.sha256()) == ()
