@@ -22,6 +22,8 @@ UNSTABLE_WARNINGS: Final = (
     mujoco.mjtWarning.mjWARN_BADQACC,
 )  # fmt: skip
 """Warnings after which MuJoCo has reset the state."""
+if mujoco.get_mju_user_warning() is None:  # else each would be in a file of the working directory
+    mujoco.set_mju_user_warning(lambda message: None)
 
 
 class MujocoRig:

@@ -66,12 +66,14 @@ def test_a_plant_that_stands_otherwise_is_refused(trial):
         check_weight(read_plant(), TrialSet((trial,)))
 
 
-def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file):
+def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file, tmp_path, monkeypatch):
     """A rotor of a millionth of its inertia is too light for steps of 1 ms."""
     light = rig_named(str(link_file)).changed(**{"servo.inertia_kg_m2": 5e-8})
     motion = Motion(dof=1, amplitude_rad=0.3, period_s=1.0)
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="the simulation is unstable"):
         run_case(light, TrialCase(motion, 0.0, trial=1, gravity=LINK.gravity.unit))
+    assert not list(tmp_path.iterdir()), "MuJoCo has left a log"
 
 
 def test_a_hanging_link_is_imported_from_a_capture_with_z_up(trial, link_file):
