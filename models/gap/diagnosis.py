@@ -19,6 +19,7 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.improved_plant import improved_plant
+from models.gap.residuals.aligned_trials import aligned
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     candidate_effects,
@@ -216,7 +217,7 @@ def diagnose(
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     catalogue = _catalogue(plant, leave_out)
-    recorded, trials = trials, in_time_blocks(plant, trials, settings)
+    recorded, trials = trials, in_time_blocks(plant, aligned(trials), settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
     floor = floor or noise_floor_for(residuals, patterns)

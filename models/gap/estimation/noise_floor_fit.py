@@ -18,6 +18,7 @@ from models.gap.estimation.measured_floor import (
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_for
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_record import floor_from_record, floor_to_record
+from models.gap.residuals.aligned_trials import aligned
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     nuisance_fit_parameters,
@@ -29,7 +30,7 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.simulation_fit import usual_error
 from models.plant.plant import Plant
 from models.plant.provenance import FloorRecord
-from models.trials.trial import Trial
+from models.trials.trial import Trial, TrialSet
 
 
 def with_noise_floor(
@@ -50,6 +51,7 @@ def with_noise_floor(
         Tuned numbers.
     """
     floors: dict[str, FloorRecord] = {}
+    trials = aligned(TrialSet(tuple(trials)))
     for dof in sorted({t.meta.dof for t in trials}):
         own = [t for t in trials if t.meta.dof == dof]
         conditions = {(trial_group_key(t), t.meta.payload_kg) for t in own}

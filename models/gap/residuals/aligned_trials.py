@@ -1,0 +1,53 @@
+"""Trials of one motion, cut so that their rows are the same times of the motion.
+
+What trials of a motion have in common, and how they scatter, is averaged row by row. A recording
+that was started by hand has a rest of its own before the motion, and an end of its own.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+
+from models.gap.residuals.residuals import trial_group_key
+from models.trials.motion_start import motion_start
+from models.trials.trial import Trial, TrialSet
+
+MOST_CUT: Final = 0.1
+"""Largest part of a motion that is cut off for a shorter trial of it [assumed]."""
+
+
+def aligned(trials: TrialSet) -> TrialSet:
+    """Trials whose rest is that of their goals, those of one motion with equal rests and ends.
+
+    A trial that is shorter than others by more than `MOST_CUT` leaves them as they are.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        As recorded.
+    """
+    starts = [motion_start(t) for t in trials]
+    motions: dict[str, list[int]] = defaultdict(list)
+    for k, trial in enumerate(trials):
+        motions[trial_group_key(_rows(trial, 0, slice(2)))].append(k)  # whatever its length
+    result = list(trials)
+    for own in motions.values():
+        rest, common = min(starts[k] for k in own), 0
+        moving = {k: len(result[k]) - starts[k] for k in own}
+        for k in sorted(own, key=moving.__getitem__):
+            if moving[k] * (1 - MOST_CUT) > common:
+                common = moving[k]
+            first = starts[k] - rest
+            result[k] = _rows(result[k], rest, slice(first, first + rest + common))
+    return TrialSet(tuple(result))
+
+
+def _rows(trial: Trial, rest: int, kept: slice) -> Trial:
+    """Rows of a trial, so many of them before the start of its motion."""
+    meta = msgspec.structs.replace(trial.meta, rest_samples=rest)
+    columns = {name: column[kept] for name, column in trial.columns.items()}
+    return replace(trial, meta=meta, columns=columns)
