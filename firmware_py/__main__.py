@@ -8,13 +8,16 @@ from collections.abc import Sequence
 from firmware_py.console import Command, dispatch
 
 COMMANDS = (
-    Command("run", "firmware_py.commands.run", "run the control loop"),
-    Command("release", "firmware_py.commands.release", "switch the torque of the servos off"),
-    Command("doctor", "firmware_py.commands.doctor", "check this PC for what spoils the timing"),
+    Command("run", "firmware_py.commands.run", "run the control loop", linux_only=True),
+    Command("release", "firmware_py.commands.release", "switch the torque of the servos off",
+            linux_only=True),
+    Command("doctor", "firmware_py.commands.doctor", "check this PC for what spoils the timing",
+            linux_only=True),
     Command("replay", "firmware_py.commands.replay", "replay a log through the bundle"),
-    Command("bench", "firmware_py.commands.bench", "measure the tick's own cost"),
-    Command("install-service", "firmware_py.commands.install_service", "write a systemd service"),
-)
+    Command("bench", "firmware_py.commands.bench", "measure the tick's own cost", linux_only=True),
+    Command("install-service", "firmware_py.commands.install_service", "write a systemd service",
+            linux_only=True),
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -6,7 +6,8 @@ A command is a module with three names::
     def configure(parser: ArgumentParser) -> None  # its arguments
     def run(args: Namespace) -> int                # does the work, returns the exit code
 
-It is imported only when it is called, so `--help` of a room costs nothing.
+It is imported only when it is called, so `--help` of a room costs nothing. What needs Linux is
+refused here elsewhere; its `--help` works on every system.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import contextlib
 import importlib
 import json
+import platform
 import signal
 import sys
 import threading
@@ -44,11 +46,14 @@ class Command(NamedTuple):
         Module that implements it.
     summary : str
         One line for `--help`.
+    linux_only : bool
+        Whether it needs the loop, its bus or the emulated bus, which no other system runs.
     """
 
     name: str
     module: str
     summary: str
+    linux_only: bool = False
 
 
 def dispatch(
@@ -92,6 +97,7 @@ def _exit_code(
         with _interrupts_kept():
             module = _declared(subparsers, commands, chosen)
             args = parser.parse_args(arguments)
+            _check_system(parser.prog, commands, chosen)
             code = int(module.run(args)) if module else BAD_INPUT
         sys.stdout.flush()
         return code
@@ -119,6 +125,19 @@ def _exit_code(
     except MemoryError:
         say(f"{arguments[0]}: needs more memory than there is; give less.")
         return BAD_INPUT
+
+
+def _check_system(prog: str, commands: Sequence[Command], chosen: Command | None) -> None:
+    """Refuse a command that this system does not run, and name what it does run."""
+    if chosen is None or not chosen.linux_only or sys.platform == "linux":
+        return
+    here = {"win32": "Windows", "darwin": "macOS"}.get(sys.platform, platform.system())
+    others = ", ".join(f"'{prog} {c.name}'" for c in commands if not c.linux_only)
+    raise InputError(
+        chosen.name, f"runs on Linux only, and this is {here}",
+        f"use a machine with Linux; {here} runs {f'{others}, ' if others else ''}"
+        "'python -m models' and 'python -m fmu'",
+    )  # fmt: skip
 
 
 class Terminated(KeyboardInterrupt):

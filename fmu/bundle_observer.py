@@ -30,6 +30,7 @@ from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
 from fmu.packaging.platforms import HOST
 from models.plant.step_model import StepModel, names
+from models.study.bundle_plant import sha256_in_manifest
 from models.tip.latency import measure_latency
 from models.tip.predictors_document import Latency, read_predictors, write_predictors
 
@@ -122,7 +123,7 @@ def add_observer(
     """
     given = parts.required_plant()
     plant = given.for_robot()
-    if manifest.plant_sha256 not in (plant.sha256(), given.sha256()):  # old bundles: of the whole
+    if manifest.plant_sha256 != sha256_in_manifest(given, manifest):
         print(
             f"{bundle}: the predictor was trained with the observer of another plant; train it "
             "again with this plant for the best accuracy",

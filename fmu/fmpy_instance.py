@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.files.archive_limits import ARCHIVE_DAMAGE, check_archive
 from firmware_py.files.input_files import open_bounded
+from firmware_py.inference.fmi_platform import platform_here
+from fmu.packaging.platforms import PLATFORMS
 
 InterfaceType = Literal["CoSimulation", "ModelExchange"]
 
@@ -70,10 +72,23 @@ class FmuArchive:
         return int(self.description.fmiVersion[0])
 
     def binary(self) -> Path:
-        """Path of the library for Linux on x86-64."""
-        folder = "linux64" if self.fmi == 2 else "x86_64-linux"
+        """Path of the library for this machine.
+
+        Raises
+        ------
+        InputError
+            If the FMU has none.
+        """
+        here = platform_here()
         name = self.description.coSimulation.modelIdentifier
-        return self.directory / "binaries" / folder / f"{name}.so"
+        if (platform := PLATFORMS.get(here)) is not None:
+            folder = platform.folder(here, 2 if self.fmi == 2 else 3)
+            path = self.directory / "binaries" / folder / f"{name}{platform.suffix}"
+            if path.is_file():
+                return path
+        raise InputError(
+            self.path, f"holds no library for {here}", f"build it with --platforms {here}"
+        )
 
     def instance(self, interface_type: InterfaceType = "CoSimulation") -> FmpyInstance:
         """Instantiate; several instances may exist at once.
@@ -82,7 +97,13 @@ class FmuArchive:
         ----------
         interface_type : {"CoSimulation", "ModelExchange"}
             What the instance is for; only the former can `step` and `run`.
+
+        Raises
+        ------
+        InputError
+            If the FMU has no library for this machine.
         """
+        self.binary()
         return FmpyInstance(self, interface_type)
 
     def close(self) -> None:

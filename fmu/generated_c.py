@@ -40,7 +40,7 @@ def write_equations(model: StepModel, interface: Interface, directory: Path) -> 
     text = model_c.read_text(encoding="utf-8")
     if not _LEFT_OUT.search(text):
         text = _GUARDED_RESULT.sub("", _GUARDED_ARGUMENT.sub(r"\1", text))
-    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8")
+    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8", newline="\n")
     return model_c
 
 
@@ -69,8 +69,10 @@ def write_variables(model: StepModel, interface: Interface, token: str, director
     Path
         `variables.c`.
     """
-    (directory / "variables.h").write_text(_header(model, interface, token), encoding="utf-8")
-    (directory / "variables.c").write_text(_table(interface), encoding="utf-8")
+    (directory / "variables.h").write_text(
+        _header(model, interface, token), encoding="utf-8", newline="\n"
+    )
+    (directory / "variables.c").write_text(_table(interface), encoding="utf-8", newline="\n")
     return directory / "variables.c"
 
 

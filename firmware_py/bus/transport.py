@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import array
-import fcntl
 import glob
 import os
 import select
 import socket
-import termios
+import sys
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -16,6 +15,10 @@ import serial
 
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import Clock
+
+if sys.platform != "win32":  # the configuration of a robot is read there too
+    import fcntl
+    import termios
 
 BAUD_RATES: Final = (
     9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,

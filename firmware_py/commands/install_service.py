@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import getpass
 import os
-import pwd
 import re
 import sys
 import unicodedata
@@ -16,6 +15,9 @@ from typing import Final
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
+
+if sys.platform != "win32":  # --help works there
+    import pwd
 
 EXAMPLE = "sudo dropstitch install-service --config robot.toml --user robot"
 

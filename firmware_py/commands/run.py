@@ -35,6 +35,7 @@ from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
 from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
+from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
@@ -102,9 +103,10 @@ def run(args: argparse.Namespace) -> int:
     bundle = load_bundle(config, args.config)
     config = with_bundle_gains(config, bundle, args.config)
     goals: GoalSource
-    correction = None
+    correction, note = None, ""
     if plan is not None:
         goals = planned = goals_of_plan(plan, config, bundle)
+        note = note_on_plant(f"plan {args.plan}", plan, bundle)
         correction = feedback_of_plan(plan, planned, config, bundle)
     else:
         goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
@@ -112,12 +114,15 @@ def run(args: argparse.Namespace) -> int:
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
         if args.goals is not None:
-            goals = stack.enter_context(outside_goals(args.goals, args.map, config))
+            goals = outside = stack.enter_context(
+                outside_goals(args.goals, args.map, config, bundle)
+            )
+            note = outside.note
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
-        for sentence in (_origin(bundle), *_uncompared(config, settings)):
+        for sentence in filter(None, (_origin(bundle), *_uncompared(config, settings), note)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
-        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings, plan))
+        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings, plan, note))
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
@@ -229,6 +234,7 @@ def _telemetry(
     bundle: ModelBundle,
     settings: Settings,
     plan: TipPlan | None,
+    note: str,
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
         yield NoTelemetry(), None
@@ -247,6 +253,8 @@ def _telemetry(
         metadata |= log_facts(plan, config)
     if args.goals is not None:
         metadata |= outside_facts()
+    if note:
+        metadata[GOALS_NOTE] = note
     with recording(
         log, config.dof, time.time_ns(), metadata, address, live.origins, live.viewers
     ) as telemetry:

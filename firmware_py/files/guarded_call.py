@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import faulthandler
+import io
 import math
 import os
 import select
@@ -36,6 +37,7 @@ MOST_WRITTEN_BYTES: Final = 400_000_000
 """Size of the largest file that a child may write: a trial of 10⁷ numbers of 20 digits, doubled."""
 
 _RESULT, _REFUSED, _MEMORY, _DISK = b"r", b"i", b"m", b"d"
+_CRASHED: Final = "is damaged or too large: the program that reads it has crashed"
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What ends the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
 
@@ -47,7 +49,8 @@ def guarded_call(
     """Result of `work()`, which runs in a child process.
 
     The child is a fork: it starts in milliseconds and has everything that is loaded. It writes
-    nothing to the terminal, and its temporary files are removed with it.
+    nothing to the terminal, and its temporary files are removed with it. Without a fork (Windows)
+    the work runs in this process, which it may crash; no limit of memory, time or size is held.
 
     Parameters
     ----------
@@ -69,6 +72,8 @@ def guarded_call(
     OSError
         If the disk is full, or the child writes a larger file than it may.
     """
+    if not hasattr(os, "fork"):
+        return _called_here(work, where, remedy)
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
         child = _fork()
@@ -96,9 +101,23 @@ def guarded_call(
         raise InputError(
             where, f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read", remedy
         )
-    raise InputError(
-        where, "is damaged or too large: the program that reads it has crashed", remedy
-    )
+    raise InputError(where, _CRASHED, remedy)
+
+
+def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> bytes:
+    """Result of the work in this process, with the sentences that a child gives."""
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            return work()
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(where, "takes more memory to read than there is", remedy) from None
+    except Exception as error:  # a library raises anything on a damaged file
+        if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
+            raise
+        raise InputError(where, _CRASHED, remedy) from error
 
 
 def _fork() -> int:

@@ -10,6 +10,7 @@ import msgspec
 from firmware_py.config import RobotConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
+from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
@@ -32,7 +33,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
     Raises
     ------
     InputError
-        If the plan is for another robot or another bundle, breaks a limit, or nothing tells the
+        If the plan is for another robot, link or bundle, breaks a limit, or nothing tells the
         payload.
     """
     where = f"plan {plan.path}"
@@ -50,6 +51,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
             where, f"was made for another bundle than {bundle.directory}",
             f"plan again with --bundle {bundle.directory}",
         )  # fmt: skip
+    note_on_plant(where, plan, bundle)  # refuses a plan for another link; 'run' tells the note
     if config.payload_kg is None and bundle.manifest.estimator != "observer":
         raise InputError(
             where, f"needs the payload, which the estimator {bundle.manifest.estimator!r} of the "

@@ -21,6 +21,7 @@ from firmware_py.goals.feedback_design import (
     wrong_in_feedback,
 )
 from firmware_py.goals.probe_design import ProbeDesign, wrong_in_probe
+from firmware_py.link.link_facts import LinkFacts
 
 __all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "as_columns", "read_tip_plan"]
 
@@ -147,7 +148,8 @@ class TipPlan(Document, frozen=True):
     plant_error_rms_m : float or None
         Error of the tip of the plant on trials that it was not fitted to.
     plant_sha256, bundle_sha256 : str
-        Hashes of the plant that was inverted and of the manifest of the robot's bundle.
+        Hashes of the plant that was inverted, as the manifest of a bundle has it, and of the
+        manifest of the robot's bundle.
     goal_lead_s : float
         Time by which learning has moved the goals ahead.
     learned : tuple of LearnedRun
@@ -161,6 +163,8 @@ class TipPlan(Document, frozen=True):
         Feedback of the estimated tip.
     probe : ProbeDesign or None
         Motion before the first run that tells stiffness and payload; it needs feedback.
+    link : LinkFacts or None
+        Facts of the plant's link; None in plans of earlier versions.
     """
 
     VERSION: ClassVar[int] = 1
@@ -186,6 +190,7 @@ class TipPlan(Document, frozen=True):
     moves: tuple[tuple[int, int, int], ...] = ()
     feedback: FeedbackDesign | None = None
     probe: ProbeDesign | None = None
+    link: LinkFacts | None = None
 
     @property
     def name(self) -> str:

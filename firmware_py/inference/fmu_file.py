@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import io
-import platform
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
@@ -16,11 +15,11 @@ from xml.etree import ElementTree as ET
 from firmware_py.errors import InputError
 from firmware_py.files.archive_limits import ARCHIVE_DAMAGE, check_archive
 from firmware_py.inference.file_content import Source, content_of
+from firmware_py.inference.fmi_platform import platform_here
 
 __all__ = ["InstanceVariable", "open_fmu"]
 
-_MACHINES: Final = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-_SYSTEMS: Final = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib")}
+_SUFFIXES: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 _FUNCTIONS: Final = (
     "fmi3InstantiateCoSimulation", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode",
     "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
@@ -106,7 +105,8 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
 @functools.lru_cache(maxsize=16)
 def _loaded(binary: bytes, name: str) -> ctypes.PyDLL:
     """Library of some bytes, mapped once in a process: a mapping is never given back."""
-    with TemporaryDirectory(prefix="dropstitch-fmu-") as private:
+    # Windows does not delete a mapped file: there the directory is left to its own clean-up.
+    with TemporaryDirectory(prefix="dropstitch-fmu-", ignore_cleanup_errors=True) as private:
         library = Path(private) / name
         library.write_bytes(binary)
         # PyDLL keeps the interpreter's lock: a step takes microseconds, and releasing the lock
@@ -124,14 +124,14 @@ def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
         raise InputError(
             path, "is not for Co-Simulation", "build it with 'python -m fmu build' in a checkout"
         )
-    system, suffix = _SYSTEMS.get(platform.system(), (platform.system().lower(), ".dll"))
-    here = f"{_MACHINES.get(platform.machine(), platform.machine())}-{system}"
+    here = platform_here()
+    suffix = _SUFFIXES.get(here.partition("-")[2], ".so")
     name = f"binaries/{here}/{simulation.get('modelIdentifier')}{suffix}"
     if name not in names:
         offered = sorted({n.split("/")[1] for n in names if n.startswith("binaries/")})
         raise InputError(
             path, f"holds no binary for {here}, only for {', '.join(offered) or 'none'}",
-            "build the FMU for this platform",
+            f"build the FMU with '--platforms {here}'",
         )  # fmt: skip
     return name
 

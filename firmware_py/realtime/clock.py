@@ -12,13 +12,16 @@ import contextlib
 import ctypes
 import gc
 import os
-import resource
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Protocol
 
 import msgspec
+
+if sys.platform != "win32":  # `SimClock` is used there too
+    import resource
 
 __all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "may_lock_memory", "real_time"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
-import resource
+import sys
 import threading
 from collections.abc import Callable
 from enum import Enum
@@ -20,6 +20,9 @@ from typing import Final, NamedTuple
 from firmware_py.errors import InputError
 from firmware_py.log.recording import require_packages
 from firmware_py.realtime.clock import may_lock_memory
+
+if sys.platform != "win32":  # --help works there
+    import resource
 
 _GOOD_CLOCKS: Final = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
 _LATENCY_LIMIT_MS: Final = 1

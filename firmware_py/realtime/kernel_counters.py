@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
+import sys
 import threading
 import time
 from typing import Protocol
+
+if sys.platform != "win32":  # the loop is imported there too, by what plans for it
+    import resource
 
 __all__ = ["Counters", "KernelCounters", "NoCounters"]
 

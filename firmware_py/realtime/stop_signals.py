@@ -20,12 +20,13 @@ from typing import Final
 __all__ = ["STOP_SIGNALS", "signals_to"]
 
 _UNHANDLED: Final = frozenset({
-    signal.SIGKILL, signal.SIGSTOP,
-    signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP,
-    signal.SIGSYS,
-    signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH,
+    "SIGKILL", "SIGSTOP",
+    "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT", "SIGTRAP", "SIGSYS",
+    "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH",
 })  # fmt: skip
-STOP_SIGNALS: Final = tuple(sorted(set(map(int, signal.valid_signals())) - _UNHANDLED))
+"""By name: Windows has few of them, and imports the loop to plan for it."""
+_NUMBERS: Final = {int(getattr(signal, name, 0)) for name in _UNHANDLED}
+STOP_SIGNALS: Final = tuple(sorted(set(map(int, signal.valid_signals())) - _NUMBERS))
 """Numbers of the signals that request a controlled stop, real-time signals included."""
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from firmware_py.errors import InputError
+from models.shared.c_compiler import TARGETS
 
 __all__ = ["HOST", "PLATFORMS", "SOURCE_CODE", "Platform", "binary_files", "platform_names"]
 
@@ -47,14 +48,17 @@ class Platform(NamedTuple):
         return self.fmi2_folder if fmi == 2 else name
 
 
-PLATFORMS: Final = {
-    HOST: Platform("x86_64-linux-gnu.2.17", "linux64", ".so"),
-    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", "aarch64-linux", ".so"),
-    "x86_64-windows": Platform("x86_64-windows-gnu", "win64", ".dll"),
-    "x86_64-darwin": Platform("x86_64-macos.11.0", "darwin64", ".dylib"),
-    "aarch64-darwin": Platform("aarch64-macos.11.0", "darwin64", ".dylib"),
+_FOLDERS: Final = {
+    HOST: ("linux64", ".so"),
+    "aarch64-linux": ("aarch64-linux", ".so"),
+    "x86_64-windows": ("win64", ".dll"),
+    "x86_64-darwin": ("darwin64", ".dylib"),
+    "aarch64-darwin": ("darwin64", ".dylib"),
 }
-"""Platforms by FMI 3.0's names: Linux with the glibc of 2012, macOS 11."""
+"""Folder of FMI 2.0 and suffix of the library."""
+
+PLATFORMS: Final = {name: Platform(target, *_FOLDERS[name]) for name, target in TARGETS.items()}
+"""Platforms by FMI 3.0's names, with the targets of `models.shared.c_compiler`."""
 
 
 def platform_names(text: str) -> tuple[str, ...]:

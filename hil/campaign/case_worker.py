@@ -10,7 +10,7 @@ import contextlib
 import io
 import os
 import platform
-import resource
+import sys
 import threading
 import time
 import traceback
@@ -24,6 +24,9 @@ from firmware_py.errors import InputError
 from hil.campaign.case_task import CaseCost, CaseTask, TaskOutcome, canonical_json
 from hil.campaign.code_version import code_version, content_sha256
 from hil.campaign.kinds.case_kind import CaseContext, load_kind
+
+if sys.platform != "win32":  # is imported there, see `firmware_py.console`
+    import resource
 
 MOST_LOG: Final = 20_000
 """Characters of a log that are kept, the last ones."""

@@ -13,11 +13,11 @@ A file appears under its name once it is whole, and is read again only if its ha
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import json
 import math
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +28,9 @@ import msgspec
 from firmware_py.documents import Document, read_document
 from firmware_py.errors import InputError
 from hil.campaign.case_task import State, TaskOutcome, canonical_json
+
+if sys.platform != "win32":  # --help, the schemas and the report work there
+    import fcntl
 
 COST_COLUMNS: Final = ("key", "code", "state", "wall_s", "cpu_s", "memory_bytes", "result_bytes",
                        "worker", "parts_s")  # fmt: skip

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, get_args
@@ -148,8 +149,12 @@ def run(args: argparse.Namespace) -> int:
         if args.goals is not None:
             patience_s = PATIENCE_S if args.line == "virtual" else 0.0
             config = sil_config(options, options.line)
-            goals = stack.enter_context(outside_goals(args.goals, args.map, config, patience_s))
+            goals = stack.enter_context(
+                outside_goals(args.goals, args.map, config, options.bundle, patience_s)
+            )
             options = replace(options, goals=goals)
+        if options.goals_note:
+            print(f"python -m hil: {options.goals_note}", file=sys.stderr)
         timing = write_results(run_sil(options), options)
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
@@ -203,6 +208,8 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
         )
     else:
         lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
+    if environment.goals_note:
+        lines.append(environment.goals_note)
     lines += _error_lines(timing.prediction_error)
     lines += [
         f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "

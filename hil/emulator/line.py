@@ -19,8 +19,8 @@ import heapq
 import os
 import select
 import socket
+import sys
 import time
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -29,6 +29,9 @@ from firmware_py.realtime.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.line_faults import FaultPlan
 from hil.emulator.packets import PacketParser
+
+if sys.platform != "win32":  # --help works there
+    import tty
 
 __all__ = ["Arrival", "Line", "VirtualTransport", "pty_endpoint", "serve_line", "socket_endpoint"]
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from firmware_py.inference.fmi_platform import platform_here
 from fmu.fmu_builder import build_fmu
+from fmu.packaging.platforms import platform_names
 from models.plant.plant import read_plant
 
 
 def build_twin(plant: Path, dof: int, directory: Path) -> Path:
-    """Build the twin of a plant file, without a predictor; return the .fmu file.
+    """Build the twin of a plant file for this machine, without a predictor; return the .fmu file.
 
     Parameters
     ----------
@@ -27,6 +29,8 @@ def build_twin(plant: Path, dof: int, directory: Path) -> Path:
     Raises
     ------
     InputError
-        If the file cannot be used.
+        If the file cannot be used, or no FMU can be built for this machine.
     """
-    return build_fmu(read_plant(plant).step_model(dof, "twin"), directory / f"twin_{dof}dof.fmu")
+    platforms = platform_names(platform_here())
+    model = read_plant(plant).step_model(dof, "twin")
+    return build_fmu(model, directory / f"twin_{dof}dof.fmu", platforms=platforms)

@@ -18,6 +18,7 @@ from firmware_py.config import RobotConfig
 from firmware_py.goals.goal_source import GoalSource
 from firmware_py.goals.outside.for_robot import outside_facts
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
+from firmware_py.goals.plant_of_goals import GOALS_NOTE
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
@@ -128,6 +129,8 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
         metadata |= log_facts(options.plan, config)
     if options.goals is not None:
         metadata |= outside_facts()
+    if note := options.goals_note:
+        metadata[GOALS_NOTE] = note
     path = options.out / LOG_NAME
     path.unlink(missing_ok=True)  # that of the run before, as its other results
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
@@ -157,5 +160,6 @@ def sil_environment(options: SilOptions, scheduler: str, **more: Any) -> SilEnvi
         behind_the_servos="rig" if options.rig else "twin",
         hidden=dict(options.rig.hidden) if options.rig else {},
         scheduler=scheduler,
+        goals_note=options.goals_note,
         **more,
     )

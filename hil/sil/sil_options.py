@@ -11,6 +11,7 @@ from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.errors import InputError
 from firmware_py.goals.outside.outside_goals import OutsideGoals
+from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
@@ -116,6 +117,13 @@ class SilOptions:
     def ids(self) -> tuple[int, ...]:
         """Addresses of the servos, in joint order."""
         return tuple(range(1, self.dof + 1))
+
+    @property
+    def goals_note(self) -> str:
+        """Sentence on goals that were made with another plant than the bundle; "" for none."""
+        if self.plan is not None:
+            return note_on_plant(f"plan {self.plan.path}", self.plan, self.bundle)
+        return self.goals.note if self.goals is not None else ""
 
     def check(self) -> None:
         """Check what no other part checks.

@@ -42,6 +42,8 @@ class SilEnvironment(HostEnvironment, frozen=True, kw_only=True, omit_defaults=T
         Effects hidden in the rig.
     scheduler : str
         Policy and priority of the loop.
+    goals_note : str
+        Sentence on a plan or a map that was made with another plant than the bundle.
     refused : tuple of str
         Real-time rights that the kernel refused, on a line in real time.
     loop_processor, line_processor : int or None
@@ -65,6 +67,7 @@ class SilEnvironment(HostEnvironment, frozen=True, kw_only=True, omit_defaults=T
     scheduler: str
     faults: dict[str, float] = msgspec.field(default_factory=dict)
     hidden: dict[str, float] = msgspec.field(default_factory=dict)
+    goals_note: str = ""
     refused: tuple[str, ...] = ()
     loop_processor: int | None = None
     line_processor: int | None = None

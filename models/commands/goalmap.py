@@ -16,6 +16,7 @@ from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.safety.limits import Limits
 from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
+from models.study.bundle_plant import plant_for_bundle
 
 EXAMPLE = (
     "python -m models goalmap --plant build/plant.json --bundle build/bundle_2dof "
@@ -36,7 +37,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Map, write, report."""
     check_output_file(args.out, [args.plant])
-    manifest = read_bundle_files(args.bundle).manifest
+    files = read_bundle_files(args.bundle)
+    manifest = files.manifest
     if not 0.01 <= args.reach <= 2.0:
         raise InputError("--reach", f"is {args.reach:g}", "choose 0.01 to 2")
     plant = read_plant(args.plant)
@@ -46,7 +48,9 @@ def run(args: argparse.Namespace) -> int:
 
     payloads = tuple(args.payloads or PAYLOADS_KG)
     check_request(PlanRequest(plant, manifest.dof, manifest.period_s, Limits(), payloads))
+    named = plant_for_bundle(plant, args.plant, files, "this map")
     found = map_rest(plant, manifest.dof, manifest.period_s, payloads, args.reach)
+    found = named.in_document(found)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_document(args.out, found)
     reached = [sum(v is not None for v in own.goals_rad[0]) for own in found.payloads]

@@ -23,13 +23,14 @@ from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
-from firmware_py.inference.manifest import read_bundle_files
+from firmware_py.inference.manifest import BundleFiles, read_bundle_files
 from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
 from models.commands.output_paths import check_output_file
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
 from models.plant.plant import Plant, read_plant
+from models.study.bundle_plant import plant_for_bundle
 
 if TYPE_CHECKING:
     from models.plan.planning import Method
@@ -88,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     if args.improve is not None:
-        return _improve(args, files.manifest_sha256)
+        return _improve(args, files)
     path = _path(args, manifest.dof, manifest.period_s, args.move)
     method = _method(args, path)
     plant = read_plant(args.plant)
@@ -100,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
     feedback = not (args.open_loop or path.moves)
     if args.probe and (not feedback or method != "inverse"):
         raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
+    named = plant_for_bundle(plant, args.plant, files, "this plan")
     steps = 1 + feedback + args.probe + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
     request = PlanRequest(
@@ -111,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
             lambda s: _path(args, manifest.dof, manifest.period_s, s), request
         )
         path = _path(args, manifest.dof, manifest.period_s, seconds)
-    plan = plan_path(path, request, progress.step)
+    plan = named.in_document(plan_path(path, request, progress.step))
     picture = _write(plan, args.out)
     emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
     return DONE
@@ -125,10 +127,10 @@ def _inputs(args: argparse.Namespace) -> list[Path]:
     return [path for path in read if path is not None]
 
 
-def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
+def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
     """Read a plan and a run of it, improve, write, report."""
     plan = read_tip_plan(Path(args.path))
-    if plan.bundle_sha256 != bundle_sha256:
+    if plan.bundle_sha256 != files.manifest_sha256:
         raise InputError(
             args.path, f"was made for another bundle than {args.bundle}", "name its bundle"
         )
@@ -137,6 +139,7 @@ def _improve(args: argparse.Namespace, bundle_sha256: str) -> int:
 
     run = read_plan_run(args.improve, plan)
     plant = read_plant(args.plant)
+    plant_for_bundle(plant, args.plant, files, "this plan")
     found = improve_plan(plan, run, plant, _limits(args.limits, plant))
     picture = _write(found.plan, args.out)
     own = found.run

@@ -170,7 +170,7 @@ def _document(
         ),
         payload_rate_kg_s=PAYLOAD_RATE_KG_S,
         plant_error_rms_m=own_error,
-        plant_sha256=request.plant.sha256(),
+        plant_sha256=request.plant.for_robot().sha256(),
         bundle_sha256=request.bundle_sha256,
         moves=_moves(
             line, None if request.method == "inverse" else [f.goals_rad for f, _ in found]

@@ -109,6 +109,25 @@ class TipTwin:
         """
         return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
 
+    def held_tip_m(self, goal_rad: Array, payload_kg: float, ramp_s: float, hold_s: float) -> Array:
+        """Tip at the end of an approach from zero goals, shape (dof,).
+
+        It is short of the tip at rest: friction holds the joints before their goals, and the link
+        creeps.
+
+        Parameters
+        ----------
+        goal_rad : ndarray, shape (dof,)
+            Goals that are approached.
+        payload_kg : float
+            Mass at the tip.
+        ramp_s, hold_s : float
+            Time in which the goals rise evenly, and time for which they are held.
+        """
+        time_s = np.arange(round((ramp_s + hold_s) / self.period_s) + 1) * self.period_s
+        goals = np.minimum(time_s / ramp_s, 1.0)[:, None] * goal_rad
+        return np.asarray(self.tip_m(self.run(goals, payload_kg))[-1])
+
     def derivatives_at_rest(self, goal_rad: Array, payload_kg: float) -> tuple[Array, Array]:
         """Derivatives of state and tip after a period by the state before, at rest.
 

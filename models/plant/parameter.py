@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Final, Literal
 
@@ -10,7 +11,7 @@ import msgspec
 from firmware_py.errors import InputError
 
 __all__ = [
-    "Parameter", "Role", "bound_reached", "check_values", "is_weakly_determined",
+    "NO_DEFAULT", "Parameter", "Role", "bound_reached", "check_values", "is_weakly_determined",
     "prior_deviation_of",
 ]  # fmt: skip
 
@@ -33,7 +34,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     unit : str
         SI unit in the spelling of FMI, "1" for none.
     value : float
-        Current value.
+        Current value; `NO_DEFAULT` where a part declares a constant of the machine.
     low, high : float
         Physically possible range; a fit stays within it.
     role : str
@@ -59,6 +60,10 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     error: float | None = None
     prior_deviation: float | None = None
 
+
+NO_DEFAULT: Final = math.nan
+"""Value of a declared parameter that every plant file must give: a constant of one machine, such as
+the force per volt of its drive, is no default for another, and no trial tells that it is wrong."""
 
 AT_BOUND: Final = 1e-3
 """Fraction of the distance between the bounds within which a value counts as at one [assumed]."""
@@ -99,7 +104,7 @@ def is_weakly_determined(q: Parameter) -> bool:
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:
-    """Refuse a value outside its bounds.
+    """Refuse a value that is missing or outside its bounds.
 
     Parameters
     ----------
@@ -111,9 +116,15 @@ def check_values(where: str, parameters: Iterable[Parameter]) -> None:
     Raises
     ------
     InputError
-        For the first value that is not within its bounds.
+        For the first value that was not given or is not within its bounds.
     """
     for q in parameters:
+        if math.isnan(q.value):
+            raise InputError(
+                where,
+                f"parameter {q.name} ({q.description}) is missing and has no default",
+                f"give it in {q.unit} under [parameters]",
+            )
         if not q.low <= q.value <= q.high:
             raise InputError(
                 where,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,6 +35,8 @@ from models.plant.plant_document import (
     ParameterEntry,
     PartKind,
     PlantDocument,
+    check_condition_units,
+    merged_parameter,
     plain_plant,
     read_plant_document,
     write_plant_document,
@@ -246,7 +247,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     ------
     InputError
         If the file is missing or no plant document, a kind, an effect, a parameter or a unit is
-        unknown, or a value lies outside its bounds.
+        unknown, a value lies outside its bounds, or a constant of the machine is left out.
 
     Examples
     --------
@@ -316,29 +317,14 @@ def _complete(
     expected = {name: q for name, q in known.items() if name not in own and name in possible}
     for name, given in entries.items():
         if name in possible and name not in parameters:
-            expected[name] = _merge(where, possible[name], given)
+            expected[name] = merged_parameter(where, possible[name], given)
             continue
         if name not in parameters:
             raise InputError(
                 where, f"parameter {name!r} belongs to no part of this plant",
                 "correct the name, or add the effect that it belongs to",
             )  # fmt: skip
-        parameters[name] = _merge(where, parameters[name], given)
+        parameters[name] = merged_parameter(where, parameters[name], given)
     check_values(str(where), (*parameters.values(), *expected.values()))
+    check_condition_units(Path(where), plant.signals, parameters)
     return replace(plant, parameters=parameters, expected=expected)
-
-
-def _merge(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
-    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=float(given))
-    if entry.unit is not None and entry.unit != q.unit:
-        raise InputError(
-            where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
-        )
-    (low, high), spread = entry.bounds or (q.low, q.high), entry.prior_deviation or 0.0
-    if not (math.isfinite(entry.value) and -math.inf < low <= high < math.inf > spread >= 0.0):
-        raise InputError(where, f"parameter {q.name} is not a finite number", "correct it")
-    return msgspec.structs.replace(
-        q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
-        role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
-        prior_deviation=entry.prior_deviation or q.prior_deviation,
-    )  # fmt: skip

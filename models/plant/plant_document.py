@@ -22,6 +22,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -39,8 +40,9 @@ from firmware_py.link.link_description import (
     describes_link,
     read_link,
 )
-from models.plant.parameter import Role
+from models.plant.parameter import Parameter, Role
 from models.plant.provenance import Provenance, read_provenance
+from models.trials.si_units import check_signal_units, other_unit
 from models.trials.trial import SignalRole
 
 __all__ = [
@@ -48,7 +50,9 @@ __all__ = [
     "ParameterEntry",
     "PartKind",
     "PlantDocument",
+    "check_condition_units",
     "link_of_plant",
+    "merged_parameter",
     "plain_plant",
     "plant_json",
     "read_plant_document",
@@ -143,7 +147,7 @@ def read_plant_document(path: Path) -> PlantDocument:
     ------
     InputError
         If the file is missing, is no plant document, or is one of another version; if an effect
-        stands twice in it, or bounds or a deviation cannot be.
+        stands twice in it, bounds or a deviation cannot be, or a signal is not in its SI unit.
     """
     remedy = "name a plant, e.g. models/plant/nominal.toml"
     raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
@@ -157,6 +161,7 @@ def read_plant_document(path: Path) -> PlantDocument:
     for name, given in document.parameters.items():
         if isinstance(given, ParameterEntry):
             _check_entry(path, name, given)
+    check_signal_units(path, document.signals)
     if document.link is not None:
         check_link(document.link, path)
     return msgspec.structs.replace(document, provenance=read_provenance(path, table))
@@ -183,6 +188,63 @@ def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
         if spread is not None and not 0.0 <= spread < math.inf:
             what = f"{key} of parameter {name} is {spread:g}"
             raise InputError(path, what, "give a number above 0, or leave it out")
+
+
+def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
+    """Parameter of a part with what a plant file says of it.
+
+    Parameters
+    ----------
+    where : Path or str
+        The file, for the message.
+    q : Parameter
+        As its part declares it.
+    given : float or ParameterEntry
+        Its entry in the file.
+
+    Raises
+    ------
+    InputError
+        If the entry has another unit, or a number is not finite.
+    """
+    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=float(given))
+    if entry.unit is not None and entry.unit != q.unit:
+        raise InputError(
+            where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
+        )
+    (low, high), spread = entry.bounds or (q.low, q.high), entry.prior_deviation or 0.0
+    if not (math.isfinite(entry.value) and -math.inf < low <= high < math.inf > spread >= 0.0):
+        raise InputError(where, f"parameter {q.name} is not a finite number", "correct it")
+    return msgspec.structs.replace(
+        q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
+        role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
+        prior_deviation=entry.prior_deviation or q.prior_deviation,
+    )  # fmt: skip
+
+
+def check_condition_units(
+    where: Path, signals: Mapping[str, SignalRole], parameters: Mapping[str, Parameter]
+) -> None:
+    """Refuse a condition in another unit than the parameter that it replaces.
+
+    Parameters
+    ----------
+    where : Path
+        The plant's file.
+    signals : mapping of str to SignalRole
+        Signals of the plant.
+    parameters : mapping of str to Parameter
+        Its parameters.
+
+    Raises
+    ------
+    InputError
+        For the first condition with another unit.
+    """
+    for name, signal in signals.items():
+        q = parameters.get(signal.quantity or name)
+        if signal.role == "condition" and q is not None and signal.unit != q.unit:
+            raise other_unit(where, name, signal, f"parameter {q.name} in {q.unit!r}", q.unit)
 
 
 def link_of_plant(path: Path) -> LinkDescription:

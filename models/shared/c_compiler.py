@@ -2,26 +2,35 @@
 
 The flags keep the arithmetic of the source: no contraction of a*b + c into one rounding, so that
 a compiled model equals the interpreted one (docs/sources.md, "FMI"). Results are cached by content.
+It compiles for every platform of `TARGETS`, wherever it runs.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import importlib.metadata
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from firmware_py.errors import DropstitchError
+from firmware_py.errors import DropstitchError, InputError
+from firmware_py.inference.fmi_platform import platform_here
 
-TARGET: Final = "x86_64-linux-gnu.2.17"
-"""Default platform: any Linux on x86-64 with glibc of 2012 or later."""
+TARGETS: Final[Mapping[str, str]] = {
+    "x86_64-linux": "x86_64-linux-gnu.2.17",
+    "aarch64-linux": "aarch64-linux-gnu.2.17",
+    "x86_64-windows": "x86_64-windows-gnu",
+    "x86_64-darwin": "x86_64-macos.11.0",
+    "aarch64-darwin": "aarch64-macos.11.0",
+}
+"""Zig's names of platforms by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
 
 CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
 """Compiled libraries by hash of everything that went into them."""
@@ -44,13 +53,71 @@ _Compile = Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None]
 """Function of sources, output, directories of headers, and options."""
 
 
+def target_here() -> str:
+    """Return Zig's name of the platform of this process.
+
+    Raises
+    ------
+    InputError
+        If it is none of `TARGETS`.
+    """
+    here = platform_here()
+    if here not in TARGETS:
+        raise InputError(
+            f"platform {here}", "is none that models are compiled for",
+            f"use a machine of {', '.join(TARGETS)}",
+        )  # fmt: skip
+    return TARGETS[here]
+
+
+def load_library(
+    write_sources: Callable[[Path], Sequence[Path]],
+    *,
+    include: Sequence[Path] = (),
+    flags: Sequence[str] = (),
+    at_once: bool = False,
+) -> ctypes.CDLL:
+    """Compile C sources for this machine and load the library.
+
+    Parameters
+    ----------
+    write_sources : callable
+        Writes files into a directory that is removed again; returns the sources to compile.
+    include : sequence of Path
+        Directories searched for headers, beside that one.
+    flags, at_once
+        As for `compile_library`.
+
+    Raises
+    ------
+    InputError
+        If there is no compiler for this machine, or the library does not load.
+    DropstitchError
+        If the compiler refuses the sources; the message is the compiler's.
+    """
+    # Windows does not delete a mapped file: there the directory is left to its own clean-up.
+    with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
+        directory = Path(scratch)
+        path = compile_library(
+            write_sources(directory), directory / "model.so", include=[directory, *include],
+            flags=flags, at_once=at_once,
+        )  # fmt: skip
+        try:
+            return ctypes.CDLL(str(path))  # stays mapped when the file is deleted
+        except OSError as error:
+            raise InputError(
+                directory.parent, f"holds a compiled model that does not load ({error})",
+                "set TMPDIR to a directory from which programs may run",
+            ) from None  # fmt: skip
+
+
 def compile_library(
     sources: Sequence[Path],
     output: Path,
     *,
     include: Sequence[Path] = (),
     flags: Sequence[str] = (),
-    target: str = TARGET,
+    target: str | None = None,
     at_once: bool = False,
 ) -> Path:
     """Compile C sources into one shared library.
@@ -68,8 +135,8 @@ def compile_library(
         Directories searched for headers.
     flags : sequence of str
         Further options, put after the defaults.
-    target : str
-        Zig's name of the platform.
+    target : str, optional
+        Zig's name of the platform; by default that of this machine.
     at_once : bool
         Whether sources are compiled at the same time, on two processors.
 
@@ -80,16 +147,19 @@ def compile_library(
 
     Raises
     ------
+    InputError
+        If no target is given, and there is none for this machine.
     DropstitchError
         If the compiler refuses the sources; the message is the compiler's.
     """
+    target = target or target_here()
     options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
     compile_ = _compile_at_once if at_once else _compile
     return _compile_cached(sources, output, include, options, compile_)
 
 
 def compile_program(
-    source: Path, output: Path, *, include: Sequence[Path] = (), target: str = TARGET
+    source: Path, output: Path, *, target: str, include: Sequence[Path] = ()
 ) -> Path:
     """Compile one C source into a program that links to the C library dynamically.
 

@@ -115,7 +115,9 @@ def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) 
     )
     write_golden(directory / GOLDEN, golden)
     (directory / "MODEL_CARD.md").write_text(
-        model_card(manifest, document, tip.document if tip else None), encoding="utf-8"
+        model_card(manifest, document, tip.document if tip else None),
+        encoding="utf-8",
+        newline="\n",
     )
     write_manifest(directory, manifest)
     return parity

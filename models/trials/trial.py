@@ -35,7 +35,8 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     Attributes
     ----------
     unit : str
-        SI unit.
+        SI unit in the spelling of FMI, "1" for none: that of the plant's own name of the signal. A
+        recording in another unit is converted by the map of its import.
     role : {"goal", "measured", "supply", "condition"}
         `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
         output of that name. `supply`: measured, and an input of the plant. `condition`: constant

@@ -220,9 +220,10 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
 
 def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bundle, capsys):
     from firmware_py.documents import write_document
-    from tests.firmware_py.goals.small_plan import small_plan
+    from tests.firmware_py.goals.small_plan import OTHER_PLANT, STUDY, small_plan
 
-    write_document(tmp_path / "plan.json", small_plan(toy_bundle))
+    other = {"plant_sha256": "0" * 64, "link": STUDY}
+    write_document(tmp_path / "plan.json", msgspec.structs.replace(small_plan(toy_bundle), **other))
     plan = ["--plan", tmp_path / "plan.json"]
     code, output = call(capsys, "run", "--config", config, *plan)
     assert (code, "needs the payload" in output.err) == (2, True)
@@ -232,6 +233,8 @@ def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bund
     assert code == 0, output.err
     log = read_recording(json.loads(output.out)["log"])
     assert json.loads(log.metadata["motion"])["motion"] == "plan_circle"
+    assert f"plan.json {OTHER_PLANT} {toy_bundle}" in log.metadata["goals_note"]
+    assert output.err.count(log.metadata["goals_note"]) == 1
     goal_rad = log.columns["goal_1_rad"]
     assert 0.0 < goal_rad.max() < 0.0225
     if not log.columns["missed"].any() and not log.columns["stale_ticks"].any():

@@ -16,6 +16,8 @@ from firmware_py.errors import InputError
 from firmware_py.goals.outside.goal_channel import accepted_program
 from firmware_py.goals.outside.goal_map import GoalMap, read_goal_map
 from firmware_py.goals.outside.outside_goals import OutsideGoals
+from firmware_py.goals.plant_of_goals import note_on_plant
+from firmware_py.inference.bundle import ModelBundle
 
 __all__ = ["outside_facts", "outside_goals"]
 
@@ -27,7 +29,11 @@ NAME: Final = "outside"
 
 @contextlib.contextmanager
 def outside_goals(
-    address: str, map_path: Path | None, config: RobotConfig, patience_s: float = 0.0
+    address: str,
+    map_path: Path | None,
+    config: RobotConfig,
+    bundle: ModelBundle,
+    patience_s: float = 0.0,
 ) -> Iterator[OutsideGoals]:
     """Wait for the program that sends goals; its connection is closed at the end.
 
@@ -39,6 +45,8 @@ def outside_goals(
         Map of the goals at rest.
     config : RobotConfig
         Joints, period, limits, and the payload where it is known.
+    bundle : ModelBundle
+        The robot's bundle, whose plant is compared with that of the map.
     patience_s : float
         See `firmware_py.goals.outside.goal_channel.SocketChannel`.
 
@@ -50,14 +58,17 @@ def outside_goals(
     Raises
     ------
     InputError
-        If the map does not fit the robot, or nobody connects.
+        If the map does not fit the robot or is for another link, or nobody connects.
     """
-    goal_map = _fitting(map_path, config) if map_path is not None else None
+    goal_map, note = None, ""
+    if map_path is not None:
+        goal_map = _fitting(map_path, config)
+        note = note_on_plant(str(map_path), goal_map, bundle)
     print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
     with accepted_program(address, WAIT_S, patience_s) as channel:
         yield OutsideGoals(
             channel, config.limits_in_force, config.dof, config.period_s, goal_map,
-            config.payload_kg,
+            config.payload_kg, note,
         )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """Map of the goals at which the tip rests at a place, and of the first mode, over payloads.
 
-`python -m models goalmap` writes it, the robot reads it: a quasi-static inverse of the twin, and
-what the zero-vibration shaper is tuned by.
+`python -m models goalmap` writes it, the robot reads it: the twin inverted for approaches from
+upright, by a ramp of 4 s and a hold of 10 s (`models.plan.moves.rest_map`), and what the
+zero-vibration shaper is tuned by.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from firmware_py.documents import Document, read_document
 from firmware_py.errors import InputError
+from firmware_py.link.link_facts import LinkFacts
 
 __all__ = ["GoalMap", "PayloadMap", "RestGoals", "read_goal_map"]
 
@@ -58,7 +60,9 @@ class GoalMap(Document, frozen=True):
     payloads : tuple of PayloadMap
         In rising order of payload.
     plant_sha256 : str
-        Hash of the plant.
+        Hash of the plant, as the manifest of a bundle has it.
+    link : LinkFacts or None
+        Facts of its link; None in maps of earlier versions.
     """
 
     VERSION: ClassVar[int] = 1
@@ -69,6 +73,7 @@ class GoalMap(Document, frozen=True):
     places_m: tuple[float, ...]
     payloads: tuple[PayloadMap, ...]
     plant_sha256: str
+    link: LinkFacts | None = None
 
 
 def read_goal_map(path: Path) -> GoalMap:

@@ -61,9 +61,11 @@ class OutsideGoals:
     period_s : float
         Control period.
     goal_map : GoalMap, optional
-        Quasi-static inverse and modes; without it only joint goals are taken, unshaped.
+        Goals at rest and modes; without it only joint goals are taken, unshaped.
     payload_kg : float, optional
         Payload where it is known; None follows the estimate, from the middle of the map.
+    note : str
+        Sentence on a map that does not quite fit the robot's bundle.
 
     Attributes
     ----------
@@ -73,14 +75,17 @@ class OutsideGoals:
         See `GoalSource`.
     payload_kg : float
         Payload by which goals are shaped.
+    note : str
+        As given.
     """
 
     def __init__(
         self, channel: GoalChannel, limits: Limits, dof: int, period_s: float,
-        goal_map: GoalMap | None = None, payload_kg: float | None = None,
+        goal_map: GoalMap | None = None, payload_kg: float | None = None, note: str = "",
     ) -> None:  # fmt: skip
         self.dof, self.slots, self.lead = dof, ENDLESS, 0
         self.trouble = self.ended = ""
+        self.note = note
         self._channel, self._limits, self._period_s = channel, limits, period_s
         self._rest = RestGoals(goal_map) if goal_map else None
         self._known = payload_kg is not None

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -37,6 +36,9 @@ from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
 from hil.timing.processors import assign_processors, pinned_to
+
+if sys.platform != "win32":  # is imported there, see `firmware_py.console`
+    import resource
 
 SECONDS: Final = 2.6
 REPLUG_SECONDS: Final = 4.5
@@ -157,7 +159,7 @@ def _recorders(pid: int) -> list[int]:
     found = []
     for path in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            parent = int((path / "stat").read_bytes().rpartition(b")")[2].split()[1])
             if parent == pid and b"firmware_py.log.recorder" in (path / "cmdline").read_bytes():
                 found.append(int(path.name))
     return found
@@ -186,7 +188,7 @@ def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> tuple[s
 
 def _stopped(pid: int) -> bool:
     with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] == b"T"
     return False
 
 

@@ -64,7 +64,7 @@ def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
     if not path.exists():
         return ()
     fingerprint = directory / FINGERPRINT
-    lines = fingerprint.read_text().splitlines() if fingerprint.exists() else []
+    lines = fingerprint.read_text(encoding="utf-8").splitlines() if fingerprint.exists() else []
     if lines[1:] not in ([], [sha256]):
         raise InputError(
             directory, f"was measured for another plant than {plant.name} is now",
@@ -89,9 +89,9 @@ def begin_work(fingerprint: str, plant_sha256: str, directory: Path) -> None:
     """
     path = directory / FINGERPRINT
     lines = [fingerprint, plant_sha256]
-    if path.exists() and path.read_text().splitlines() != lines:
+    if path.exists() and path.read_text(encoding="utf-8").splitlines() != lines:
         for pattern in OWN_FILES:
             for old in directory.glob(pattern):
                 old.unlink()
     directory.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in lines))
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8", newline="\n")

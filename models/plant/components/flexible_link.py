@@ -7,7 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.rigid_loads import RigidLoad
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import ROTARY, Expr, Scope
 from models.plant.step_model import Variable
 
@@ -27,8 +27,8 @@ class FlexibleLink(RigidLoad):
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Inertia, stiffness and damping, and the deflection at the start."""
         return (
-            Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=0.1, low=1e-6, high=100.0,
-                      description="inertia of link and load about the joint",
+            Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=NO_DEFAULT, low=1e-6,
+                      high=100.0, description="inertia of link and load about the joint",
                       source="data sheet of the link"),
             Parameter(name="root_stiffness_1_nm_rad", unit="N.m/rad", value=10.0, low=1e-3,
                       high=1e5, role="nuisance", description="stiffness against deflection",

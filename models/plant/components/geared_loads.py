@@ -7,7 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.rigid_loads import RigidLoad
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import LINEAR, ROTARY, Expr, Scope
 from models.plant.step_model import Variable
 
@@ -33,8 +33,8 @@ class GearedShaft(RigidLoad):
         per, rate = scope.name("{torque}_{angle}"), scope.name("{torque}_s_{angle}")
         weight = "inertia_1_kg_m2" if x == "rad" else "mass_1_kg"
         return (
-            Parameter(name=f"load_{weight}", unit=inertia, value=0.01, low=1e-9, high=1e4,
-                      description="inertia behind the gear", source="assumed"),
+            Parameter(name=f"load_{weight}", unit=inertia, value=NO_DEFAULT, low=1e-9,
+                      high=1e4, description="inertia behind the gear", source="weighed"),
             Parameter(name=f"gear_stiffness_1_{per}", unit=f"{torque}/{coordinate}", value=1000.0,
                       low=1e-3, high=1e9, description="stiffness of the gear where it touches",
                       source="assumed"),

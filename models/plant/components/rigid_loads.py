@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import LINEAR, ROTARY, Expr, Scope
 from models.plant.step_model import Variable
 
@@ -41,12 +41,12 @@ class Pendulum(RigidLoad):
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Masses, length and gravity."""
         return (
-            Parameter(name="mass_kg", unit="kg", value=0.49, low=0.001, high=100.0,
-                      description="mass at the end", source="BAM, README of the data"),
+            Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.001, high=100.0,
+                      description="mass at the end", source="weighed"),
             Parameter(name="arm_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
                       role="nuisance", description="mass of the arm", source="not recorded"),
-            Parameter(name="arm_length_m", unit="m", value=0.1, low=0.001, high=10.0,
-                      description="length of the arm", source="BAM, README of the data"),
+            Parameter(name="arm_length_m", unit="m", value=NO_DEFAULT, low=0.001, high=10.0,
+                      description="length of the arm", source="measured"),
             Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
                       description="gravity", source="standard gravity"),
         )  # fmt: skip
@@ -76,8 +76,8 @@ class Mass(RigidLoad):
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Declare the moving mass."""
         return (
-            Parameter(name="mass_kg", unit="kg", value=95.11, low=0.01, high=1e4, role="nuisance",
-                      description="moving mass", source="EMPS, README of the data"),
+            Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.01, high=1e4,
+                      role="nuisance", description="moving mass", source="weighed"),
         )  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:

@@ -7,7 +7,6 @@ operations; docs/sources.md, "FMI"). Libraries are cached by content, so a plant
 from __future__ import annotations
 
 import ctypes
-import tempfile
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from firmware_py.errors import InputError
 from models.plant.simulation.model_c import write_model_c
 from models.plant.simulation.start_of_motion import start_of_motion
 from models.plant.step_model import StepModel, names
-from models.shared.c_compiler import compile_library
+from models.shared.c_compiler import load_library
 from models.trials.trial import Trial
 
 __all__ = [
@@ -46,20 +45,20 @@ class CompiledModel:
     ----------
     model : StepModel
         As given.
+
+    Raises
+    ------
+    InputError
+        If there is no compiler for this machine, or the library does not load.
     """
 
     def __init__(self, model: StepModel) -> None:
         self.model = model
         sizes = {"N_X": len(model.states), "N_U": len(model.inputs), "N_Y": len(model.outputs)}
-        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
-            directory = Path(scratch)
-            path = compile_library(
-                [write_model_c(model, directory), _DRIVER],
-                directory / "model.so",
-                include=[directory],
-                flags=[f"-D{name}={size}" for name, size in sizes.items()],
-            )
-            self._library = ctypes.CDLL(str(path))
+        self._library = load_library(
+            lambda directory: [write_model_c(model, directory), _DRIVER],
+            flags=[f"-D{name}={size}" for name, size in sizes.items()],
+        )
 
     def start(self, u: Array, p: Array) -> Array:
         """Initial state under inputs u of shape (len(inputs),) and parameters p."""

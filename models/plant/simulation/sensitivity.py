@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import tempfile
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +18,7 @@ from models.plant.simulation.compiled_model import trial_inputs, trial_parameter
 from models.plant.simulation.lanes_c import LANES_H
 from models.plant.simulation.sensitivity_c import write_sensitivity_c
 from models.plant.step_model import Array, StepModel, names
-from models.shared.c_compiler import compile_library, compiler_options
+from models.shared.c_compiler import compiler_options, load_library
 from models.trials.trial import Trial
 
 __all__ = ["SensitiveModel", "run_sensitive_trial"]
@@ -61,6 +60,8 @@ class SensitiveModel:
     ------
     ValueError
         If the model has no `rate`.
+    InputError
+        If there is no compiler for this machine, or the library does not load.
     """
 
     def __init__(
@@ -216,21 +217,18 @@ def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
                 digest.update(part.serialize().encode())
     key = digest.digest()
     if key not in _LIBRARIES:
-        with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
-            directory = Path(scratch)
+
+        def write(directory: Path) -> list[Path]:
             with _SYMBOLIC_WORK:
-                sources = write_sensitivity_c(model, index, directory)
-            path = compile_library(
-                [*sources, _DRIVER],
-                directory / "model.so",
-                include=[directory, LANES_H.parent],
-                flags=flags,
-                at_once=True,
-            )
-            _LIBRARIES[key] = ctypes.CDLL(str(path))
+                return [*write_sensitivity_c(model, index, directory), _DRIVER]
+
+        _LIBRARIES[key] = load_library(write, include=[LANES_H.parent], flags=flags, at_once=True)
     return _LIBRARIES[key]
 
 
 def _vector_flags() -> tuple[str, ...]:
     """Options of the compiler for this processor's vectors; they change no bit of the results."""
-    return ("-mavx2",) if _CPU_INFO.is_file() and " avx2 " in _CPU_INFO.read_text() else ()
+    if not _CPU_INFO.is_file():
+        return ()
+    known = _CPU_INFO.read_text(encoding="utf-8", errors="replace")
+    return ("-mavx2",) if " avx2 " in known else ()

@@ -90,13 +90,18 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
     lines += [
         f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
     ]
-    (directory / "tables.h").write_text("\n".join(lines) + "\n")
+    _write(directory / "tables.h", "\n".join(lines) + "\n")
     start.generate(f"{directory}/")
     sources = {what: directory / f"sensitivity_{what}.c" for what in (*_LANES, "initial")}
     for what, generator in others.items():
-        sources[what].write_text(in_lanes(generator.dump()))
-    sources["initial"].write_text(_NOT_OPTIMISED + sources["initial"].read_text())
+        _write(sources[what], in_lanes(generator.dump()))
+    _write(sources["initial"], _NOT_OPTIMISED + sources["initial"].read_text(encoding="utf-8"))
     return [*sources.values()]
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a source with the same bytes on every system: the key of the cache is a hash of it."""
+    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 class _Constants:

@@ -12,6 +12,7 @@ markers, which would lower κ (errors in variables), is taken from second differ
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -39,6 +40,28 @@ BLOCK_S: Final = 1.0
 """Time over which residuals count as dependent."""
 
 
+LEAST_SAMPLES: Final = 100
+"""Samples of a half of the motion from which an offset is fitted to it."""
+
+
+class ClockDrift(NamedTuple):
+    """Change of the offset from the first half of the motion to the second.
+
+    Attributes
+    ----------
+    change_s : float
+        Offset of the second half minus that of the first.
+    deviation_s : float
+        Its standard error.
+    over_s : float
+        Time between the middles of the halves.
+    """
+
+    change_s: float
+    deviation_s: float
+    over_s: float
+
+
 class OffsetFit(NamedTuple):
     """Offset, its error and its parts.
 
@@ -56,6 +79,8 @@ class OffsetFit(NamedTuple):
         Direction without bend, minus angle, about its mean, at every compared sample; rad.
     time_s : ndarray, shape (n,)
         Of these samples, on the motion capture's clock.
+    drift : ClockDrift or None
+        None where a half of the motion has too few samples.
     """
 
     offset_s: float
@@ -64,6 +89,7 @@ class OffsetFit(NamedTuple):
     correlation: float
     residual: Array
     time_s: Array
+    drift: ClockDrift | None = None
 
 
 def fit_offset(
@@ -111,7 +137,29 @@ def fit_offset(
         correlation,
         residual,
         near.seen_s[kept],
+        _drift(near, offset_s, kappa),
     )
+
+
+def _drift(near: _Comparison, offset_s: float, kappa: Array | float) -> ClockDrift | None:
+    """Drift with halves of the motion that tell as much of the offset."""
+    _, rate, kept, _ = near.at(offset_s, kappa)
+    weight, time_s = np.sum(rate**2, axis=1), near.seen_s[kept]
+    if len(time_s) < 2 * LEAST_SAMPLES or not weight.sum() > 0:
+        return None
+    told = np.cumsum(weight)
+    split = int(np.searchsorted(told, told[-1] / 2))
+    offsets, deviations, middles = [], [], []
+    for half in (slice(None, split), slice(split, None)):
+        if len(time_s[half]) < LEAST_SAMPLES:
+            return None
+        part = near.within(time_s[half][0], time_s[half][-1])
+        offsets.append(part.best(kappa))
+        residual, rate, kept, _ = part.at(offsets[-1], kappa)
+        deviations.append(_standard_error_s(part.seen_s[kept], residual, rate))
+        middles.append(float(np.average(time_s[half], weights=weight[half])))
+    deviation_s = float(np.linalg.norm([*deviations, FLOOR_S]))
+    return ClockDrift(offsets[1] - offsets[0], deviation_s, middles[1] - middles[0])
 
 
 class _Comparison:
@@ -129,6 +177,14 @@ class _Comparison:
         inside &= angle.time_s[after] - angle.time_s[after - 1] <= self._gap_s
         self.seen_s, self._seen = seen.time_s[inside], seen.values[inside]
         self._bend = np.zeros_like(self._seen) if bend is None else bend[inside]
+
+    def within(self, first_s: float, last_s: float) -> _Comparison:
+        """Comparison of the samples from one time to another."""
+        part, inside = copy(self), (self.seen_s >= first_s) & (self.seen_s <= last_s)
+        part.seen_s, part._seen, part._bend = (
+            v[inside] for v in (self.seen_s, self._seen, self._bend)
+        )
+        return part
 
     def best(self, kappa: Array | float) -> float:
         """Offset with the least squares at a given ratio."""

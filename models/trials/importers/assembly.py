@@ -14,18 +14,17 @@ from firmware_py.files.input_files import MOST_CELLS
 from firmware_py.link.marker_layout import MarkerLayout, square_corners_m
 from firmware_py.signals import TIME, joint_signals, tip_names
 from models.shared.kinematics import base_rotation
+from models.trials.clock.time_grid import TimeGrid, sampled, time_grid
 from models.trials.importers.mapping import BASE_MARKERS, RecordingMap
 from models.trials.importers.mocap_frame import fit_rigid_motion, nominal_markers_m
 from models.trials.importers.series import Series, marker_columns, row_centre_m
+from models.trials.motion_start import motion_start, rows_at_rest
 from models.trials.trial import Array, Trial
 from models.trials.trial_columns import columns_of
 from models.trials.trial_files import STEP_TOLERANCE
 
 LONGEST_TIP_GAP_S: Final = 0.1
 """Longest gap over which an unseen tip is interpolated; the motion is below 4 Hz."""
-
-REST_RANGE_RAD: Final = 1e-3
-"""Largest change of a goal that counts as rest."""
 
 REST_RANGE_M: Final = 3e-3
 """Largest displacement of a marker that counts as rest."""
@@ -34,9 +33,9 @@ REST_RANGE_M: Final = 3e-3
 def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Trial:
     """Resample all series over the time that they have in common, and make a trial of them.
 
-    Angles, currents and positions are interpolated linearly, goals are held. A single series
-    that already has the step keeps its samples. Without motion capture the tip and the markers
-    stay empty.
+    Angles, currents and positions are interpolated linearly, goals are held. Goals and angles that
+    already have the step keep their samples (`models.trials.clock.time_grid`). Without motion
+    capture the tip and the markers stay empty.
 
     Parameters
     ----------
@@ -63,16 +62,18 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     used = list({id(s): s for s in source.values()}.values())
     contract = [signal.name for signal in whole]
     width = 1 + len({*contract, *source})  # of the trial, what was not measured included
-    grid_s = _grid_s(used, mapping.step_s, MOST_CELLS // width)
+    goals = [n for n in (*contract, *source) if mapping.is_goal(n)]
+    grid = _grid(source, used, goals, mapping.step_s, MOST_CELLS // width)
+    grid_s = grid.time_s
     columns: dict[str, Array] = {TIME.name: grid_s - grid_s[0]}
-    goals = [n for n in (*contract, *source) if _is_goal(n, mapping)]
     for column in dict.fromkeys([*contract, *source]):
         if column not in source:
             columns[column] = np.full(len(grid_s), np.nan)
             continue
         owner, hold = source[column], column in goals
         # A goal stamped up to half a step after a row's time is the one sent just after it.
-        at_s = grid_s + 0.5 * mapping.step_s if hold and len(used) > 1 else grid_s
+        after = hold and (grid.in_phase or len(used) > 1)
+        at_s = grid_s + 0.5 * mapping.step_s if after else grid_s
         columns[column] = resample(owner.time_s, owner.columns[column], at_s, hold=hold)
     for tip in (n for n in tip_names() if n in columns):
         columns[tip] = _fill_short_gaps(where, columns[tip], mapping.step_s)
@@ -82,9 +83,12 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
             raise InputError(
                 where, f"{signal.name} was not measured at {at_s:.3f} s", "cut the gap out"
             )
-    rest = _rest_rows(np.column_stack([columns[n] for n in goals]), REST_RANGE_RAD) if goals else 0
+    rest = rows_at_rest(np.column_stack([columns[n] for n in goals])) if goals else 0
     duration_s = float(grid_s[-1] - grid_s[0])
-    return Trial(name, mapping.meta(min(rest, len(grid_s) - 1), duration_s), columns)
+    trial = Trial(name, mapping.meta(min(rest, len(grid_s) - 1), duration_s), columns)
+    if mapping.signals or "rest_samples" in mapping.trial:
+        return trial
+    return replace(trial, meta=mapping.meta(motion_start(trial), duration_s))
 
 
 def _goals_at_samples(series: list[Series], mapping: RecordingMap) -> list[Series]:
@@ -111,13 +115,6 @@ def _sent_after(goal_s: Array, sampled_s: Array, step_s: float) -> Array:
     alone = np.bincount(np.maximum(before, 0), minlength=len(sampled_s))[np.maximum(before, 0)] == 1
     moved_s = np.where(close & alone, sample_s, goal_s)
     return moved_s if np.all(np.diff(moved_s) > 0) else goal_s
-
-
-def _is_goal(column: str, mapping: RecordingMap) -> bool:
-    """Whether a column is held from one sample to the next."""
-    if column in mapping.signals:
-        return mapping.signals[column].role == "goal"
-    return column.startswith("goal")
 
 
 def align_markers(
@@ -206,30 +203,32 @@ def _with_tip(series: Series, layout: MarkerLayout) -> Series:
     return replace(series, columns=series.columns | marker_columns({"tip": tip_m}))
 
 
-def _grid_s(series: list[Series], step_s: float, most_rows: int) -> Array:
-    if len(series) == 1:
-        steps = np.diff(series[0].time_s)
-        if np.all(np.abs(steps - step_s) <= STEP_TOLERANCE * step_s):
-            return series[0].time_s
-    start_s = max(s.time_s[0] for s in series)
-    end_s = min(s.time_s[-1] for s in series)
-    steps = np.floor((end_s - start_s) / step_s + 1e-9)
-    if steps > most_rows:
+def _grid(
+    source: dict[str, Series], used: list[Series], goals: list[str], step_s: float, most_rows: int
+) -> TimeGrid:
+    """Times of the rows, on the samples of goals and angles, or of the only series."""
+    start_s = max(s.time_s[0] for s in used)
+    end_s = min(s.time_s[-1] for s in used)
+    if (end_s - start_s) / step_s > most_rows:
         raise InputError(
-            series[0].path,
+            used[0].path,
             f"lasts {end_s - start_s:.3g} s, more than {most_rows} steps of {step_s} s",
             "check the times and their units, set step_s, or divide the recording",
         )  # fmt: skip
-    count = int(steps) + 1
-    if count < 3:
+    names = [n for n in (*goals, "angle_1_rad") if n in source]
+    signals = [sampled(source[n].time_s, source[n].columns[n]) for n in names]
+    if len(used) == 1:
+        signals.append(sampled(used[0].time_s, used[0].time_s))
+    grid = time_grid(start_s, end_s, step_s, signals)
+    if len(grid.time_s) < 3:
         raise InputError(
-            series[0].path,
-            f"shares no time with {series[-1].path}"
-            if len(series) > 1
+            used[0].path,
+            f"shares no time with {used[-1].path}"
+            if len(used) > 1
             else f"lasts {end_s - start_s:.3g} s, less than three steps of {step_s} s",
             "check the times, their units and --offset",
         )
-    return np.asarray(np.minimum(start_s + step_s * np.arange(count), end_s))
+    return grid
 
 
 def _fill_short_gaps(where: Path, values: Array, step_s: float) -> Array:
@@ -248,12 +247,6 @@ def _fill_short_gaps(where: Path, values: Array, step_s: float) -> Array:
             "cut the recording there or map a marker at the tip as 'tip'",
         )
     return np.asarray(np.interp(rows, known, values[known]))
-
-
-def _rest_rows(values: Array, limit: float) -> int:
-    """Leading rows that stay within `limit` of the first one in every column."""
-    moved = np.flatnonzero(np.any(np.abs(values - values[0]) > limit, axis=1))
-    return int(moved[0]) if len(moved) else len(values)
 
 
 def _align_series(series: Series, mapping: RecordingMap, turn: Array) -> Series:

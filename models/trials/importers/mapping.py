@@ -56,6 +56,7 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.signals import PERIOD_S
 from models.trials.importers.series import factor_to_si
+from models.trials.si_units import check_signal_units
 from models.trials.trial import SignalRole, TrialMeta
 from models.trials.trial_files import check_meta
 
@@ -117,6 +118,8 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         What it says: `[trial]` may leave out what the link gives.
     step_s : float
         Uniform step of the trial.
+    step_named : bool
+        Whether the map names that step itself.
     columns, servo_columns : dict of str to ColumnSource
         Sources of the contract's columns in the file and in the file of `--servo`.
     markers : dict of str to str
@@ -142,6 +145,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     link: str = ""
     described: LinkDescription = STUDY_LINK
     step_s: float = PERIOD_S
+    step_named: bool = False
     columns: dict[str, ColumnSource] = {}
     servo_columns: dict[str, ColumnSource] = {}
     markers: dict[str, str] = {}
@@ -246,6 +250,12 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             raise InputError(self.path, f"[trial] dof is {dof!r}", "set dof = 1 or dof = 2")
         return 1 if dof == 1 else 2
 
+    def is_goal(self, column: str) -> bool:
+        """Whether a column is held from one sample to the next."""
+        if column in self.signals:
+            return self.signals[column].role == "goal"
+        return column.startswith("goal")
+
     @property
     def layout(self) -> MarkerLayout:
         """Places of the markers."""
@@ -293,7 +303,7 @@ def read_mapping(path: Path | None) -> RecordingMap:
     _refuse_doubled(mapping, path)
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
-    mapping = msgspec.structs.replace(mapping, path=str(path))
+    mapping = msgspec.structs.replace(mapping, path=str(path), step_named="step_s" in document)
     if mapping.plant:
         mapping = msgspec.structs.replace(mapping, signals=_signals(path.parent / mapping.plant))
     return mapping
@@ -321,5 +331,7 @@ def _refuse_doubled(mapping: RecordingMap, path: Path) -> None:
 
 def _signals(path: Path) -> dict[str, SignalRole]:
     """Signals that a plant document declares; the plant itself is not read."""
-    signals = read_toml(path, "correct 'plant' in the map").get("signals", {})
-    return convert(signals, dict[str, SignalRole], path, "is no plant document", "correct it")
+    entries = read_toml(path, "correct 'plant' in the map").get("signals", {})
+    signals = convert(entries, dict[str, SignalRole], path, "is no plant document", "correct it")
+    check_signal_units(path, signals)
+    return signals

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,21 +11,8 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.signals import unit_of
+from models.trials.si_units import TO_SI
 from models.trials.trial import Array
-
-TO_SI: Final[dict[str, tuple[str, float]]] = {
-    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9),
-    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", math.pi / 180),
-    "turn": ("rad", 2 * math.pi), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180),
-    "rpm": ("rad/s", math.pi / 30), "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0),
-    "mV": ("V", 1e-3), "m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3),
-    "inch": ("m", 0.0254), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "kg": ("kg", 1.0),
-    "g": ("kg", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3), "N.m": ("N.m", 1.0),
-    "N.mm": ("N.m", 1e-3), "Pa": ("Pa", 1.0), "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5),
-    "psi": ("Pa", 6894.757), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0), "W": ("W", 1.0),
-    "1": ("1", 1.0),
-}  # fmt: skip
-"""SI unit of the contract and factor to it, by a unit as a map may write it."""
 
 OPPOSITE_M: Final = 1e-3
 """Distance from the axis within which the midpoint of two markers is the row's centre."""

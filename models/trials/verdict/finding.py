@@ -33,6 +33,10 @@ GAIN: Final = (0.15, 0.3)
 """Deviation of the link's motion, relative to the angle's, from one; bend adds 0.1 at 2 kg."""
 CLOCK_ERROR_S: Final = (0.002, 0.02)
 """Half width of the interval of the clock's offset: the study's tip moves 0.7 m/s."""
+CLOCK_DRIFT_S: Final = 0.002
+"""Change of the clock's offset between the halves of the motion: warned of only."""
+DRIFT_DEVIATIONS: Final = 3.0
+"""Standard errors that such a change must exceed."""
 STUCK_RAD: Final = (0.03, 0.1)
 """Way of a goal during which the angle keeps one and the same value: a servo that sticks lags by
 less, an encoder's step is 1.5 mrad at most."""

@@ -13,7 +13,12 @@ from firmware_py.errors import InputError
 from models.trials.importers.synchronisation import Synchronisation
 from models.trials.trial import Trial
 from models.trials.verdict.completeness import Gap
-from models.trials.verdict.finding import CLOCK_ERROR_S, ImportFinding
+from models.trials.verdict.finding import (
+    CLOCK_DRIFT_S,
+    CLOCK_ERROR_S,
+    DRIFT_DEVIATIONS,
+    ImportFinding,
+)
 from models.trials.verdict.rest_pose import RestPose
 
 
@@ -58,7 +63,7 @@ class ImportVerdict:
         return [f for f in self.findings if f.level == "warning"]
 
     def check_clock(self) -> None:
-        """Add a finding where the clock's offset is uncertain."""
+        """Add findings where the clock's offset is uncertain, or changes during the motion."""
         if self.clock is None:
             return
         low, high = CLOCK_ERROR_S
@@ -68,6 +73,19 @@ class ImportVerdict:
                     "refused" if self.clock.error_s > high else "warning", "clock",
                     f"the clock's offset is known to ±{DURATION.text(self.clock.error_s)} only",
                     "map m01 to m08, record more motion, or record a sync signal in both files",
+                )
+            )  # fmt: skip
+
+        drift = self.clock.fit.drift if self.clock.fit is not None else None
+        if drift is not None and abs(drift.change_s) > max(
+            CLOCK_DRIFT_S, DRIFT_DEVIATIONS * drift.deviation_s
+        ):
+            self.findings.append(
+                ImportFinding(
+                    "warning", "clock",
+                    f"the two clocks drift apart by {DURATION.text(abs(drift.change_s))} in "
+                    f"{drift.over_s:.1f} s",
+                    "correct the frame rate of the motion capture, or record shorter takes",
                 )
             )  # fmt: skip
 

@@ -34,9 +34,13 @@ from models.trials.verdict.rest_pose import RestPose, rest_pose
 from models.trials.verdict.signal_findings import (
     check_common_clock,
     judge_goal_sources,
+    judge_shared_signals,
     judge_signals,
+    judge_steps,
     judge_times,
 )
+from models.trials.verdict.whole_run.run_findings import judge_run
+from models.trials.verdict.whole_run.zero_markers import without_zeros
 
 _UP: Final = {"motive": "y"}
 """Upward axis by format; z in all others."""
@@ -92,21 +96,16 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     series, servo = _since(series, epoch_s), _since(servo, servo_epoch_s)
     link = not mapping.signals
     if link:
+        series = _without_zeros(series, mapping, verdict)
         verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
         for side in filter(None, (servo, series)):
             verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
         rest_rad = _first_angles([*servo, *series], mapping.dof)
         series = _aligned(series, mapping, verdict, rest_rad, source)
+    for side in (servo, series):
+        verdict.findings += judge_steps(side, mapping)
     if servo:
-        apart_s = epoch_s - servo_epoch_s
-        try:
-            clock = _clock(servo, series, source, mapping, apart_s)
-        except InputError:
-            _judge_whole_files(servo, series, verdict)
-            verdict.refuse(source.file)
-            raise
-        series = [*series, *shift_clock(servo, clock.offset_s)]
-        verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s)
+        series = _merged(servo, series, source, mapping, verdict, epoch_s - servo_epoch_s)
     elif link:
         remedy = "give the angles as a second file with --servo"
         check_common_clock(series, mapping.meta(0), verdict, remedy)
@@ -123,9 +122,31 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     trial = assemble_trial(series, mapping, verdict.name)
     verdict.trial = trial
     if link:
-        verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
+        verdict.findings += [*judge_rest(trial), *judge_motion(trial), *judge_run(trial)]
     verdict.refuse(source.file)
     return trial
+
+
+def _merged(
+    servo: list[Series],
+    series: list[Series],
+    source: Source,
+    mapping: RecordingMap,
+    verdict: ImportVerdict,
+    apart_s: float,
+) -> list[Series]:
+    """Series of both files on one clock; their epochs lie `apart_s` apart."""
+    try:
+        clock = _clock(servo, series, source, mapping, apart_s)
+    except InputError:
+        _judge_whole_files(servo, series, verdict)
+        verdict.refuse(source.file)
+        raise
+    servo = shift_clock(servo, clock.offset_s)
+    verdict.findings += judge_shared_signals(without_sync(servo), without_sync(series))
+    second_s = clock.second_offset_s + apart_s
+    verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s, second_offset_s=second_s)
+    return [*series, *servo]
 
 
 def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: ImportVerdict) -> None:
@@ -146,6 +167,17 @@ def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
         return series
     world_m = to_world({n: series.position_m(n) for n in names}, mapping.frame, "z")
     return Series(series.time_s, series.columns | marker_columns(world_m), series.path)
+
+
+def _without_zeros(
+    series: list[Series], mapping: RecordingMap, verdict: ImportVerdict
+) -> list[Series]:
+    """Series in the world frame without the markers that the file puts at its zero."""
+    zero_m = to_world({"zero": np.zeros((1, 3))}, mapping.frame, "z")["zero"][0]
+    remedy = "check that these markers were hidden: the samples are left out"
+    series, found = without_zeros(series, mapping.known_markers, zero_m, remedy)
+    verdict.findings += found
+    return series
 
 
 def _has(series: Series, name: str) -> bool:

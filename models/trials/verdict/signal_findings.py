@@ -1,4 +1,4 @@
-"""Findings on the signals of a file: unit of time, one signal twice, stuck angles, common clock."""
+"""Findings on the signals of a file: its times and step, one signal twice, stuck angles, clock."""
 
 from __future__ import annotations
 
@@ -14,13 +14,21 @@ from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 from models.trials.importers.synchronisation import synchronise
 from models.trials.trial import Array, TrialMeta
+from models.trials.trial_files import STEP_TOLERANCE
 from models.trials.verdict.finding import COMMON_CLOCK_S, STUCK_RAD, ImportFinding, level_of
 from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
+from models.trials.verdict.whole_run.encoder_findings import judge_encoders
 
 STEP_RANGE_S: Final = (5e-5, 0.5)
 """Usual step of a recording: beyond it the times have another unit (the motion is below 4 Hz, and
 the fastest analog channels have some kilohertz)."""
+EVEN_STEP: Final = 0.05
+"""Largest deviation from the usual step, relative to it, of nine steps in ten of an even file."""
+FINE_STEP: Final = 0.1
+"""Step, relative to the trial's, up to which a held goal is exact enough."""
+SAME_SIGNAL: Final = 0.01
+"""Difference of one signal in two files, relative to its range, in one sample of twenty."""
 
 
 def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
@@ -46,8 +54,73 @@ def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
     return []
 
 
+def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
+    """Findings on goals with an even step that is not the trial's, where the map names no step.
+
+    Parameters
+    ----------
+    series : sequence of Series
+        Of one file.
+    mapping : RecordingMap
+        With the trial's step.
+    """
+    if mapping.step_named:
+        return []
+    for s in (s for s in series if any(mapping.is_goal(name) for name in s.columns)):
+        steps = np.diff(s.time_s)
+        usual_s = float(np.median(steps))
+        own_s = float(np.mean(steps[steps < 1.5 * usual_s]))  # without gaps
+        even = np.percentile(np.abs(steps / usual_s - 1), 90) <= EVEN_STEP
+        other = abs(own_s - mapping.step_s) > STEP_TOLERANCE * mapping.step_s
+        if even and other and own_s > FINE_STEP * mapping.step_s:
+            return [
+                ImportFinding(
+                    "warning", "step",
+                    f"the samples of {s.path.name} are {1e3 * own_s:.4g} ms apart and the trial's "
+                    f"rows {1e3 * mapping.step_s:.4g} ms: its goals are held from sample to sample "
+                    "and come late or early",
+                    f"set step_s = {own_s:.4g} in MAP.toml",
+                )
+            ]  # fmt: skip
+    return []
+
+
+def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> list[ImportFinding]:
+    """Findings on signals that both files hold and that differ: the servo's are used.
+
+    Parameters
+    ----------
+    servo, mocap : sequence of Series
+        On one clock.
+    """
+    differing: dict[str, tuple[Series, Series, float]] = {}
+    columns = {name: s for s in mocap for name in s.columns}
+    for own, name in ((s, n) for s in servo for n in s.columns if n in columns):
+        other = columns[name]
+        inside = (own.time_s >= other.time_s[0]) & (own.time_s <= other.time_s[-1])
+        used = own.columns[name][inside]
+        differ = np.abs(np.interp(own.time_s[inside], other.time_s, other.columns[name]) - used)
+        seen = np.isfinite(differ)
+        if not seen.any():
+            continue
+        if np.percentile(differ[seen], 95) > SAME_SIGNAL * np.ptp(used[seen]):
+            differing[name] = own, other, float(np.max(differ[seen]))
+    if not differing:
+        return []
+    name, (own, other, most) = next(iter(differing.items()))
+    more = f", and so do {len(differing) - 1} others" if len(differing) > 1 else ""
+    return [
+        ImportFinding(
+            "warning", "twice",
+            f"{name} in {own.path.name} and in {other.path.name} differ by up to {most:.3g}{more}: "
+            f"what {own.path.name} holds is used",
+            "leave it out of the file that is wrong",
+        )
+    ]  # fmt: skip
+
+
 def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
-    """Findings on signals that hold the same values, and on angles that stand still.
+    """Findings on signals that hold the same values, and on angles that jump or stand still.
 
     Parameters
     ----------
@@ -56,7 +129,8 @@ def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
     dof : int
         Joints.
     """
-    return [*_doubled(series, dof), *_stuck(series, dof)]
+    encoders, wrapped = judge_encoders(series, dof)
+    return [*_doubled(series, dof), *encoders, *_stuck(series, dof, wrapped)]
 
 
 def _doubled(series: Sequence[Series], dof: int) -> list[ImportFinding]:
@@ -102,11 +176,11 @@ def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
     return []
 
 
-def _stuck(series: Sequence[Series], dof: int) -> list[ImportFinding]:
+def _stuck(series: Sequence[Series], dof: int, wrapped: set[int]) -> list[ImportFinding]:
     """Findings on angles that stand still while their goal, sampled with them, moves."""
     found = []
     for s in series:
-        for j in range(1, dof + 1):
+        for j in (j for j in range(1, dof + 1) if j not in wrapped):
             angle, goal = (s.columns.get(f"{kind}_{j}_rad") for kind in ("angle", "goal"))
             if angle is None or goal is None or np.nanmax(np.abs(goal)) > LARGEST_RAD:
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import msgspec
@@ -20,6 +21,8 @@ from models.trials.verdict.motion_findings import judge_motion
 from models.trials.verdict.pose_findings import judge_pose
 from models.trials.verdict.rest_pose import rest_pose
 from models.trials.verdict.signal_findings import check_common_clock, judge_signals
+from models.trials.verdict.whole_run.run_findings import judge_run
+from models.trials.verdict.whole_run.zero_markers import without_zeros
 
 __all__ = ["check_trial", "check_trials"]
 
@@ -29,6 +32,10 @@ COLLINEAR: Final = 0.98
 CLOCK_REMEDY: Final = (
     "import the recordings again, the angles as a second file with --servo; models gap names an "
     "offset that stays (sync_offset)"
+)
+
+ZERO_REMEDY: Final = (
+    "leave these cells empty, and the tip where it was computed with them to the other markers"
 )
 
 
@@ -42,7 +49,13 @@ def check_trial(trial: Trial) -> ImportVerdict:
     """
     verdict = ImportVerdict(trial.name, trial=trial)
     columns = {n: v for n, v in trial.columns.items() if n != "time_s"}
-    series = [Series(trial.time_s, columns, trial.path)]
+    series, verdict.findings = without_zeros(
+        [Series(trial.time_s, columns, trial.path)],
+        trial.meta.layout.names,
+        np.zeros(3),
+        ZERO_REMEDY,
+    )
+    trial = replace(trial, columns=trial.columns | series[0].columns)
     verdict.findings += judge_signals(series, trial.meta.dof)
     markers_m = trial.markers_m
     if np.isfinite(markers_m).any():
@@ -58,7 +71,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
         if verdict.pose is not None:
             verdict.findings += judge_pose(verdict.pose, mapping, "z")
         check_common_clock(series, trial.meta, verdict, CLOCK_REMEDY)
-    verdict.findings += [*judge_rest(trial), *judge_motion(trial)]
+    verdict.findings += [*judge_rest(trial), *judge_motion(trial), *judge_run(trial)]
     return verdict
 
 

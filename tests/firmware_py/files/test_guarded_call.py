@@ -82,3 +82,36 @@ def test_temporary_files_go_with_the_child_and_files_are_limited(monkeypatch):
 
     folder, number = call(work).decode().split("\n")
     assert os.strerror(int(number)) == "File too large" and not Path(folder).exists()
+
+
+@pytest.fixture
+def without_fork(monkeypatch):
+    """A process as on Windows."""
+    monkeypatch.delattr(os, "fork")
+
+
+def test_without_a_fork_the_work_runs_here(without_fork, capfd):
+    def work():
+        print("a library talks")
+        return str(os.getpid()).encode()
+
+    assert call(work) == str(os.getpid()).encode()
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("error", "raised", "sentence"),
+    [
+        (InputError("a.mat", "is no table", "export it"), InputError, r"^a\.mat: is no table; ex"),
+        (ValueError("codec"), InputError, r"a\.mat: .* or too large: .* crashed; export it again"),
+        (MemoryError(), InputError, r"a\.mat: takes more memory to read than there is; export it"),
+        (OSError(errno.ENOENT, "gone"), InputError, "crashed"),
+        (OSError(errno.ENOSPC, "No space left"), OSError, "No space left"),
+    ],
+)
+def test_without_a_fork_the_sentences_are_the_same(without_fork, error, raised, sentence):
+    def work():
+        raise error
+
+    with pytest.raises(raised, match=sentence):
+        call(work)

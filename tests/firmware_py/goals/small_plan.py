@@ -5,9 +5,16 @@ import numpy as np
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import MANIFEST
+from firmware_py.link.link_facts import LinkFacts
 from firmware_py.signals import PERIOD_S
 
 ROWS = 40
+STUDY = LinkFacts(
+    joints=2, length_m=0.95, width_m=0.15, base_offset_m=0.06, section="square",
+    gravity_m_s2=(0.0, 0.0, -9.81), servo="H54-200-S500-R",
+)  # fmt: skip
+"""Facts of the study's link: docs/sources.md, "The link"."""
+OTHER_PLANT = "was made with another plant than the bundle"
 
 
 def column(largest_rad):

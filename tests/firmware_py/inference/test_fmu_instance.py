@@ -1,5 +1,6 @@
 """FMU instance of the robot, against FMPy on the same FMU; and refusals."""
 
+import os
 import platform
 import tracemalloc
 import zipfile
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.inference import fmu_file
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
@@ -195,3 +197,15 @@ def test_nothing_is_left_behind(path, tmp_path, monkeypatch):
     with FmuInstance(path) as fmu:
         assert list(tmp_path.iterdir()) == []
         fmu.step(PERIOD_S)
+
+
+def test_a_library_that_stays_mapped_may_stay_on_the_disk(tmp_path, monkeypatch):
+    """Windows refuses to delete it; that must not pass for a library that does not load."""
+
+    def unlink(name, **options):
+        raise PermissionError(13, "is mapped", str(name))
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(fmu_file.ctypes, "PyDLL", lambda name: "loaded")
+    monkeypatch.setattr(os, "unlink", unlink)
+    assert fmu_file._loaded(b"only in this test", "unit.dll") == "loaded"

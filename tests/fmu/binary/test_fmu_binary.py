@@ -2,12 +2,14 @@
 
 import ctypes
 import math
+import platform
 
 import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
+from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 from fmu.fmu_checker import exported_functions
 from fmu.parity import varying_steps_s
@@ -26,6 +28,13 @@ def test_every_function_of_the_headers_is_exported_and_nothing_else_of_ours(arch
     assert [name for name in wanted if not hasattr(library, name)] == []
     for hidden in ("fmu_step", "model_flow", "VARIABLES"):
         assert not hasattr(library, hidden)
+
+
+def test_a_machine_without_a_library_gets_one_sentence(archive, monkeypatch):
+    monkeypatch.setattr(platform, "system", lambda: "Darwin")
+    monkeypatch.setattr(platform, "machine", lambda: "arm64")
+    with pytest.raises(InputError, match=r"no library for aarch64-darwin; build it with --platfo"):
+        archive.instance()
 
 
 def test_fmpys_own_simulation_equals_the_interpreted_model(toy_fmu, toy):

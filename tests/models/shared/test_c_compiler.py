@@ -1,8 +1,10 @@
 import ctypes
+import os
+import platform
 
 import pytest
 
-from firmware_py.errors import DropstitchError
+from firmware_py.errors import DropstitchError, InputError
 from models.shared import c_compiler
 
 SOURCE = """
@@ -69,3 +71,54 @@ def test_options_of_the_environment_build_anew_and_compute_the_same(source, tmp_
     monkeypatch.setenv(c_compiler.OPTIONS_VARIABLE, "-O0")
     assert wave("two.so") == optimised
     assert len(list(c_compiler.CACHE.glob("*.so"))) == 2
+
+
+def on_machine(monkeypatch, system, machine):
+    monkeypatch.setattr(platform, "system", lambda: system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "target"),
+    [
+        ("Linux", "x86_64", "x86_64-linux-gnu.2.17"),
+        ("Linux", "aarch64", "aarch64-linux-gnu.2.17"),
+        ("Darwin", "x86_64", "x86_64-macos.11.0"),
+        ("Darwin", "arm64", "aarch64-macos.11.0"),
+        ("Windows", "AMD64", "x86_64-windows-gnu"),
+    ],
+)
+def test_what_is_loaded_here_is_compiled_for_this_machine(
+    source, monkeypatch, system, machine, target
+):
+    def compile_(sources, output, include, options):
+        assert options[options.index("-target") + 1] == target
+        output.write_bytes(b"of another machine")
+
+    on_machine(monkeypatch, system, machine)
+    monkeypatch.setattr(c_compiler, "_compile", compile_)
+    with pytest.raises(InputError, match=r"holds a compiled model that does not load .*; set TMP"):
+        c_compiler.load_library(lambda directory: [source])
+
+
+def test_a_machine_without_a_target_gets_one_sentence(source, monkeypatch):
+    on_machine(monkeypatch, "FreeBSD", "riscv64")
+    with pytest.raises(
+        InputError, match=r"platform riscv64-freebsd: is none that models .*; use a"
+    ):
+        c_compiler.load_library(lambda directory: [source])
+
+
+def test_a_library_that_stays_mapped_may_stay_on_the_disk(source, tmp_path, monkeypatch):
+    def unlink(path, **options):
+        if str(path).endswith(".so"):
+            raise PermissionError(13, "is mapped", str(path))
+        remove(path, **options)
+
+    remove = os.unlink
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(c_compiler, "_compile", lambda s, output, *_: output.write_bytes(b""))
+    monkeypatch.setattr(ctypes, "CDLL", lambda path: "loaded")
+    c_compiler.compile_library([source], tmp_path / "cached.so")
+    monkeypatch.setattr(os, "unlink", unlink)  # as on Windows
+    assert c_compiler.load_library(lambda directory: [source]) == "loaded"

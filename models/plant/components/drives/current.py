@@ -11,7 +11,7 @@ from models.plant.components.drives.drive_protocol import (
     start_offset_parameter,
     start_rate_parameter,
 )
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
@@ -32,8 +32,8 @@ class Current:
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
-                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=1.0, low=1e-3,
-                          high=1e3, description="torque at the output per ampere",
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=NO_DEFAULT,
+                          low=1e-3, high=1e3, description="torque at the output per ampere",
                           source="data sheet of the drive"),
                 Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.01, low=0.0,
                           high=100.0, role="nuisance", description="rotor inertia at the output",

@@ -7,7 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.drives.drive_protocol import declare_goal, start_offset_parameter
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
@@ -31,9 +31,9 @@ class Duty:
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
-                Parameter(name=f"duty_gain_{j}", unit="1/rad", value=1.15, low=0.01, high=50.0,
-                          description="duty per radian of error",
-                          source="kp · 651.9 / (256 · 885) for kp = 400 (README of the data)"),
+                Parameter(name=f"duty_gain_{j}", unit="1/rad", value=NO_DEFAULT, low=0.01,
+                          high=50.0, description="duty per radian of error",
+                          source="register of the servo"),
                 start_offset_parameter(scope, j),
                 Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
                           high=50.0, role="nuisance", description="resistance of the winding",

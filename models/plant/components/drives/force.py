@@ -12,7 +12,7 @@ from models.plant.components.drives.drive_protocol import (
     start_offset_parameter,
     start_rate_parameter,
 )
-from models.plant.parameter import Parameter
+from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
@@ -34,9 +34,9 @@ class Force:
         for j in scope.joints:
             result += [
                 Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
-                          value=35.1507, low=0.01, high=1e3,
+                          value=NO_DEFAULT, low=0.01, high=1e3,
                           description="force per volt of command",
-                          source="EMPS, README of the data"),
+                          source="data sheet of the drive"),
                 start_offset_parameter(scope, j),
                 start_rate_parameter(scope, j),
                 friction_speed_parameter(scope, j),

@@ -26,15 +26,18 @@ VALUES = {
     "velocity_integral_time_1_s": 0.3, "torque_constant_1_nm_a": 6.0, "rotor_inertia_1_kg_m2": 2.0,
     "mass_kg": 1.0, "arm_length_m": 0.1, "gravity_m_s2": 9.81,
 }  # fmt: skip
+VALUES_TOML = "\n".join(f"{name} = {value}" for name, value in VALUES.items())
 EXTENSION = {"forward": 0.4, "gather": 8.0, "weight": 0.7}
 EXTENDED = ("velocity_feedforward_1", "position_integral_1_per_s2", "setpoint_weight_1")
 """Arguments of `integrated`, and the plant's parameters."""
 
-DOCUMENT = """
+DOCUMENT = f"""
 schema = 1
 name = "pendulum on a cascade"
-drive = { kind = "cascade" }
-load = { kind = "pendulum" }
+drive = {{ kind = "cascade" }}
+load = {{ kind = "pendulum" }}
+[parameters]
+{VALUES_TOML}
 """
 
 
@@ -46,7 +49,7 @@ def sinusoid(count, rad_s=3.0):
 def pendulum(tmp_path_factory):
     path = tmp_path_factory.mktemp("plant") / "pendulum.toml"
     path.write_text(DOCUMENT)
-    return CompiledModel(read_plant(path).with_values(VALUES).step_model(1, "twin"))
+    return CompiledModel(read_plant(path).step_model(1, "twin"))
 
 
 def run(compiled, goal, **changes):

@@ -15,6 +15,7 @@ from models.plant.step_model import names
 PENDULUM = {
     "mass_kg": 0.5, "arm_mass_kg": 0.2, "arm_length_m": 0.3, "rotor_inertia_1_kg_m2": 1e-4,
     "torque_constant_1_nm_a": 0.01, "winding_resistance_1_ohm": 50.0, "duty_gain_1": 0.01,
+    "current_limit_1_a": 3.0,
 }  # fmt: skip
 
 
@@ -78,11 +79,39 @@ def test_a_mass_under_a_constant_force_moves_by_half_a_t_squared(plant_of):
 
 
 def test_a_mass_against_friction_reaches_its_final_speed(plant_of):
-    plant = plant_of("force", "mass", {"mass_kg": 95.0, "viscous_friction_1_n_s_m": 20.0},
-                     ["viscous_friction"])  # fmt: skip
+    parameters = {"mass_kg": 95.0, "force_constant_1_n_v": 35.0, "viscous_friction_1_n_s_m": 20.0}
+    plant = plant_of("force", "mass", parameters, ["viscous_friction"])
     model = plant.step_model(1)
     y = model.simulate(np.tile([1.0, 0.0], (500, 1)), 0.1)[:, 0]
-    assert (y[-1] - y[-2]) / 0.1 == pytest.approx(35.1507 / 20.0, rel=1e-3)
+    assert (y[-1] - y[-2]) / 0.1 == pytest.approx(35.0 / 20.0, rel=1e-3)
+
+
+def test_a_constant_of_the_machine_has_no_default(plant_of):
+    with pytest.raises(InputError) as refused:
+        plant_of("force", "mass", {"mass_kg": 80.0})
+    assert str(refused.value).endswith(
+        "mass.toml: parameter force_constant_1_n_v (force per volt of command) is missing and has "
+        "no default; give it in N/V under [parameters]."
+    )
+
+
+@pytest.mark.parametrize(
+    ("drive", "load", "own"),
+    [
+        ("duty", "pendulum", "duty_gain_1 mass_kg arm_length_m"),
+        ("cascade", "pendulum", "mass_kg arm_length_m"),
+        ("current", "flexible_link", "torque_constant_1_nm_a link_inertia_kg_m2"),
+        ("force", "geared_shaft", "force_constant_1_nm_v load_inertia_1_kg_m2"),
+        ("measured", "geared_slide", "load_mass_1_kg"),
+        ("measured", "mass", "mass_kg"),
+    ],
+)
+def test_every_part_wants_its_own_constants_and_nothing_else(plant_of, drive, load, own):
+    given = dict.fromkeys(own.split(), 2.0)
+    assert plant_of(drive, load, given).parameters.keys() >= given.keys()
+    for name in given:
+        with pytest.raises(InputError, match=f"parameter {name} .* is missing"):
+            plant_of(drive, load, {n: v for n, v in given.items() if n != name})
 
 
 def test_what_a_load_cannot_do_is_refused(plant_of):
@@ -96,7 +125,7 @@ def test_what_a_load_cannot_do_is_refused(plant_of):
 SERVO = {
     "mass_kg": 0.5, "arm_mass_kg": 0.0, "arm_length_m": 0.1, "rotor_inertia_1_kg_m2": 1e-3,
     "torque_constant_1_nm_a": 0.4, "winding_resistance_1_ohm": 3.0, "duty_gain_1": 0.5,
-    "viscous_friction_1_nm_s_rad": 0.02, "presliding_1_rad": 5e-4,
+    "viscous_friction_1_nm_s_rad": 0.02, "presliding_1_rad": 5e-4, "current_limit_1_a": 3.0,
 }  # fmt: skip
 WEIGHT_NM = 0.5 * 9.81 * 0.1
 

@@ -170,11 +170,20 @@ def test_one_effect_stays_finite_at_its_bounds(bench, name):
 # --- documents ------------------------------------------------------------------------------------
 
 
+OWN = {
+    "link": {},
+    "mass": {"mass_kg": 95.0, "force_constant_1_n_v": 35.0},
+    "pendulum": {"mass_kg": 0.5, "arm_length_m": 0.1, "duty_gain_1": 1.0, "current_limit_1_a": 3.0},
+}
+"""Constants of the machine, by load."""
+
+
 def document(tmp_path, drive, load, effect):
     path = tmp_path / "plant.toml"
     path.write_text(
         f'schema = 1\nname = "p"\ndrive = {{ kind = "{drive}" }}\nload = {{ kind = "{load}" }}\n'
-        f'effects = [{{ name = "{effect}" }}]\n'
+        f'effects = [{{ name = "{effect}" }}]\n[parameters]\n'
+        + "".join(f"{name} = {value}\n" for name, value in OWN[load].items())
     )
     return path
 

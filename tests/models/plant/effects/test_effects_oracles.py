@@ -266,13 +266,13 @@ def test_a_mass_slides_once_the_breakaway_force_is_exceeded(tmp_path):
     path = tmp_path / "plant.toml"
     path.write_text(
         'schema = 1\nname = "p"\ndrive = { kind = "force" }\nload = { kind = "mass" }\n'
-        'effects = [{ name = "stiction" }]\n[parameters]\nstiction_1_n = 30.0\n'
-        "friction_speed_1_m_s = 1e-4\n"
+        'effects = [{ name = "stiction" }]\n[parameters]\nstiction_1_n = 30.0\nmass_kg = 95.0\n'
+        "friction_speed_1_m_s = 1e-4\nforce_constant_1_n_v = 10.0\n"
     )
     model = read_plant(path).step_model(1)
     force_n = np.linspace(0.0, 40.0, 400)
     u = np.zeros((len(force_n), len(model.inputs)))
-    u[:, names(model.inputs).index("command_1_v")] = force_n / 35.1507
+    u[:, names(model.inputs).index("command_1_v")] = force_n / 10.0
     position = CompiledModel(model).simulate(u, 0.005)[1:, 0]
     before, after = position[force_n < 27.0][-1], position[-1]
     assert before < 5e-4 < 1e-2 < after

@@ -108,6 +108,28 @@ def read_signals(folder):
     return read_plant(folder / "plant.toml").signals
 
 
+def test_a_plant_whose_signal_is_not_in_the_unit_of_its_quantity_is_refused(tmp_path, capsys):
+    """In millimetres the numbers would be taken as metres, and every mass come out too small."""
+    (tmp_path / "plant.toml").write_text(PLANT.replace('unit = "m",', 'unit = "mm",'))
+    (tmp_path / "map.toml").write_text(MAP)
+    samples = [{"t_ms": 10.0 * k, "motor": {"position": 0.5 * k}} for k in range(5)]
+    document = {"rig": {"mass_g": 250.0, "speed": 3}, "samples": samples}
+    (tmp_path / "log.json").write_text(json.dumps(document | {"channels": {"force": [0.0] * 5}}))
+    command = ["import", str(tmp_path / "log.json"), "--as", "table", "--out", str(tmp_path)]
+    assert main([*command, "--map", str(tmp_path / "map.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "plant.toml: signal ram is given in 'mm', its quantity position_1_m in 'm'; give" in said
+    assert not (tmp_path / "log.csv").exists()
+    with pytest.raises(InputError, match="signal ram is given in 'mm'"):
+        read_plant(tmp_path / "plant.toml")
+
+
+def test_a_condition_in_another_unit_than_its_parameter_is_refused(tmp_path):
+    (tmp_path / "plant.toml").write_text(PLANT.replace('unit = "kg",', 'unit = "N",'))
+    with pytest.raises(InputError, match=r"moved is given in 'N', parameter load_mass_1_kg in 'k"):
+        read_plant(tmp_path / "plant.toml")
+
+
 def test_columns_of_different_length_are_refused(tmp_path, capsys):
     (tmp_path / "plant.toml").write_text(PLANT)
     (tmp_path / "map.toml").write_text(MAP)

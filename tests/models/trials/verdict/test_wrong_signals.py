@@ -31,7 +31,7 @@ def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
     columns = {"time_s": time_s}
     for j in range(1, dof + 1):
         phase = 2 * np.pi * np.maximum(time_s - STEP_S * REST, 0) / meta.period_s
-        goal = 0.5 * np.sin(phase) if j == 1 else 0.25 * (1 - np.cos(phase))
+        goal = 0.5 * np.sin(phase) if j == 1 else 0.25 * (np.cos(phase) - 1)
         angle = np.interp(time_s - 0.03, time_s, goal) + 2e-5 * rng.standard_normal(len(time_s))
         load = KG_A * (0.7 + (payload_kg if shown_kg is None else shown_kg))
         friction = 0.5 * np.tanh(np.gradient(angle, STEP_S) / 0.05)

@@ -1,0 +1,123 @@
+"""Facts of a link that no identification changes: joints, size, mounting, servo.
+
+A plan and a map of goals hold those of the plant that they were made with. So the robot can tell an
+improved plant of its own link from a plant of another link.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from firmware_py.files.input_files import read_json
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+
+__all__ = ["LinkFacts", "facts_of_bundle", "facts_of_plant", "other_link"]
+
+PLANT: Final = "plant.json"
+_SAME: Final = 1e-6
+"""Relative or absolute difference below which two numbers are the same [assumed]."""
+
+
+class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What tells one link from another.
+
+    Attributes
+    ----------
+    joints : int
+        Driven joints.
+    length_m, width_m, base_offset_m : float
+        Size, as in `firmware_py.link.link_description.LinkDescription`.
+    section : str
+        Shape of the section.
+    gravity_m_s2 : tuple of float
+        Acceleration by gravity in the link's frame: the mounting.
+    servo : str
+        Model of the servos.
+    """
+
+    joints: int
+    length_m: float
+    width_m: float
+    base_offset_m: float
+    section: str
+    gravity_m_s2: tuple[float, float, float]
+    servo: str
+
+
+def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
+    """Facts of the link of a plant; None where it is no link, or does not tell them.
+
+    Parameters
+    ----------
+    plant : mapping
+        Its document, as JSON decodes it.
+    """
+    try:
+        described = plant.get("link")
+        link = msgspec.convert(described, LinkDescription) if described else STUDY_LINK
+        value = {
+            name: float(plant["parameters"][name]["value"])
+            for name in ("link_length_m", "link_width_m", "base_offset_m", "gravity_m_s2")
+        }
+        x, y, z = (value["gravity_m_s2"] * part for part in link.gravity.unit)
+    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    return LinkFacts(
+        joints=link.joints, length_m=value["link_length_m"], width_m=value["link_width_m"],
+        base_offset_m=value["base_offset_m"], section=link.section, gravity_m_s2=(x, y, z),
+        servo=link.servo.model,
+    )  # fmt: skip
+
+
+def facts_of_bundle(directory: Path) -> LinkFacts | None:
+    """Facts of the link of a bundle; None where it holds no plant, or one that does not tell them.
+
+    Parameters
+    ----------
+    directory : Path
+        The bundle.
+
+    Raises
+    ------
+    InputError
+        If its plant cannot be read.
+    """
+    path = directory / PLANT
+    if not path.is_file():
+        return None
+    plant = read_json(path, "copy or train the bundle again")
+    return facts_of_plant(plant) if isinstance(plant, dict) else None
+
+
+def other_link(own: LinkFacts, there: LinkFacts) -> str:
+    """First fact in which two links differ, as "length_m 0.6 in place of 0.95"; empty for none.
+
+    Parameters
+    ----------
+    own, there : LinkFacts
+        The two links.
+    """
+    for field in msgspec.structs.fields(LinkFacts):
+        one, other = getattr(own, field.name), getattr(there, field.name)
+        if not _same(one, other):
+            return f"{field.name} {_text(one)} in place of {_text(other)}"
+    return ""
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, tuple):
+        return all(_same(a, b) for a, b in zip(one, other, strict=True))
+    if isinstance(one, float):
+        return math.isclose(one, other, rel_tol=_SAME, abs_tol=_SAME)
+    return bool(one == other)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_text(v) for v in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

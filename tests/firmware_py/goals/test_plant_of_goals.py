@@ -1,0 +1,54 @@
+"""Plans and maps of another plant: told where the link is the same, refused where it is not."""
+
+import msgspec
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.goals.plant_of_goals import note_on_plant
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.manifest import read_bundle_files
+from models.plant.plant import read_plant
+from tests.firmware_py.goals.outside.scripted_program import linear_map
+from tests.firmware_py.goals.small_plan import OTHER_PLANT, STUDY
+from tests.firmware_py.simulated_loop import StillPredictor
+
+OWN, OTHER = "1" * 64, "0" * 64
+
+
+@pytest.fixture
+def bundle(bare_bundle, tmp_path):
+    """Bundle that was trained with a plant, which lies in it."""
+    read_plant().write(tmp_path / "plant.json")
+    manifest = msgspec.structs.replace(read_bundle_files(bare_bundle).manifest, plant_sha256=OWN)
+    return ModelBundle(tmp_path, manifest, NoEstimator(), StillPredictor())
+
+
+def made_with(sha256, **facts):
+    link = msgspec.structs.replace(STUDY, **facts)
+    return msgspec.structs.replace(linear_map(), plant_sha256=sha256, link=link)
+
+
+def test_another_plant_of_the_same_link_is_told(bundle):
+    note = note_on_plant("map.json", made_with(OTHER), bundle)
+    assert note.startswith(f"map.json {OTHER_PLANT} {bundle.directory} (plant_sha256): ")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("length_m", 0.6), ("servo", "XM430-W350"), ("gravity_m_s2", (-9.81, 0.0, 0.0))],
+)
+def test_another_link_is_refused(bundle, name, value):
+    with pytest.raises(InputError, match=f"map.json: was made for another link .*: {name} "):
+        note_on_plant("map.json", made_with(OTHER, **{name: value}), bundle)
+
+
+def test_the_bundles_own_plant_and_files_of_earlier_versions_are_taken_as_they_are(bundle):
+    assert note_on_plant("map.json", made_with(OWN), bundle) == ""
+    old = msgspec.structs.replace(linear_map(), plant_sha256=OTHER)
+    assert note_on_plant("map.json", old, bundle) == ""
+
+
+def test_a_bundle_without_a_plant_is_judged_by_its_hash_alone(bundle):
+    (bundle.directory / "plant.json").unlink()
+    assert OTHER_PLANT in note_on_plant("map.json", made_with(OTHER, length_m=0.6), bundle)

@@ -1,0 +1,102 @@
+"""Steps, shared signals and clocks of the files of one take are told where they do not fit."""
+
+import numpy as np
+import pytest
+
+from firmware_py.link.link_description import STUDY_LINK
+from models.trials.importers.mapping import RecordingMap
+from models.trials.importers.series import Series, marker_columns
+from models.trials.importers.synchronisation import synchronise
+from models.trials.trial import TrialMeta
+from models.trials.verdict.import_verdict import ImportVerdict
+from models.trials.verdict.inspected_import import Source, inspect_import
+from models.trials.verdict.signal_findings import judge_shared_signals, judge_steps
+
+META = TrialMeta(
+    dof=1, payload_kg=0.0, trial=1, motion="sinusoid", source="measured", period_s=4.0,
+    rest_samples=1, **STUDY_LINK.conditions(),
+)  # fmt: skip
+
+
+def swing(time_s):
+    """Rest, then two cycles of 4 s."""
+    return -0.5 * np.sin(np.pi / 2 * np.clip(time_s - 1.0, 0, 8.0))
+
+
+def servo_log(path, step_s=0.017):
+    time_s = np.arange(0, 10, step_s)
+    angle = swing(time_s)
+    return Series(
+        time_s, {"goal_1_rad": angle, "angle_1_rad": angle, "current_1_a": 3 * angle}, path
+    )
+
+
+@pytest.mark.parametrize(
+    ("step_s", "remedy"),
+    [
+        (0.017, None), (0.001, None), (0.0015, None), (0.01, "0.01"), (0.02, "0.02"),
+        (1 / 60, "0.01667"),
+    ],
+)  # fmt: skip
+def test_another_step_is_told_with_the_remedy(step_s, remedy, tmp_path):
+    log = [servo_log(tmp_path / "servo.csv", step_s)]
+    found = judge_steps(log, RecordingMap())
+    assert [f.remedy for f in found] == ([f"set step_s = {remedy} in MAP.toml"] if remedy else [])
+    assert all(f.level == "warning" and "servo.csv" in f.text for f in found)
+    assert judge_steps(log, RecordingMap(step_named=True)) == []
+
+
+def test_a_step_that_jitters_is_not_taken_for_another(tmp_path):
+    rng = np.random.default_rng(3)
+    log = servo_log(tmp_path)
+    time_s = log.time_s + rng.uniform(-0.002, 0.002, len(log.time_s))
+    assert judge_steps([Series(time_s, log.columns, tmp_path)], RecordingMap()) == []
+
+
+@pytest.mark.parametrize(("factor", "count"), [(1.0, 0), (0.9, 1)])
+def test_a_signal_of_both_files_is_told_where_they_differ(factor, count, tmp_path):
+    servo = servo_log(tmp_path / "servo.csv")
+    time_s = np.arange(0.1, 9.5, 1 / 120)
+    mocap = Series(time_s, {"angle_1_rad": factor * swing(time_s)}, tmp_path / "mocap.csv")
+    found = judge_shared_signals([servo], [mocap])
+    assert len(found) == count
+    assert all("what servo.csv holds is used" in f.text for f in found)
+
+
+@pytest.mark.parametrize(("rate_error", "count"), [(0.0, 0), (1e-3, 1)])
+def test_clocks_that_drift_apart_are_told(rate_error, count, rigid_markers, tmp_path):
+    time_s = np.arange(0, 10, 1 / 200)
+    markers_m = rigid_markers(np.pad(swing(time_s)[:, None], ((0, 0), (0, 1))))
+    rng = np.random.default_rng(4)
+    markers_m = markers_m + 2e-4 * rng.standard_normal(markers_m.shape)
+    columns = marker_columns({f"m{k + 1:02d}": markers_m[:, k] for k in range(16)})
+    mocap = [Series(time_s / (1 + rate_error), columns, tmp_path)]
+    verdict = ImportVerdict("take", clock=synchronise([servo_log(tmp_path)], mocap, META))
+    verdict.check_clock()
+    assert ["drift apart" in f.text for f in verdict.findings] == [True] * count
+
+
+def test_the_next_best_offset_is_on_the_same_clocks_as_the_best(rigid_markers, tmp_path):
+    time_s = np.arange(0, 10, 1 / 120)
+    markers_m = rigid_markers(np.pad(swing(time_s)[:, None], ((0, 0), (0, 1))))
+    mocap = {"time_s": time_s + 100.0} | marker_columns(
+        {f"m{k + 1:02d}": markers_m[:, k] for k in range(16)}
+    )
+    log = servo_log(tmp_path)
+    files = {"mocap": mocap, "servo": {"time_s": log.time_s + 1.7643e9} | log.columns}
+    for name, columns in files.items():
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.column_stack(list(columns.values())), "%.7f", ",",
+            header=",".join(columns), comments="",
+        )  # fmt: skip
+    trial = {
+        "dof": 1, "payload_kg": 0.0, "trial": 1, "motion": "sinusoid", "period_s": 4.0,
+        "amplitude_rad": 0.5, "pressure_pa": 41300.0, "base_offset_m": 0.06, "link_length_m": 0.95,
+        "link_width_m": 0.15,
+    }  # fmt: skip
+    verdict = ImportVerdict("take")
+    source = Source(tmp_path / "mocap.csv", "table", tmp_path / "servo.csv")
+    inspect_import(source, RecordingMap(trial=trial), verdict)
+    assert verdict.clock is not None
+    assert verdict.clock.offset_s == pytest.approx(100.0 - 1.7643e9, abs=1e-3)
+    assert abs(verdict.clock.second_offset_s - verdict.clock.offset_s) < 10.0
