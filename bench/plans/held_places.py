@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.console import DONE
+from firmware_py.errors import InputError
 from firmware_py.goals.outside.goal_map import RestGoals
 from firmware_py.signals import PERIOD_S
 from models.plan.moves.rest_map import RAMP_S, map_rest
@@ -34,7 +35,10 @@ def main(arguments: list[str]) -> int:
     for payload_kg in PAYLOADS_KG:
         for place_m in PLACES_M:
             goals_rad = rest.goals_rad((place_m,), payload_kg)
-            assert goals_rad is not None, f"{place_m} m is out of reach with {payload_kg} kg"
+            if goals_rad is None:
+                raise InputError(
+                    f"{place_m} m", f"is out of reach with {payload_kg} kg", "map less"
+                )
             for hold_s, name in zip(HOLDS_S, worst_mm, strict=True):
                 tip_m = twin.held_tip_m(goals_rad, payload_kg, RAMP_S, hold_s)
                 worst_mm[name] = max(worst_mm[name], 1e3 * abs(float(tip_m[0]) - place_m))

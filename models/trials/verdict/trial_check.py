@@ -35,7 +35,7 @@ CLOCK_REMEDY: Final = (
 )
 
 ZERO_REMEDY: Final = (
-    "leave these cells empty, and the tip where it was computed with them to the other markers"
+    "leave these cells empty, and compute the tip there from the other markers of its row"
 )
 
 

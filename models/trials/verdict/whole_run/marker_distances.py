@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.trial import Array
 
-Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 
 IN_SECTION: Final = 0.15
 """Relative change of a distance within a section that is wrong: ten times the rigs' largest."""
@@ -35,7 +35,10 @@ RIGHT_AGAIN: Final = 0.9
 """Fraction of the sampled rows that an exchange must bring right."""
 PRESENT: Final = 0.2
 """Fraction of a stretch in which a marker must be wrong to be named."""
-_CHUNK: Final = 2000
+MOST_STRETCHES: Final = 50
+"""Longest stretches that are looked at one by one; the rows of all others are told together."""
+_CELLS: Final = 200_000
+"""Distances that are held at once."""
 
 
 class Misplaced(NamedTuple):
@@ -55,7 +58,7 @@ class Misplaced(NamedTuple):
 
     places: tuple[int, ...]
     exchanged: bool
-    rows: NDArray[np.intp]
+    rows: Rows
     off_m: float
 
 
@@ -71,7 +74,8 @@ class _Distances:
         self.first, self.second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         nominal_m = np.array([(x, y, z) for z in layout.rows_m for x, y in layout.corners_m])
         self.rest_m = self.of(nominal_m[None])[0]
-        at_rest_m = self.of(markers_m[: max(rest, 1)])
+        self.chunk = max(_CELLS // max(len(pairs), 1), 1)
+        at_rest_m = self.of(markers_m[: min(max(rest, 1), self.chunk)])
         seen = np.isfinite(at_rest_m).any(axis=0)
         self.rest_m[seen] = np.nanmedian(at_rest_m[:, seen], axis=0)
         same = self.first // layout.corners == self.second // layout.corners
@@ -85,6 +89,10 @@ class _Distances:
     def off_m(self, markers_m: Array) -> Array:
         """Changes of the distances, shape (n, pairs); 0 where a marker is unseen."""
         return np.asarray(np.nan_to_num(np.abs(self.of(markers_m) - self.rest_m)))
+
+    def chunks(self, rows: Rows) -> list[Rows]:
+        """Rows in parts of which the distances are held at once."""
+        return np.array_split(rows, len(rows) // self.chunk + 1)
 
 
 def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list[Misplaced]:
@@ -102,25 +110,29 @@ def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list
     distances = _Distances(markers_m, layout, rest)
     wrong = np.concatenate(
         [
-            (distances.off_m(chunk) > distances.limit_m).any(axis=1)
-            for chunk in np.array_split(markers_m, len(markers_m) // _CHUNK + 1)
+            (distances.off_m(markers_m[rows]) > distances.limit_m).any(axis=1)
+            for rows in distances.chunks(np.arange(len(markers_m)))
         ]
     )
     rows = np.flatnonzero(wrong)
     if not len(rows):
         return []
     stretches = np.split(rows, np.flatnonzero(np.diff(rows) > JOINED_ROWS + 1) + 1)
+    stretches.sort(key=len, reverse=True)
     found: list[Misplaced] = []
-    for stretch in stretches:
+    for stretch in stretches[:MOST_STRETCHES]:
         before = markers_m[stretch[0] - 1] if stretch[0] else np.full(markers_m.shape[1:], np.nan)
         found += _exchanges(distances, markers_m, stretch, before) or [
             _out_of_place(distances, markers_m, stretch)
         ]
+    if stretches[MOST_STRETCHES:]:
+        rest_rows = np.sort(np.concatenate(stretches[MOST_STRETCHES:]))
+        found.append(_out_of_place(distances, markers_m, rest_rows))
     return _merged(found)
 
 
 def _exchanges(
-    distances: _Distances, markers_m: Array, stretch: NDArray[np.intp], before_m: Array
+    distances: _Distances, markers_m: Array, stretch: Rows, before_m: Array
 ) -> list[Misplaced]:
     """Exchanges of two markers that bring the distances of a stretch right again, or none."""
     sample = stretch[np.linspace(0, len(stretch) - 1, min(len(stretch), SAMPLED_ROWS)).astype(int)]
@@ -132,7 +144,7 @@ def _exchanges(
     candidates = [k for k in np.argsort(-counts, kind="stable")[:MOST_CANDIDATES] if counts[k]]
     order, swaps = np.arange(markers_m.shape[1]), []
 
-    def cost(trial_order: NDArray[np.intp]) -> float:
+    def cost(trial_order: Rows) -> float:
         """Changes of the distances; the jump at the start decides between mirrored exchanges."""
         jump_m = np.nansum(np.linalg.norm(start_m[trial_order] - before_m, axis=1))
         return float(distances.off_m(sampled_m[:, trial_order]).mean(axis=0).sum() + jump_m)
@@ -150,15 +162,15 @@ def _exchanges(
         swaps.append(swap)
         right = (distances.off_m(sampled_m[:, order]) <= distances.limit_m).all(axis=1)
         if right.mean() >= RIGHT_AGAIN:
-            most_m = float(distances.off_m(markers_m[stretch]).max())
+            most_m = float(off_m.max())
             return [Misplaced(pair, True, stretch, most_m) for pair in swaps]
     return []
 
 
-def _out_of_place(distances: _Distances, markers_m: Array, stretch: NDArray[np.intp]) -> Misplaced:
+def _out_of_place(distances: _Distances, markers_m: Array, stretch: Rows) -> Misplaced:
     """Markers of a stretch without which no distance is wrong; of two alike both."""
     named, most_m, count = np.zeros(markers_m.shape[1]), 0.0, markers_m.shape[1]
-    for rows in np.array_split(stretch, len(stretch) // _CHUNK + 1):
+    for rows in distances.chunks(stretch):
         off_m = distances.off_m(markers_m[rows])
         most_m = max(most_m, float(off_m.max()))
         table = np.zeros((len(rows), count, count), dtype=bool)
@@ -180,7 +192,7 @@ def _merged(found: list[Misplaced]) -> list[Misplaced]:
     for one in found:
         key = (one.places, one.exchanged)
         if key in merged:
-            rows = np.concatenate([merged[key].rows, one.rows])
+            rows = np.sort(np.concatenate([merged[key].rows, one.rows]))
             one = Misplaced(*key, rows, max(one.off_m, merged[key].off_m))
         merged[key] = one
     return sorted(merged.values(), key=lambda one: -len(one.rows))

@@ -41,6 +41,24 @@ def test_a_c3d_merged_with_a_servo_log_becomes_the_true_trial(
     assert gone.sum() == gone[:, 3].sum() == pytest.approx(20 / 240 / 0.017, abs=2)
 
 
+def test_zeros_of_the_file_are_an_occlusion_wherever_its_origin_lies(
+    session, servo_csv, write_map, run, tmp_path
+):
+    log, columns = servo_csv
+    origin_m = np.array([0.1, -0.2, 0.42])
+    in_file_m = session.markers_m + origin_m
+    in_file_m[400:420, 12] = 0.0
+    file = write_c3d(tmp_path / "take.c3d", in_file_m)
+    map_ = write_map(session.dof, columns=columns, frame={"origin_m": origin_m.tolist()})
+    code, _, err = run(file, "--as", "c3d", "--servo", log, "--map", map_)
+    assert code == 0, err
+    assert "exactly 0, 0, 0" in err and "m13 in 20 samples" in err
+    trial = read_trial(tmp_path / "trials" / "take.csv")
+    gone = np.isnan(trial.markers_m).any(axis=2)
+    assert gone.sum() == gone[:, 12].sum() == pytest.approx(20 / 240 / 0.017, abs=2)
+    assert np.abs(np.diff(trial.tip_m, axis=0)).max() < 0.05
+
+
 def test_analog_channels_bring_angle_and_current_on_the_same_clock(
     session, write_map, run, check, tmp_path
 ):

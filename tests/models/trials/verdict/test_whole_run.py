@@ -39,7 +39,9 @@ def test_a_right_run_has_no_findings(trial):
     assert told(trial) == []
 
 
-@pytest.mark.parametrize("pair", [("m13", "m14"), ("m13", "m09"), ("m05", "m09"), ("m01", "m16")])
+@pytest.mark.parametrize(
+    "pair", [("m13", "m14"), ("m13", "m09"), ("m05", "m09"), ("m06", "m07"), ("m01", "m16")]
+)
 def test_exchanged_markers_are_named_with_their_rows(trial, pair):
     one, other = (marker(name) for name in pair)
     samples = {a: trial.columns[b][ROWS] for a, b in zip(one + other, other + one, strict=True)}
@@ -56,6 +58,14 @@ def test_zeros_are_an_occlusion(trial):
 def test_a_marker_elsewhere_is_out_of_place(trial):
     ((cause, text),) = told(changed(trial, {"m10_y_m": trial.columns["m10_y_m"][ROWS] + 0.08}))
     assert cause == "place" and "m10 is out of place" in text
+
+
+def test_a_marker_that_jumps_again_and_again_is_told_once(trial):
+    height_m = trial.columns["m10_z_m"].copy()
+    height_m[60::9] += 0.1
+    flickering = replace(trial, columns=trial.columns | {"m10_z_m": height_m})
+    ((cause, text),) = told(flickering)
+    assert cause == "place" and "in 20 of the rows 62 to 233" in text
 
 
 @pytest.mark.parametrize("names", [("m07",), ("m13", "m14", "m15", "m16")])
