@@ -76,8 +76,8 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
             return [
                 ImportFinding(
                     "warning", "step",
-                    f"the samples of {s.path.name} are {1e3 * own_s:.4g} ms apart and the trial's "
-                    f"rows {1e3 * mapping.step_s:.4g} ms: its goals are held from sample to sample "
+                    f"the samples of {s.path.name} are {DURATION.text(own_s)} apart and the trial's "
+                    f"rows {DURATION.text(mapping.step_s)}: its goals are held from sample to sample "
                     "and come late or early",
                     f"set step_s = {own_s:.4g} in MAP.toml",
                 )
