@@ -76,9 +76,9 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
             return [
                 ImportFinding(
                     "warning", "step",
-                    f"the samples of {s.path.name} are {DURATION.text(own_s)} apart and the trial's "
-                    f"rows {DURATION.text(mapping.step_s)}: its goals are held from sample to sample "
-                    "and come late or early",
+                    f"the samples of {s.path.name} are {DURATION.text(own_s)} apart and the "
+                    f"trial's rows {DURATION.text(mapping.step_s)}: its goals are held from sample "
+                    "to sample and come late or early",
                     f"set step_s = {own_s:.4g} in MAP.toml",
                 )
             ]  # fmt: skip
