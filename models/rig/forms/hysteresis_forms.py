@@ -9,24 +9,46 @@ A form stores energy in a spring and loses it in a slider, so that no path draws
 * Maxwell slip, springs of equal stiffness with sliders of different yields in parallel (Iwan,
   *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is drawn back radially.
 
-z is integrated implicitly.
+z is integrated implicitly. A form is a step of CasADi expressions
+(`models.rig.hinged.bending_law`): both planes of n sections have the shape (2, n).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
 
-class HysteresisForm(Protocol):
-    """Friction of n sections with its memory."""
+def both_planes(row: Any) -> Any:
+    """One number per section as a matrix of shape (2, n)."""
+    row = ca.DM(row).T if isinstance(row, np.ndarray) else row
+    return ca.repmat(row, 2, 1)
 
-    def torque_nm(self, du: Array) -> Array:
-        """Torque in N·m after a further bend `du` in rad, both of shape (n, 2)."""
+
+def _length(planes: Any) -> Any:
+    """Length of the vector of each section, shape (1, n)."""
+    return ca.sqrt(planes[0, :] ** 2 + planes[1, :] ** 2)
+
+
+class HysteresisForm(Protocol):
+    """Friction of n sections.
+
+    Attributes
+    ----------
+    springs : int
+        Parts of its memory, each of shape (2, n); zero at ease.
+    """
+
+    springs: int
+
+    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
+        """Memory, and torque in N·m, after a further bend `du` in rad of shape (2, n)."""
         ...
 
 
@@ -39,39 +61,34 @@ class BoucWen:
         Yield bend and torque of each section.
     """
 
-    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
-        self._per_yield = 1.0 / yield_rad[:, None]
-        self._half_per_yield = 0.5 * self._per_yield
-        self._friction_nm = friction_nm[:, None]
-        self._z = np.zeros((len(yield_rad), 2))
+    springs = 1
 
-    def torque_nm(self, du: Array) -> Array:
+    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
+        self._yield_rad, self._friction_nm = yield_rad, friction_nm
+
+    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
         """See `HysteresisForm`."""
-        z = self._z
-        along = z * du
-        along = along[:, :1] + along[:, 1:]
-        shed = np.abs(along)
-        shed += along
-        shed *= self._half_per_yield
-        shed += 1.0
-        z += self._per_yield * du
-        z /= shed
-        return np.asarray(self._friction_nm * z)
+        (z,) = memory
+        along = z[0, :] * du[0, :] + z[1, :] * du[1, :]
+        shed = 1.0 + (ca.fabs(along) + along) * ca.DM(0.5 / self._yield_rad).T
+        z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
+        return [z], both_planes(self._friction_nm) * z
 
 
 class Dahl:
     """Dahl friction; parameters as `BoucWen`."""
 
-    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
-        self._per_yield = 1.0 / yield_rad[:, None]
-        self._friction_nm = friction_nm[:, None]
-        self._z = np.zeros((len(yield_rad), 2))
+    springs = 1
 
-    def torque_nm(self, du: Array) -> Array:
+    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
+        self._yield_rad, self._friction_nm = yield_rad, friction_nm
+
+    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
         """See `HysteresisForm`."""
-        path = np.sqrt(du[:, :1] ** 2 + du[:, 1:] ** 2)
-        self._z = (self._z + self._per_yield * du) / (1.0 + self._per_yield * path)
-        return np.asarray(self._friction_nm * self._z)
+        (z,) = memory
+        shed = 1.0 + _length(du) * ca.DM(1.0 / self._yield_rad).T
+        z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
+        return [z], both_planes(self._friction_nm) * z
 
 
 class MaxwellSlip:
@@ -86,16 +103,17 @@ class MaxwellSlip:
     """
 
     def __init__(self, yield_rad: Array, friction_nm: Array, yields: Array) -> None:
-        self._slip_rad = (yields[:, None] * yield_rad)[:, :, None]
-        self._stiffness = (friction_nm / yield_rad / len(yields))[:, None]
-        self._stretch = np.zeros((len(yields), len(yield_rad), 2))
+        self.springs = len(yields)
+        self._slips_rad = yields[:, None] * yield_rad
+        self._stiffness = friction_nm / yield_rad / len(yields)
 
-    def torque_nm(self, du: Array) -> Array:
+    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
         """See `HysteresisForm`."""
-        stretch = self._stretch + du
-        size = np.sqrt(stretch[:, :, :1] ** 2 + stretch[:, :, 1:] ** 2)
-        self._stretch = stretch * (self._slip_rad / np.maximum(size, self._slip_rad))
-        return np.asarray(self._stiffness * self._stretch.sum(axis=0))
+        after = []
+        for stretch, slip_rad in zip(memory, self._slips_rad, strict=True):
+            stretched, slip = stretch + du, ca.DM(slip_rad).T
+            after.append(stretched * both_planes(slip / ca.fmax(_length(stretched), slip)))
+        return after, both_planes(self._stiffness) * sum(after)
 
 
 def hysteresis_form(

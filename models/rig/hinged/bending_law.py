@@ -12,16 +12,22 @@ law absorbs is m . du/dt and no part can create energy. m sums up, per hinge pai
   half of the collapse moment: Comer and Levy, *AIAA Journal* 1, 1963 [recalled]; shape [assumed]);
 * Maxwell branches, ds/dt = g K du/dt - s / tau (`models.rig.forms.creep_forms`);
 * friction (`models.rig.forms.hysteresis_forms`).
+
+One CasADi function advances all pairs: an integration step is some thousand operations on a few
+numbers each, which NumPy spends its time on calling. Both planes of n pairs are a matrix of shape
+(2, n); CasADi stores it by columns, as NumPy stores the shape (n, 2) by rows.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
+import casadi as ca
 import numpy as np
 
 from models.rig.forms.creep_forms import relaxation_spectrum
-from models.rig.forms.hysteresis_forms import hysteresis_form
+from models.rig.forms.hysteresis_forms import both_planes, hysteresis_form
+from models.rig.hinged.in_place_function import InPlaceFunction
 from models.rig.rig_parameters import RigParameters
 from models.shared.kinematics import Array
 
@@ -50,71 +56,17 @@ class BendLaw:
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
-        pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+        self._p, self._step_s, self._pairs = p, step_s, hinges + 1
+        self._pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
         span_nm_rad = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
-        self.stiffness_nm_rad = pressure * np.array(
+        self.stiffness_nm_rad = self._pressure * np.array(
             [p["stiffness.root_nm_rad"], *[span_nm_rad] * hinges]
         )
-        limit_nm = np.array(
-            [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * hinges]
-        )
-        self._per_limit = self.stiffness_nm_rad / (pressure * limit_nm)
-        yield_rad = np.array(
+        self._yield_rad = np.array(
             [p["memory.root_yield_rad"], *[p["memory.span_yield_rad"] / hinges] * hinges]
         )
-        self._hysteresis = hysteresis_form(p, yield_rad, self.stiffness_nm_rad)
-        self._wrinkling = p.structure.limit == "wrinkling"
-        self._rest_rad = np.zeros((hinges + 1, 2))
-        self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / hinges
-        self._skew = 0.5 * p["stiffness.directional_share"]
-        self._rounding_rad = p["stiffness.directional_rounding"] * yield_rad[:, None]
-        self._rounding_rad_squared = self._rounding_rad**2
-        coupling = 0.5 * p["stiffness.coupling_share"]
-        self._mix = np.array([[1.0, coupling], [coupling, 1.0]])
-        self._coupled = coupling != 0.0
-        per_reference = np.array([1.0, *[float(hinges)] * hinges]) / REFERENCE_BEND_RAD
-        soft = p["stiffness.softening_share"]
-        self._soft = soft / (1.0 - soft) * per_reference
-        self._hard = p["stiffness.hardening_share"] * per_reference**2
-        self._bend_dependent = bool(self._soft.any() or self._hard.any())
         self._kept_fraction = 1.0 - p["stiffness.leak_share"]
-
-        times_s, fractions = relaxation_spectrum(p)
-        self._decay = np.exp(-step_s / times_s)[:, None, None]
-        # Exact for a bend that grows at a constant rate over the step.
-        held = (times_s * -np.expm1(-step_s / times_s) / step_s)[:, None]
-        self._branch_nm_rad = (fractions[:, None] * held * self.stiffness_nm_rad)[:, :, None]
-
-        self._branch_nm = np.zeros((len(times_s), hinges + 1, 2))
-        self._bend = self.measure(np.zeros((hinges + 1, 2)))[0]
-
-    def measure(self, angle_rad: Array) -> tuple[Array, Array]:
-        """Measure of bend u and the diagonal of its derivative before mixing.
-
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (n, 2)
-            Hinge angles towards +x and +y.
-
-        Returns
-        -------
-        u, slope : ndarray, shape (n, 2)
-        """
-        phi = angle_rad - self._rest_rad
-        root = phi * phi
-        root += self._rounding_rad_squared
-        np.sqrt(root, out=root)
-        skewed = root - self._rounding_rad
-        skewed *= self._skew
-        skewed += phi
-        slope = self._skew * phi
-        slope /= root
-        slope += 1.0
-        return self._mixed(skewed), slope
-
-    def _mixed(self, planes: Array) -> Array:
-        """Both planes coupled; rows of shape (n, 2)."""
-        return planes @ self._mix if self._coupled else planes
+        self._connect(self._advance())
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and compute the torque on the hinges.
@@ -131,31 +83,94 @@ class BendLaw:
         ndarray, shape (n, 2)
             Restoring torque in N·m.
         """
-        u, slope = self.measure(angle_rad)
-        du = u - self._bend
-        self._bend = u
-        branch_nm = self._branch_nm
-        branch_nm *= self._decay
-        branch_nm += self._branch_nm_rad * du
-
-        square = u * u
-        size = square[:, 0] + square[:, 1]
-        np.sqrt(size, out=size)
-        size += 1e-12
-        level = size * self._per_limit
-        if self._wrinkling:
-            level = np.maximum(level, 0.5)
-            secant = self.stiffness_nm_rad * (1.0 - 0.25 / level) / level
-        else:
-            secant = self.stiffness_nm_rad * np.tanh(level) / level
-        if self._bend_dependent:
-            secant = secant * (1.0 + self._hard * size * size) / (1.0 + self._soft * size)
-        moment = secant[:, None] * u
-        relaxing = branch_nm[0] + branch_nm[1]
-        for branch in branch_nm[2:]:
-            relaxing += branch
-        moment += relaxing
-        moment += self._hysteresis.torque_nm(du)
+        self._angle_rad[:] = angle_rad.ravel()
         if leaking_s:
-            moment *= self._kept_fraction ** (leaking_s / LEAK_TIME_S)
-        return -slope * self._mixed(moment)
+            self._kept[0] = self._kept_fraction ** (leaking_s / LEAK_TIME_S)
+        self._evaluate()
+        self._memory[:] = self._memory_after
+        return self._torque_nm.copy()
+
+    def _connect(self, advance: ca.Function) -> None:
+        """Bind the function to its arrays; the link is at ease at zero."""
+        self._angle_rad, self._kept = np.zeros(2 * self._pairs), np.ones(1)
+        self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
+        at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()
+        self._memory[: at_zero.size] = at_zero.T.flat
+        self._torque_nm = np.zeros((self._pairs, 2))
+        self._evaluate = InPlaceFunction(
+            advance,
+            [self._angle_rad, self._memory, self._kept],
+            [self._torque_nm, self._memory_after],
+        )
+
+    def _advance(self) -> ca.Function:
+        """Torque and memory after a step, of angles, memory before it and kept pressure."""
+        p, n = self._p, self._pairs
+        times_s, fractions = relaxation_spectrum(p)
+        hysteresis = hysteresis_form(p, self._yield_rad, self.stiffness_nm_rad)
+        angle_rad = ca.SX.sym("angle_rad", 2, n)
+        u_before = ca.SX.sym("u", 2, n)
+        branches_nm = [ca.SX.sym("branch_nm", 2, n) for _ in times_s]
+        slid = [ca.SX.sym("slid", 2, n) for _ in range(hysteresis.springs)]
+        kept = ca.SX.sym("kept")
+
+        u, slope = self._measure(angle_rad)
+        du = u - u_before
+        decays = np.exp(-self._step_s / times_s)
+        # Exact for a bend that grows at a constant rate over the step.
+        held = fractions * times_s * -np.expm1(-self._step_s / times_s) / self._step_s
+        relaxed_nm = [
+            decay * branch_nm + both_planes(share * self.stiffness_nm_rad) * du
+            for decay, share, branch_nm in zip(decays, held, branches_nm, strict=True)
+        ]
+        slid_after, friction_nm = hysteresis.advanced(slid, du)
+        moment_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
+        torque_nm = -kept * slope * self._mixed(moment_nm)
+        memory = [u_before, *branches_nm, *slid]
+        memory_after = [u, *relaxed_nm, *slid_after]
+        return ca.Function(
+            "advance",
+            [angle_rad, _stacked(memory), kept],
+            [torque_nm, _stacked(memory_after)],
+        )
+
+    def _measure(self, angle_rad: Any) -> tuple[Any, Any]:
+        """Measure of bend u and the diagonal of its derivative before mixing, shape (2, n)."""
+        p, hinges = self._p, self._pairs - 1
+        rest_rad = np.zeros((2, self._pairs))
+        rest_rad[0, 1:] = p["stiffness.prebend_rad"] / hinges
+        skew = 0.5 * p["stiffness.directional_share"]
+        rounding_rad = both_planes(p["stiffness.directional_rounding"] * self._yield_rad)
+        phi = angle_rad - rest_rad
+        root = ca.sqrt(phi**2 + rounding_rad**2)
+        return self._mixed(phi + skew * (root - rounding_rad)), 1.0 + skew * phi / root
+
+    def _mixed(self, planes: Any) -> Any:
+        """Both planes coupled; shape (2, n)."""
+        coupling = 0.5 * self._p["stiffness.coupling_share"]
+        return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
+
+    def _secant_nm_rad(self, u: Any) -> Any:
+        """Radial elastic torque over the bend, shape (1, n)."""
+        p, hinges = self._p, self._pairs - 1
+        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
+        limit_nm = np.array(
+            [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * hinges]
+        )
+        size = ca.sqrt(u[0, :] ** 2 + u[1, :] ** 2) + 1e-12
+        level = size * ca.DM(self.stiffness_nm_rad / (self._pressure * limit_nm)).T
+        if p.structure.limit == "wrinkling":
+            level = ca.fmax(level, 0.5)
+            secant = stiffness_nm_rad * (1.0 - 0.25 / level) / level
+        else:
+            secant = stiffness_nm_rad * ca.tanh(level) / level
+        per_reference = np.array([1.0, *[float(hinges)] * hinges]) / REFERENCE_BEND_RAD
+        soft = p["stiffness.softening_share"]
+        softer = ca.DM(soft / (1.0 - soft) * per_reference).T
+        harder = ca.DM(p["stiffness.hardening_share"] * per_reference**2).T
+        return secant * (1.0 + harder * size**2) / (1.0 + softer * size)
+
+
+def _stacked(parts: list[Any]) -> Any:
+    """One column of all parts."""
+    return ca.vertcat(*[ca.vec(part) for part in parts])

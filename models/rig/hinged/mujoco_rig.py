@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
+import casadi as ca
 import mujoco
 import numpy as np
 
 from models.rig.forms.marker_play import MarkerPlay
 from models.rig.hinged.bending_law import BendLaw
+from models.rig.hinged.in_place_function import InPlaceFunction
 from models.rig.hinged.mujoco_link import Load, build_mujoco_link
 from models.rig.rig_parameters import RigParameters
 from models.rig.rig_servo import RigServo
@@ -77,15 +79,18 @@ class MujocoRig:
         self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
         self._play = MarkerPlay(p, dof, self.step_s)
         self._load_nm = p["servo.load_offset_nm"]
-        self._minus_drag = -p["world.drag_nm"] * self._drag_coefficients()
-        self._dragged = bool(self._minus_drag.any())
+        self._dragged = p["world.drag_nm"] != 0.0
         # MuJoCo's arrays stay in place: views of them spare a look-up and a copy in every step.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied_nm = self.data.qfrc_applied
         pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # one after the other
         self._body_centres = self.data.xipos[pieces]
-        self._force_n = self.data.xfrc_applied[pieces, :3]
         self._centres = self._body_centres.copy()
+        self._set_drag = InPlaceFunction(
+            self._drag(p["world.drag_nm"]),
+            [self._body_centres, self._centres],
+            [self.data.xfrc_applied[pieces]],
+        )
         self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
         self._steps, self._last_bend_rad = 0, 0.0
         self._leak_from_s = np.inf
@@ -137,23 +142,22 @@ class MujocoRig:
         leaking_s = max(time_s - self._leak_from_s, 0.0)
         applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), leaking_s))
         if self._dragged:
-            self._apply_drag()
+            self._set_drag()
+            np.copyto(self._centres, self._body_centres)
         if not self._play.absent:
             self._play.advance([servo.gear_nm for servo in self.servos])
         mujoco.mj_step(self.link.model, self.data)
         self._steps += 1
 
-    def _apply_drag(self) -> None:
-        """Quadratic drag on the centre of every piece of the link."""
-        velocity = self._body_centres - self._centres
-        velocity /= self.step_s
-        square = velocity * velocity
-        speed = square[:, 0] + square[:, 1]
-        speed += square[:, 2]
-        np.sqrt(speed, out=speed)
-        speed *= self._minus_drag
-        np.multiply(speed[:, None], velocity, out=self._force_n)
-        np.copyto(self._centres, self._body_centres)
+    def _drag(self, drag_nm: float) -> ca.Function:
+        """Force and torque on every piece, shape (6, n), of its centre now and a step before."""
+        coefficients = ca.DM(drag_nm * self._drag_coefficients()).T
+        now_m, before_m = (ca.SX.sym(name, 3, coefficients.numel()) for name in ("now", "before"))
+        velocity = (now_m - before_m) / self.step_s
+        speed = ca.sqrt(ca.sum1(velocity**2))
+        force_n = -ca.repmat(coefficients * speed, 3, 1) * velocity
+        wrench = ca.densify(ca.vertcat(force_n, ca.SX.zeros(3, coefficients.numel())))
+        return ca.Function("drag", [now_m, before_m], [wrench])
 
     def _drag_coefficients(self) -> Array:
         """Force per speed squared of each piece, so that 1 rad/s about joint 1 gives 1 N·m."""

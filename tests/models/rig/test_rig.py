@@ -154,6 +154,6 @@ def test_drag_slows_by_its_torque(parameters):
     # Move the pieces as a rigid rotation would, then let the drag look at them.
     centres = rig.data.xipos[rig.link.bodies].copy()
     rig.data.xipos[rig.link.bodies, 0] += centres[:, 2] * rig.step_s
-    rig._apply_drag()
+    rig._set_drag()
     torque = np.sum(rig.data.xfrc_applied[rig.link.bodies, 0] * centres[:, 2])
     assert torque == pytest.approx(-5.0, rel=1e-9)

@@ -1,5 +1,6 @@
 """Forms of hysteresis and creep against their closed solutions and the laws of any material."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,11 +18,27 @@ FORMS = ("bouc_wen", "dahl", "maxwell_slip")
 RIGS = {"bouc_wen": "default", "dahl": "test_a", "maxwell_slip": "memory"}
 
 
+class OneSection:
+    """A form with its memory, for one section."""
+
+    def __init__(self, form):
+        memory = [ca.SX.sym("z", 2, 1) for _ in range(form.springs)]
+        du = ca.SX.sym("du", 2, 1)
+        after, torque_nm = form.advanced(memory, du)
+        self._step = ca.Function("step", [ca.horzcat(*memory), du], [ca.horzcat(*after), torque_nm])
+        self._memory = ca.DM.zeros(2, form.springs)
+
+    def torque_nm(self, du):
+        """Torque after a further bend, both of shape (1, 2)."""
+        self._memory, torque_nm = self._step(self._memory, du.T)
+        return torque_nm.full().T
+
+
 def form(kind, **values):
     rig = read_rig(RIGS[kind])
     assert rig.structure.hysteresis == kind
     rig = rig.changed(**{"memory.hysteresis_share": FRACTION} | values)
-    return hysteresis_form(rig, np.array([YIELD_RAD]), np.array([STIFFNESS]))
+    return OneSection(hysteresis_form(rig, np.array([YIELD_RAD]), np.array([STIFFNESS])))
 
 
 def along_x(built, path_rad):

@@ -1,0 +1,50 @@
+"""CasADi function that reads and writes NumPy arrays where they are.
+
+A call takes some microseconds; passing arrays to the function as such takes ten times as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+
+from models.shared.kinematics import Array
+
+
+class InPlaceFunction:
+    """A function bound to the arrays of its arguments and results.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With dense arguments and results.
+    arguments, results : sequence of ndarray
+        Contiguous, of float64; a matrix of CasADi lies in them column by column. They must be
+        different arrays: results are written while arguments are still read.
+
+    Raises
+    ------
+    ValueError
+        If an array has another number of elements than the function.
+    """
+
+    def __init__(
+        self, function: ca.Function, arguments: Sequence[Array], results: Sequence[Array]
+    ) -> None:
+        sizes = [function.numel_in(k) for k in range(function.n_in())]
+        sizes += [function.numel_out(k) for k in range(function.n_out())]
+        if sizes != [array.size for array in (*arguments, *results)]:
+            raise ValueError(f"{function.name()} has {sizes} elements")
+        buffer: Any
+        buffer, self._evaluate = function.buffer()
+        for k, array in enumerate(arguments):
+            buffer.set_arg(k, array.data)
+        for k, array in enumerate(results):
+            buffer.set_res(k, array.data)
+        self._kept_alive = buffer, (*arguments, *results)
+
+    def __call__(self) -> None:
+        """Evaluate."""
+        self._evaluate()
