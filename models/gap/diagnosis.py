@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
@@ -19,6 +19,7 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.improved_plant import improved_plant
+from models.gap.odd_trials import OddTrial, odd_trials, without_odd
 from models.gap.residuals.aligned_trials import aligned
 from models.gap.residuals.fit_parameters import (
     FitParameter,
@@ -138,6 +139,8 @@ class Diagnosis:
     amplification_power : dict of float to float
         Factor on the power of the floor by payload in kg, see
         `models.gap.estimation.measured_floor.with_amplified_scatter`.
+    odd : tuple of OddTrial
+        Trials that were left out because they differ from their like.
     """
 
     plant: Plant
@@ -175,6 +178,7 @@ class Diagnosis:
     fitted_values: Array
     link_change: float
     amplification_power: Mapping[float, float]
+    odd: tuple[OddTrial, ...] = ()
 
 
 def diagnose(
@@ -220,9 +224,14 @@ def diagnose(
     recorded, trials = trials, in_time_blocks(plant, aligned(trials), settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
     residuals = Residuals(plant, trials.trials, parameters, settings)
-    floor = floor or noise_floor_for(residuals, patterns)
+    given_floor, floor = floor, floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     with threadpool_limits(limits=1, user_api="blas"):  # the simulations take both processors
+        odd = odd_trials(search.first, search.nuisance_fit) if len(recorded) == len(trials) else ()
+        if odd:
+            kept = without_odd(recorded, odd)
+            rest = diagnose(plant, kept, report, leave_out, settings, given_floor, patterns)
+            return replace(rest, odd=(*odd, *rest.odd))
         result = search.search()
         decision = decide(search, result)
     result, accepted = decision.result, decision.accepted

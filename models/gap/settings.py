@@ -112,6 +112,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     payload grows: the 95 % quantile of 78 ratios on unchanged links of 13 drawn rigs for tuning,
     nothing hidden. On 26 changed links of these rigs residuals above 1.63 noise floors (1.8, 2.3,
     3.2, 5.0) came with higher ratios only."""
+    odd_trial_ratio: float = 3.0
+    """How far a trial lies above its like, in noise floors, before it is left out of the diagnosis
+    [assumed]."""
     discrepancy_patterns: int = 48
     """Patterns of the plant's own error. Measured by `bench.gap.calibration.plant_error` on 66
     links of 22 rigs of drawn structure, each rig left out in turn: they take the median of the mean

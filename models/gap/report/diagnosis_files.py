@@ -9,6 +9,7 @@ import msgspec
 
 from models.gap.diagnosis import Diagnosis, diagnose
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.gap.odd_trials import without_odd
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_document
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
@@ -51,6 +52,7 @@ def write_diagnosis(
         The diagnosis, its document, and the page.
     """
     found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
+    trials = without_odd(trials, found.odd)
     document = gap_document(found, trials, waterfall_steps(found, found.trials))
     document = msgspec.structs.replace(document, inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)

@@ -52,7 +52,8 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
     "cross_axis_coupling":
         "Load the tip in one plane: it moves in the other. Look how the link sits in its mount.",
     "encoder_offset":
-        "Drive to zero and hold a level to the joint; read the homing offset of the servo.",
+        "Drive to zero and hold a level to the joint and to the base: a base that leans looks "
+        "the same. Read the homing offset of the servo.",
     "encoder_ripple":
         "Turn slowly and compare the encoder with the motion capture, angle by angle.",
     "load_offset": "Look for a cable or hose that pulls to one side.",

@@ -13,6 +13,7 @@ from models.gap.decision.decision import JudgedNames
 from models.gap.decision.gap_verdict import GapVerdict
 from models.gap.decision.rejected_effects import RejectedEffect
 from models.gap.estimation.curve_transfer import Knowledge
+from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.search.refused_effect import RefusedEffect
 from models.gap.settings import GapSettings
@@ -275,6 +276,8 @@ class GapDocument(Document, frozen=True):
         Files of the diagnosis; None where it was run from Python.
     changed_conditions : tuple of ChangedCondition
         Conditions of the trials that no trial of the plant has.
+    odd_trials : tuple of OddTrial
+        Trials that were left out, because they differ from the plant far more than their like.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.
@@ -308,6 +311,7 @@ class GapDocument(Document, frozen=True):
     tested: tuple[JudgedNames, ...] = ()
     inputs: DiagnosisInputs | None = None
     changed_conditions: tuple[ChangedCondition, ...] = ()
+    odd_trials: tuple[OddTrial, ...] = ()
 
     @property
     def answers(self) -> Answers | None:

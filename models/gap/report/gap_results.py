@@ -59,7 +59,7 @@ def gap_document(
     found : Diagnosis
         Its results.
     trials : TrialSet
-        Where the gap was looked for.
+        Where the gap was looked for, odd trials left out.
     waterfall : sequence of tuple
         As `models.gap.report.waterfall.waterfall_steps`.
     """
@@ -112,6 +112,7 @@ def gap_document(
         hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
         effect_probabilities=_listed(effect_probabilities(found.hypotheses)),
         tested=found.tested if found.floor.learned else (),
+        odd_trials=found.odd,
     )  # fmt: skip
 
 

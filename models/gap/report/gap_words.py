@@ -84,9 +84,10 @@ def _left_in_words(document: GapDocument) -> str:
     if further is None:
         return "a residual above the noise floor is left"
     return (
-        "more is left than noise and errors of the named equations explain; of the catalogue "
-        f"{further.effect.replace('_', ' ')} would take up most of it (d′ "
-        f"{further.separation:.0f}; noise and these errors reach {further.least:.0f})"
+        "more is left than noise and errors of the named equations explain. Of the catalogue "
+        f"{further.effect.replace('_', ' ')} would take up most of it (by d′ "
+        f"{further.separation:.0f}, noise and these errors by {further.least:.0f}), which is no "
+        "proof that it is there"
     )
 
 
@@ -191,7 +192,18 @@ def _percent(probability: float) -> str:
 
 
 def next_step_in_words(document: GapDocument) -> str:
-    """What the user does next, in one sentence."""
+    """What the user does next, in one sentence; odd trials come first."""
+    if not document.odd_trials:
+        return _next_step_of_the_rest(document)
+    names = ", ".join(o.name for o in document.odd_trials)
+    return (
+        f"Check payload_kg, conditions and recording of {names} (python -m models validate), "
+        f"mend or repeat it, and run gap again. Without it: {_next_step_of_the_rest(document)}"
+    )
+
+
+def _next_step_of_the_rest(document: GapDocument) -> str:
+    """The same, by what the other trials show."""
     if document.verdict == "no floor":
         return "Repeat at least one trial: only repetitions tell noise from error."
     if document.verdict == "not in the catalogue":
@@ -202,10 +214,11 @@ def next_step_in_words(document: GapDocument) -> str:
             if document.refitted:
                 return "Use the refitted plant: train a bundle with it (python -m models train)."
             return "Nothing: the plant explains these trials."
+        refitted = "plant.json holds the refitted link, the better plant so far. "
         return (
-            "Record another motion or payload, or more repetitions: with a probability of "
-            f"{_percent(1 - answers.nothing)} something is missing that these trials show too "
-            "faintly to be named."
+            f"{refitted if document.refitted else ''}Record another motion or payload, or more "
+            f"repetitions: with a probability of {_percent(1 - answers.nothing)} something is "
+            "missing that these trials show too faintly to be named."
         )
     undecided = [
         effect.replace("_", " ")
@@ -218,7 +231,8 @@ def next_step_in_words(document: GapDocument) -> str:
             "--gap OUT/gap.json --limits robot.toml --out MOTION.toml' designs the one that does."
         )
     further = _further_missing(document)
-    if further is not None:
+    refused = {row.effect for row in document.refused}
+    if further is not None and further.effect not in refused:
         return (
             "Record another motion or payload: these trials do not decide whether "
             f"{further.effect.replace('_', ' ')} is missing too."

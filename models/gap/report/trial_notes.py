@@ -16,11 +16,21 @@ def notes_in_words(document: GapDocument) -> list[str]:
         Of a diagnosis.
     """
     notes = (
-        _goal_not_followed(document), _nuisance_bias(document), _rows_fitted(document),
-        _own_error(document), _patterns(document), _amplification(document),
-        *_changed(document), _link(document),
+        _odd_trials(document), _goal_not_followed(document), _nuisance_bias(document),
+        _rows_fitted(document), _own_error(document), _patterns(document),
+        _amplification(document), *_changed(document), _link(document),
     )  # fmt: skip
     return [text for text in notes if text]
+
+
+def _odd_trials(document: GapDocument) -> str:
+    """Trials that were left out, and by how much they differ; empty if none was."""
+    rows = "; ".join(
+        f"{o.name} ({o.payload_kg:g} kg) differs from the plant by {o.floors:.1f} noise floors, "
+        f"its like by {o.floors_of_like:.1f}"
+        for o in document.odd_trials
+    )
+    return rows and f"left out: {rows}"
 
 
 def _goal_not_followed(document: GapDocument) -> str:

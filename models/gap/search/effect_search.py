@@ -41,7 +41,7 @@ from models.gap.search.several_starts import (
 from models.gap.search.strength_consistency import strengths_hold
 
 ReportProgress = Callable[[str, int], None]
-"""Function that is called after each part of the work: a phrase, and how many follow at least."""
+"""Called after each part of the work: a phrase, and how many follow at least."""
 
 
 class EffectSearch:
@@ -89,18 +89,22 @@ class EffectSearch:
         self.held = np.zeros(len(self.fit_parameters), dtype=bool)
         self.excluded: frozenset[str] = frozenset()
 
-    def search(self) -> SearchResult:
-        """Result of the whole search."""
-        before = zero = self.estimator.start()
+    @cached_property
+    def nuisance_fit(self) -> FitPoint:
+        """Link and set-up refitted; from then on the floor allows for the gap that is left."""
+        before = self.estimator.start()
         for _ in range(self.settings.widening_rounds):  # the floor depends on the gap that is left
             self._widen(before)
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
-        zero = self.estimator.linearise(self.estimator.at(zero.values))
+        return before
+
+    def search(self) -> SearchResult:
+        """Result of the whole search."""
+        before = self.nuisance_fit
         self.report("nuisance fitted", 2 + self._most_refitted())
-        found = SearchResult(before, before)
         flat = unexcited_effects(self.estimator, before, self.base, self.of)
-        found.unexcited = self.absent + flat
-        self._round(found, [zero])
+        found = SearchResult(before, before, unexcited=self.absent + flat)
+        self._round(found, [self.estimator.linearise(self.estimator.at(0.0 * before.values))])
         self._include(found)
         return found
 
@@ -175,8 +179,7 @@ class EffectSearch:
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
         """Effects with their fit; `here` is that without them."""
-        change = self.settings.least_link_change
-        same = self.unchanged_null.for_link_change(change, self.settings)
+        same = self.unchanged_null.for_link_change(self.settings.least_link_change, self.settings)
         least = self.least(effects, point), same.least(effects)
         return Candidate(effects, point, here.cost - point.cost, *least, predicted)
 
@@ -242,8 +245,7 @@ class EffectSearch:
         without = None if self.learned else self.held_out.errors(here, self.free(found.named))
         for candidate in refitted:
             further = bool(found.named) and without is not None
-            # held-out errors alone let small effects in that fit one fold
-            beyond = candidate.separation >= candidate.least
+            beyond = candidate.separation >= candidate.least  # held-out error alone fits one fold
             enough = beyond if further else self._stands_out(candidate, here, found)
             own = self._free_of(candidate, found)
             if not enough or self.excluded & set(candidate.effects):
@@ -342,9 +344,7 @@ class EffectSearch:
             rest = [e for e in found.named if e != effect]
             values = found.after.values.copy()
             values[self.of[effect]] = 0.0
-            without = self.estimator.fit(
-                self.estimator.at(values), self.free(rest), self.settings.deletion_steps
-            )
-            rise = 2 * (without.cost - found.after.cost)
-            if rise < self.least([effect], found.after) ** 2:
+            start, steps = self.estimator.at(values), self.settings.deletion_steps
+            without = self.estimator.fit(start, self.free(rest), steps)
+            if 2 * (without.cost - found.after.cost) < self.least([effect], found.after) ** 2:
                 found.named, found.after = rest, without

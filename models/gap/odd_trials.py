@@ -1,0 +1,109 @@
+"""Trials that differ from the plant far more than their like: of a wrong payload, or disturbed.
+
+An effect shows alike in repetitions, and at a payload between two others no more than at these. A
+trial that lies far above its like is a matter of this trial, not of the robot: no effect is to be
+named by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz
+from models.shared.kinematics import Array
+from models.trials.trial import TrialSet
+
+
+@dataclass(frozen=True)
+class OddTrial:
+    """A trial that is left out of a diagnosis.
+
+    Attributes
+    ----------
+    name, path : str
+        Of the trial, and of its file.
+    payload_kg : float
+        As its conditions say.
+    floors, floors_of_like : float
+        Root mean square of its difference from the plant in noise floors, and that of its
+        repetitions, or of the other trials of its motion where there are none.
+    """
+
+    name: str
+    path: str
+    payload_kg: float
+    floors: float
+    floors_of_like: float
+
+
+def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
+    """Trials that lie above their like by `GapSettings.odd_trial_ratio`.
+
+    At most a third of a motion's trials can be odd; these are the ones that differ most.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of the trials.
+    point : FitPoint
+        With link and set-up refitted.
+    """
+    trials, ratio = estimator.residuals.trials, estimator.settings.odd_trial_ratio
+    found: list[OddTrial] = []
+    groups = zip(estimator.residuals.groups, point.rows, estimator.means, strict=True)
+    for group, rows, mean in groups:
+        own = [trials[k] for k in group.trials]
+        payloads = np.array([t.meta.payload_kg for t in own])
+        hz = group_frequencies_hz(group, trials)
+        levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean)
+        like = [_level_of_like(k, levels, payloads) for k in range(len(own))]
+        odd = [k for k in np.argsort(-levels) if levels[k] > ratio * max(like[k], 1.0)]
+        found += [
+            OddTrial(own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), like[k])
+            for k in odd[: len(own) // 3]
+        ]
+    return tuple(found)
+
+
+def without_odd(trials: TrialSet, odd: Collection[OddTrial]) -> TrialSet:
+    """Trials that are not among the odd ones."""
+    left_out = {(o.name, o.path) for o in odd}
+    return trials.where(lambda t: (t.name, str(t.path)) not in left_out)
+
+
+def _levels(
+    floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array
+) -> Array:
+    """Root mean square of each trial's residual in noise floors; amplification left out."""
+    power = []
+    for b, signal in enumerate(signals):
+        if signal not in floor.noise:
+            continue
+        noise, model = (
+            np.interp(hz, floor.frequency_hz, table[signal]) for table in (floor.noise, floor.model)
+        )
+        expected = [
+            noise * floor.ratios.noise_at(signal, p, hz)
+            + model * floor.ratios.model_at(signal, p, hz)
+            for p in payloads_kg
+        ]
+        power.append(np.mean(rows[:, b] ** 2 / expected, axis=1))
+    return np.sqrt(np.mean(power, axis=0)) if power else np.zeros(len(rows))
+
+
+def _level_of_like(trial: int, levels: Array, payloads_kg: Array) -> float:
+    """Level of a trial's repetitions; else of all others, where some have less and some more load.
+
+    An effect may show at the least or the largest payload alone: infinity there.
+    """
+    others = np.arange(len(levels)) != trial
+    repeated = others & (payloads_kg == payloads_kg[trial])
+    if repeated.any():
+        return float(np.median(levels[repeated]))
+    loads = payloads_kg[others]
+    between = len(loads) and loads.min() < payloads_kg[trial] < loads.max()
+    return float(levels[others].max()) if between else np.inf
